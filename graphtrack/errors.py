@@ -1,0 +1,69 @@
+"""The errors a user can meet. The command line prints them as one line and exits with status 2."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class GraphtrackError(Exception):
+    """Anything that the user can mend: bad input, a bad option, a model that cannot be solved."""
+
+
+class InputError(GraphtrackError):
+    """Input that cannot be used, with its place and what was expected there.
+
+    Parameters
+    ----------
+    found, expected : str
+        What stands there and what should.
+    path : path of the file, if there is one
+    line : line (text files, from 1) or row (Parquet, from 1)
+    column : name or number of the column
+    """
+
+    def __init__(
+        self,
+        found: str,
+        expected: str,
+        *,
+        path: str | Path | None = None,
+        line: int | None = None,
+        column: str | int | None = None,
+    ) -> None:
+        self.found, self.expected = found, expected
+        self.path = None if path is None else str(path)
+        self.line, self.column = line, column
+        super().__init__(str(self))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _rebuild_input_error, (self.found, self.expected, self.path, self.line, self.column)
+
+    def __str__(self) -> str:
+        place = [] if self.path is None else [self.path]
+        if self.line is not None:
+            place.append(f"line {self.line}")
+        if self.column is not None:
+            place.append(f"column {self.column}")
+        where = ", ".join(place)
+        return f"{where + ': ' if where else ''}found {self.found}, expected {self.expected}"
+
+
+def _rebuild_input_error(
+    found: str, expected: str, path: str | None, line: int | None, column: str | int | None
+) -> InputError:
+    return InputError(found, expected, path=path, line=line, column=column)
+
+
+class SolveError(GraphtrackError):
+    """A track whose estimate could not be computed or failed its check."""
+
+    def __init__(self, track_id: int, reason: str) -> None:
+        self.track_id, self.reason = track_id, reason
+        super().__init__(track_id, reason)
+
+    def __str__(self) -> str:
+        return f"track {self.track_id}: {self.reason}"
+
+
+class InputWarning(UserWarning):
+    """Input that was used after a repair, such as frames that had to be sorted."""

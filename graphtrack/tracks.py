@@ -1,0 +1,246 @@
+"""`Track` and `TrackSet`: the one structure that flows through everything.
+
+Observations and estimates share it. A track read from a file holds observations; a track that comes out of
+a smoother holds estimates in the same fields, with ``velocity`` and ``covariance`` set.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from graphtrack.geometry import GroundCamera
+
+STATE = ("x", "y", "vx", "vy", "body", "head")
+"""Order of the state in ``Track.covariance``."""
+
+BODY_CLASSES, HEAD_CLASSES = 8, 12
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "t": (),
+    "position": (2,),
+    "position_std": (),
+    "pixel": (2,),
+    "body": (),
+    "body_kappa": (),
+    "head": (),
+    "head_kappa": (),
+    "body_likelihood": (BODY_CLASSES,),
+    "head_likelihood": (HEAD_CLASSES,),
+    "velocity": (2,),
+    "covariance": (6, 6),
+    "true_position": (2,),
+    "true_body": (),
+    "true_head": (),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One person over n frames. NaN is a missing value; ``None`` a channel that is absent altogether.
+
+    Attributes
+    ----------
+    track_id : int
+    frame : (n,) int64, strictly increasing
+    t : (n,) seconds, strictly increasing
+    position : (n, 2) metres on the ground plane
+    position_std : (n,) metres, the 1-σ of each axis of ``position``; NaN: the model's default
+    pixel : (n, 2) foot point (u, v) in the image, y down
+    body, head : (n,) radians, orientation in the world
+    body_kappa, head_kappa : (n,) von Mises concentration of ``body`` and ``head``; NaN: the model's default
+    body_likelihood : (n, 8), head_likelihood : (n, 12)
+        Class likelihoods; class k is centred on 360·k/n degrees. A row is all finite or all NaN.
+    velocity : (n, 2) metres a second (estimates)
+    covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated
+    true_position, true_body, true_head : the truth, where it is known
+    label : a name for people to read, such as the clip
+    """
+
+    track_id: int
+    frame: NDArray[np.int64]
+    t: FloatArray
+    position: FloatArray
+    position_std: FloatArray | None = None
+    pixel: FloatArray | None = None
+    body: FloatArray | None = None
+    body_kappa: FloatArray | None = None
+    head: FloatArray | None = None
+    head_kappa: FloatArray | None = None
+    body_likelihood: FloatArray | None = None
+    head_likelihood: FloatArray | None = None
+    velocity: FloatArray | None = None
+    covariance: FloatArray | None = None
+    true_position: FloatArray | None = None
+    true_body: FloatArray | None = None
+    true_head: FloatArray | None = None
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        frame = np.asarray(self.frame)
+        if frame.ndim != 1 or frame.size == 0 or not np.issubdtype(frame.dtype, np.integer):
+            raise InputError(
+                f"frames of shape {frame.shape} and type {frame.dtype}",
+                f"a non-empty one-dimensional integer array for track {self.track_id}",
+            )
+        self._set("frame", frame.astype(np.int64))
+        for name, tail in _SHAPES.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            value = np.array(value, dtype=float)
+            if value.shape != (len(frame), *tail):
+                raise InputError(f"{name} of shape {value.shape}", f"shape {(len(frame), *tail)}")
+            if np.isinf(value).any():
+                raise InputError(f"an infinite {name}", f"finite values or NaN in track {self.track_id}")
+            self._set(name, value)
+        if np.any(np.diff(self.frame) <= 0):
+            raise InputError("frames that do not increase", f"each frame once, in order, in track {self.track_id}")
+        if not np.all(np.isfinite(self.t)) or np.any(np.diff(self.t) <= 0):
+            raise InputError("times that do not increase", f"strictly increasing t in track {self.track_id}")
+
+    def _set(self, name: str, value: NDArray[Any]) -> None:
+        value.setflags(write=False)
+        object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def __getitem__(self, index: slice | NDArray[Any]) -> Track:
+        """The same person over some of the frames."""
+        parts = {
+            f.name: getattr(self, f.name)[index]
+            for f in fields(self)
+            if isinstance(getattr(self, f.name), np.ndarray)
+        }
+        return replace(self, **parts)
+
+    def std(self, name: str) -> FloatArray | None:
+        """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance."""
+        if self.covariance is None:
+            return None
+        i = STATE.index(name)
+        return np.sqrt(self.covariance[:, i, i])
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the true positions are known."""
+        return self.true_position is not None and bool(np.isfinite(self.true_position).any())
+
+
+@dataclass(frozen=True)
+class ReadSummary:
+    """What became of the rows of the input. ``rows_read == rows_used + rows_refused``.
+
+    Attributes
+    ----------
+    refused : reason → number of rows that were left out for it
+    notes : what the reader assumed or repaired, one sentence each
+    """
+
+    format: str = "memory"
+    rows_read: int = 0
+    refused: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rows_refused(self) -> int:
+        """Rows that were left out, whatever the reason."""
+        return sum(self.refused.values())
+
+    @property
+    def rows_used(self) -> int:
+        """Rows that stand in the tracks."""
+        return self.rows_read - self.rows_refused
+
+    def merged(self, other: ReadSummary) -> ReadSummary:
+        """The summary of both inputs together."""
+        refused = dict(self.refused)
+        for reason, count in other.refused.items():
+            refused[reason] = refused.get(reason, 0) + count
+        formats = dict.fromkeys([*self.format.split(" + "), *other.format.split(" + ")])
+        return ReadSummary(
+            format=" + ".join(formats),
+            rows_read=self.rows_read + other.rows_read,
+            refused=refused,
+            notes=self.notes + tuple(n for n in other.notes if n not in self.notes),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrackSet:
+    """People of one scene: tracks with distinct ids, the camera if one is known, and the reading's summary."""
+
+    tracks: tuple[Track, ...]
+    camera: GroundCamera | None = None
+    summary: ReadSummary = field(default_factory=ReadSummary)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tracks", tuple(self.tracks))
+        ids = [track.track_id for track in self.tracks]
+        if len(set(ids)) != len(ids):
+            twice = next(i for i in ids if ids.count(i) > 1)
+            raise InputError(f"track {twice} twice", "each track_id once")
+
+    def __iter__(self) -> Iterator[Track]:
+        return iter(self.tracks)
+
+    def __len__(self) -> int:
+        return len(self.tracks)
+
+    def __getitem__(self, track_id: int) -> Track:
+        for track in self.tracks:
+            if track.track_id == track_id:
+                return track
+        raise KeyError(track_id)
+
+    @property
+    def n_frames(self) -> int:
+        """Person-frames: the sum of the tracks' lengths."""
+        return sum(len(track) for track in self.tracks)
+
+    def with_tracks(self, tracks: Iterable[Track]) -> TrackSet:
+        """The same scene with other tracks."""
+        return replace(self, tracks=tuple(tracks))
+
+    def map(self, function: Callable[[Track], Track]) -> TrackSet:
+        """Apply a function to every track."""
+        return self.with_tracks(function(track) for track in self.tracks)
+
+    def select(self, *patterns: str) -> TrackSet:
+        """The tracks whose label or id matches one of the shell patterns (``*walk*``, ``17``)."""
+        return self.with_tracks(
+            track
+            for track in self.tracks
+            if any(fnmatch.fnmatchcase(track.label, p) or str(track.track_id) == p for p in patterns)
+        )
+
+    def to_table(self) -> pd.DataFrame:
+        """One row per person and frame, with the columns of the native format (degrees in ``*_deg``)."""
+        from graphtrack.io.table import to_table
+
+        return to_table(self)
+
+    @classmethod
+    def from_table(cls, table: pd.DataFrame, *, fps: float | None = None) -> TrackSet:
+        """Tracks from a table with the columns of the native format.
+
+        Raises
+        ------
+        InputError
+            Naming the row and column that cannot be used.
+        """
+        from graphtrack.io.table import from_table
+
+        return from_table(table, fps=fps)
