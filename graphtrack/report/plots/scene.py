@@ -1,0 +1,271 @@
+"""The scene from above: paths, observations, body and head arrows, uncertainty and gaps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse as EllipsePatch
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from graphtrack.angles import FloatArray, unit
+from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
+from graphtrack.report.plots.canvas import new_figure, tidy
+from graphtrack.report.shapes import finite_runs, probability_ellipse
+from graphtrack.report.style import (
+    ANGLE_COLOURS,
+    NEUTRAL_COLOUR,
+    TRUTH_COLOUR,
+    VELOCITY_COLOUR,
+    person_colour,
+)
+from graphtrack.tracks import Track, TrackSet
+
+MARKED_GAP = 3
+"""Gaps of at least this many frames get a marker at each end; shorter ones are only dotted."""
+
+NAMED_PEOPLE = 10
+"""Up to this many people are named in the legend; with more, the ids beside the paths must do."""
+
+
+def plot_tracks(
+    estimates: TrackSet,
+    observations: TrackSet | None = None,
+    *,
+    show_truth: bool = True,
+    show_velocity: bool = False,
+    arrow_interval: float | None = None,
+    title: str = "",
+) -> Figure:
+    """Draw everybody's path from above, in metres with equal axes.
+
+    Body and head arrows and the 95 % ellipses of the position stand at regular intervals of time. Where the
+    person was not observed the path is dotted, and longer gaps end in hollow circles.
+
+    Parameters
+    ----------
+    estimates : tracks with whatever channels they have; people without a finite position are left out
+    observations : the tracks they were estimated from, matched by ``track_id``
+    show_truth : draw true positions where either set knows them
+    show_velocity : add arrows along the velocity, half a second long
+    arrow_interval : seconds between arrows; by default about a dozen for each person, fewer in a crowd
+    title : shown above the axes
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    pairs = pair_tracks(estimates, observations)
+    extent = _extent(pairs, show_truth)
+    span_x, span_y = extent[1] - extent[0]
+    # The page follows the scene, within what fits a screen: inches for the axes, then room for the legend.
+    height = float(np.clip(7.0 * span_y / span_x, 3.2, 8.0))
+    width = height * span_x / span_y
+    figure = new_figure(width + 2.7, height + 0.9, layout="compressed")
+    axes = figure.add_subplot()
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlim(extent[0, 0], extent[1, 0])
+    axes.set_ylim(extent[0, 1], extent[1, 1])
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    if title:
+        axes.set_title(title, loc="left", fontsize=11)
+    tidy(axes)
+
+    size = 1.0 if len(pairs) <= 8 else 0.65
+    interval = _nice_interval(pairs) if arrow_interval is None else arrow_interval
+    for index, pair in enumerate(pairs):
+        colour = person_colour(index)
+        _draw_observations(axes, pair, colour)
+        if show_truth:
+            axes.plot(*pair.true_position.T, color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5), zorder=2.5)
+        _draw_path(axes, pair, colour)
+        at = _regular_samples(pair.estimate.t, finite_rows(pair.estimate.position), interval)
+        _draw_ellipses(axes, pair, at, colour)
+        if show_velocity and pair.estimate.velocity is not None:
+            position, velocity = pair.estimate.position[at], pair.estimate.velocity[at]
+            axes.quiver(
+                *position.T,
+                *velocity.T,
+                color=VELOCITY_COLOUR,
+                angles="xy",
+                scale_units="xy",
+                scale=2.0,
+                units="inches",
+                width=0.016 * size,
+                zorder=4,
+            )
+        for name in ("body", "head"):
+            _draw_heading(axes, pair.estimate, name, at, size)
+        _draw_id(axes, pair, colour)
+    handles = _legend(pairs, show_truth, show_velocity)
+    if handles:
+        figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=9)
+    else:
+        nothing = "no positions to draw"
+        axes.text(0.5, 0.5, nothing, transform=axes.transAxes, ha="center", color=NEUTRAL_COLOUR)
+    return figure
+
+
+def _extent(pairs: tuple[Pair, ...], show_truth: bool) -> FloatArray:
+    """Lower and upper corner (2, 2) of all that is drawn, with a margin, at least two metres wide."""
+    clouds = [pair.estimate.position for pair in pairs]
+    clouds += [pair.observation.position for pair in pairs if pair.observation is not None]
+    if show_truth:
+        clouds += [pair.true_position for pair in pairs]
+    points = np.concatenate([np.empty((0, 2)), *clouds])
+    points = points[finite_rows(points)]
+    if not len(points):
+        return np.array([[-1.0, -1.0], [1.0, 1.0]])
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = np.maximum((high - low) / 2.0, 1.0)
+    # A scene much longer than wide would leave a strip too thin to read: show more around it.
+    half = np.maximum(half, half.max() / 3.0) * 1.08
+    middle = (low + high) / 2.0
+    return np.stack([middle - half, middle + half])
+
+
+def _nice_interval(pairs: tuple[Pair, ...]) -> float:
+    durations = [float(np.ptp(pair.estimate.t)) for pair in pairs]
+    longest = max(durations, default=0.0)
+    if longest == 0.0:
+        return 1.0
+    wanted = longest / (12.0 if len(pairs) <= 8 else 7.0)
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    # The smallest of 1, 2, 5, 10 times the decade that is enough; 10 catches what rounding lets through.
+    return float(decade * next((step for step in (1.0, 2.0, 5.0) if step * decade >= wanted), 10.0))
+
+
+def _regular_samples(t: FloatArray, usable: NDArray[np.bool_], interval: float) -> NDArray[np.intp]:
+    """The first usable sample of every interval of time, so that all people get arrows at the same times."""
+    at = np.nonzero(usable)[0]
+    slot = np.floor(t[at] / interval + 1e-9)
+    return at[np.unique(slot, return_index=True)[1]]
+
+
+def _draw_observations(axes: Axes, pair: Pair, colour: str) -> None:
+    if pair.observation is not None:
+        x, y = pair.observation.position.T
+        axes.scatter(x, y, s=5, color=colour, alpha=0.55, linewidths=0, zorder=2)
+
+
+def _draw_path(axes: Axes, pair: Pair, colour: str) -> None:
+    position = pair.estimate.position
+    seen = np.ones(len(position), dtype=bool) if pair.seen is None else pair.seen
+    if len(position) == 1:
+        axes.plot(*position.T, "o", color=colour, markersize=5, zorder=3)
+        return
+    # A piece of the path is solid only when both of its ends were observed.
+    solid = seen[:-1] & seen[1:]
+    for flags, style in ((solid, "-"), (~solid, ":")):
+        for run in finite_runs(flags):
+            axes.plot(*position[run.start : run.stop + 1].T, style, color=colour, linewidth=1.8, zorder=3)
+    for run in finite_runs(~seen):
+        if run.stop - run.start >= MARKED_GAP:
+            ends = position[[run.start, run.stop - 1]]
+            axes.plot(*ends.T, "o", color=colour, markerfacecolor="white", markersize=5.5, zorder=3.2)
+
+
+def _draw_ellipses(axes: Axes, pair: Pair, at: NDArray[np.intp], colour: str) -> None:
+    if pair.estimate.covariance is None:
+        return
+    ellipse = probability_ellipse(pair.estimate.covariance[at, :2, :2])
+    for centre, major, minor, angle in zip(pair.estimate.position[at], *ellipse, strict=True):
+        if np.isfinite([major, minor, angle]).all():
+            patch = EllipsePatch(
+                (float(centre[0]), float(centre[1])),
+                2.0 * major,
+                2.0 * minor,
+                angle=float(np.degrees(angle)),
+                facecolor=colour,
+                edgecolor=colour,
+                zorder=1.5,
+            )
+            patch.set_facecolor((*patch.get_facecolor()[:3], 0.18))
+            axes.add_patch(patch)
+
+
+def _draw_heading(axes: Axes, estimate: Track, name: str, at: NDArray[np.intp], size: float) -> None:
+    """Arrows of one length on paper (inches), so that they can be read in a room and in a car park."""
+    angles = getattr(estimate, name)
+    at = at[np.isfinite(angles[at])] if angles is not None else at[:0]
+    if not len(at):
+        return
+    # The head is drawn last, shorter and thinner: both stay visible when they point the same way.
+    length, width, layer = (0.33, 0.030, 4.5) if name == "body" else (0.24, 0.020, 5.0)
+    axes.quiver(
+        *estimate.position[at].T,
+        *unit(angles[at]).T,
+        color=ANGLE_COLOURS[name],
+        edgecolor="white",
+        linewidth=0.4,
+        units="inches",
+        scale_units="inches",
+        scale=1.0 / (length * size),
+        width=width * size,
+        headwidth=3.6,
+        headlength=4.0,
+        headaxislength=3.6,
+        zorder=layer,
+    )
+
+
+def _draw_id(axes: Axes, pair: Pair, colour: str) -> None:
+    placed = np.nonzero(finite_rows(pair.estimate.position))[0]
+    if not len(placed):
+        return
+    x, y = pair.estimate.position[placed[0]]
+    axes.plot(x, y, "o", color=colour, markersize=4.5, markeredgecolor="white", zorder=3.5)
+    box = {"boxstyle": "round,pad=0.18", "facecolor": "white", "edgecolor": colour, "alpha": 0.9}
+    axes.annotate(
+        str(pair.estimate.track_id),
+        (x, y),
+        xytext=(-5, -5),
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        fontsize=8,
+        zorder=6,
+        bbox=box,
+    )
+
+
+def _legend(pairs: tuple[Pair, ...], show_truth: bool, show_velocity: bool) -> list[Line2D | Patch]:
+    """Handles for what the figure really holds."""
+    estimates = [pair.estimate for pair in pairs]
+    if not any(finite_rows(estimate.position).any() for estimate in estimates):
+        return []
+    grey = {"color": NEUTRAL_COLOUR}
+    arrow = {"linewidth": 0, "marker": r"$\rightarrow$", "markersize": 13}
+    handles: list[Line2D | Patch] = [_key("path", linewidth=1.8, **grey)]
+    if any(pair.seen is not None and not pair.seen.all() for pair in pairs):
+        handles.append(_key("not observed", linestyle=":", marker="o", markerfacecolor="white", **grey))
+    if any(pair.observation is not None for pair in pairs):
+        handles.append(_key("observation", linewidth=0, marker=".", **grey))
+    for name, colour in ANGLE_COLOURS.items():
+        if any(getattr(e, name) is not None and np.isfinite(getattr(e, name)).any() for e in estimates):
+            handles.append(_key(name, color=colour, **arrow))
+    if show_velocity and any(e.velocity is not None for e in estimates):
+        handles.append(_key("velocity (½ s)", color=VELOCITY_COLOUR, **arrow))
+    if any(e.covariance is not None for e in estimates):
+        handles.append(Patch(facecolor=NEUTRAL_COLOUR, alpha=0.3, label="95 % of position"))
+    if show_truth and any(np.isfinite(pair.true_position).any() for pair in pairs):
+        handles.append(_key("truth", color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5)))
+    if len(pairs) <= NAMED_PEOPLE:
+        for i, pair in enumerate(pairs):
+            handles.append(_key(_short(pair.name), color=person_colour(i), linewidth=1.8))
+    return handles
+
+
+def _key(label: str, **style: Any) -> Line2D:
+    return Line2D([], [], label=label, **style)
+
+
+def _short(name: str, limit: int = 28) -> str:
+    # A dollar would start mathematics in matplotlib.
+    name = name if len(name) <= limit else name[: limit - 1] + "…"
+    return name.replace("$", r"\$")

@@ -1,0 +1,34 @@
+"""Colours and words that mean the same thing in every figure, chart and page.
+
+The colours are those of Okabe & Ito (2008), which people with any common colour blindness can tell apart.
+Three of them are kept for body, head and velocity; people get the others and, since those repeat, an id
+beside their path.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+BODY_COLOUR: Final = "#0072B2"
+HEAD_COLOUR: Final = "#D55E00"
+VELOCITY_COLOUR: Final = "#009E73"
+TRUTH_COLOUR: Final = "#000000"
+NEUTRAL_COLOUR: Final = "#5F6672"
+
+PERSON_COLOURS: Final = ("#56B4E9", "#E69F00", "#CC79A7", "#8A8F98", "#94641A", "#8C4A7B")
+
+ANGLE_COLOURS: Final = {"body": BODY_COLOUR, "head": HEAD_COLOUR}
+
+
+def person_colour(index: int) -> str:
+    """The colour of the person at ``index`` in the set; colours repeat after six people."""
+    return PERSON_COLOURS[index % len(PERSON_COLOURS)]
+
+
+def quantity_colour(name: str) -> str:
+    """The colour of what a metric is about, read from its name (``body_error`` is body's)."""
+    lowered = name.lower()
+    for word, colour in (("body", BODY_COLOUR), ("head", HEAD_COLOUR), ("veloc", VELOCITY_COLOUR)):
+        if word in lowered:
+            return colour
+    return NEUTRAL_COLOUR
