@@ -1,0 +1,211 @@
+"""Which camera a reader uses: the caller's, a file's, or a scale when nothing is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
+from graphtrack.io.numbers import read_numbers
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.rows import Rows
+from graphtrack.io.source import Source
+
+PERSON_HEIGHT = 1.7
+"""Metres; the scale of views without a camera is chosen so that the median person has this size."""
+
+BEYOND_HORIZON = "at or beyond the camera's horizon"
+
+
+def known_camera(options: ReadOptions, visible: FloatArray) -> tuple[GroundCamera | None, tuple[str, ...]]:
+    """The camera that the options name, and notes on it; None if they name none.
+
+    Parameters
+    ----------
+    options : read in the order camera, homography, point pairs, calibration
+    visible : (n, 2) pixels of people's feet, which are on the visible side of the horizon
+    """
+    if options.camera is not None:
+        return options.camera, ()
+    if options.homography is not None:
+        if isinstance(options.homography, str | Path):
+            homography = read_homography(options.homography)
+        else:
+            homography = np.asarray(options.homography, dtype=float)
+        return GroundCamera.from_homography(homography, visible=visible), ()
+    if options.point_pairs is not None:
+        return _from_point_pairs(options)
+    if options.calibration is not None:
+        return read_calibration(options.calibration), ()
+    return None, ()
+
+
+def camera_or_scale(
+    options: ReadOptions, visible: FloatArray, size: FloatArray, *, size_is: str = "box height"
+) -> tuple[GroundCamera, tuple[str, ...]]:
+    """The camera that the options name or, failing that, a scale.
+
+    Parameters
+    ----------
+    visible : (n, 2) pixels of people's feet
+    size : (n,) pixels, how large people appear
+    size_is : what ``size`` measures, for the note
+    """
+    camera, notes = known_camera(options, visible)
+    if camera is not None:
+        return camera, notes
+    if options.metres_per_pixel is not None:
+        scale = options.metres_per_pixel
+        return GroundCamera.from_scale(scale, nadir=options.nadir), (
+            f"positions are pixels times {scale:g} m, with no regard to perspective",
+        )
+    scale = PERSON_HEIGHT / float(np.median(size))
+    return GroundCamera.from_scale(scale, nadir=options.nadir), (
+        f"NO CAMERA IS KNOWN: positions are pixels times {scale:.4g} m, so that the median {size_is} is "
+        f"{PERSON_HEIGHT} m, with no regard to perspective; give homography, point_pairs or metres_per_pixel",
+    )
+
+
+def on_ground(rows: Rows, camera: GroundCamera, notes: tuple[str, ...] = ()) -> Rows:
+    """Rows with positions (metres) for their pixels; those beyond the horizon are refused."""
+    position = camera.image_to_ground(rows.channels["pixel"])
+    unseen = np.isnan(position).any(axis=1) & np.isfinite(rows.channels["pixel"]).all(axis=1)
+    rows = replace(rows.with_channels(position=position), camera=camera)
+    return rows.with_notes(*notes).keep(np.logical_not(unseen), BEYOND_HORIZON)
+
+
+def place_pixels(rows: Rows, options: ReadOptions) -> Rows:
+    """Give rows of the native table positions, from their pixels if they have none.
+
+    Raises
+    ------
+    InputError
+        If there are only pixels and no camera is known.
+    """
+    pixel = rows.channels.get("pixel")
+    if pixel is None:
+        return rows
+    camera, notes = known_camera(options, pixel)
+    if camera is None and options.metres_per_pixel is not None:
+        camera, notes = camera_or_scale(options, pixel, np.ones(1))
+    if "position" in rows.channels:
+        if camera is None:
+            return rows
+        kept = "positions are the file's x, y; the camera serves for pixels and pose angles only"
+        return replace(rows, camera=camera).with_notes(*notes, kept)
+    if camera is None:
+        raise InputError(
+            "pixels u, v and no camera", "x, y, or a homography or point pairs as well", path=rows.path
+        )
+    return on_ground(rows, camera, notes)
+
+
+def read_homography(path: str | Path) -> FloatArray:
+    """The 3×3 numbers of a text file (spaces or commas).
+
+    Raises
+    ------
+    InputError
+        If there are not nine numbers, or they make a singular matrix.
+    """
+    source = Source.open(path)
+    numbers = read_numbers(source, delimiter=None, widths=(3, 9), names=(), comments=True)
+    if numbers.values.size != 9:
+        raise InputError(
+            f"{numbers.values.size} numbers", "the nine of a 3×3 homography, image to ground", path=path
+        )
+    return numbers.values.reshape(3, 3)
+
+
+def read_calibration(path: str | Path) -> GroundCamera:
+    """A camera from the ``Name = number`` lines of an Oxford Town Centre calibration (``.ci``).
+
+    x_cam = R(q)·X + t in metres, z = 0 the ground; skew must be 0.
+
+    Raises
+    ------
+    InputError
+        For a line that is no such line, a name that is missing, or numbers that make no camera.
+    """
+    values = _read_settings(path)
+
+    def take(*names: str) -> list[float]:
+        for name in names:
+            if name not in values:
+                raise InputError(f"no {name}", f"a line {name} = number", path=path)
+        return [values[name] for name in names]
+
+    from scipy.spatial.transform import Rotation
+
+    quaternion = np.array(take("RotationX", "RotationY", "RotationZ", "RotationW"))
+    if not 0.9 < np.linalg.norm(quaternion) < 1.1:
+        raise InputError(f"a rotation {quaternion.tolist()}", "a unit quaternion", path=path)
+    fx, fy, cx, cy = take("FocalLengthX", "FocalLengthY", "PrincipalPointX", "PrincipalPointY")
+    if fx <= 0.0 or fy <= 0.0:
+        raise InputError(f"focal lengths {fx:g}, {fy:g}", "positive ones", path=path)
+    distortion = [values.get(f"Distortion{name}", 0.0) for name in ("K1", "K2", "P1", "P2", "K3")]
+    try:
+        return GroundCamera.from_calibration(
+            Rotation.from_quat(quaternion).as_matrix(),
+            np.array(take("TranslationX", "TranslationY", "TranslationZ")),
+            np.array([[fx, values.get("Skew", 0.0), cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+            np.array(distortion),
+        )
+    except InputError as error:
+        raise InputError(error.found, error.expected, path=path) from error
+
+
+def _read_settings(path: str | Path) -> Mapping[str, float]:
+    settings: dict[str, float] = {}
+    for number, line in enumerate(Source.open(path).lines, 1):
+        if not line.strip():
+            continue
+        name, equals, text = (part.strip() for part in line.partition("="))
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not equals or not np.isfinite(value):
+            raise InputError(repr(line.strip()[:60]), "Name = number", path=path, line=number)
+        settings[name] = value
+    return settings
+
+
+def _from_point_pairs(options: ReadOptions) -> tuple[GroundCamera, tuple[str, ...]]:
+    path = Path(str(options.point_pairs))
+    source = Source.open(path)
+    numbers = read_numbers(
+        source, delimiter=None, widths=(4,), names=("u", "v", "X", "Y"), comments=True
+    ).values
+    rows = _row_selection(options.point_pairs_rows, len(numbers))
+    metres = 0.01 if options.point_pairs_unit == "cm" else 1.0
+    try:
+        camera, fit = GroundCamera.from_point_pairs(numbers[rows, :2], numbers[rows, 2:] * metres)
+    except InputError as error:
+        raise InputError(error.found, error.expected, path=path) from error
+    exact = " (four pairs always fit exactly)" if fit.n_pairs == 4 else ""
+    return camera, (
+        f"homography from {fit.n_pairs} point pairs: reprojection error {fit.rms_error:.3g} m RMS, "
+        f"{fit.max_error:.3g} m at most{exact}",
+    )
+
+
+def _row_selection(text: str | None, count: int) -> list[int]:
+    """Indices from 0 of a selection such as ``"1,5-8"`` that counts from 1."""
+    if text is None:
+        return list(range(count))
+    chosen: list[int] = []
+    for part in text.split(","):
+        first, _, last = part.strip().partition("-")
+        if not (first.isdecimal() and (last or first).isdecimal() and len(first + last) < 10):
+            raise InputError(f"point_pairs_rows = {text!r}", "rows such as '5-8' or '1,2,5-8'")
+        start, stop = int(first), int(last or first)
+        if not 1 <= start <= stop <= count:
+            raise InputError(f"point_pairs_rows = {text!r}", f"rows from 1 to {count}")
+        chosen.extend(range(start - 1, stop))
+    return chosen

@@ -1,0 +1,183 @@
+"""The native table as CSV.
+
+pyarrow reads it in strict typing. What pyarrow refuses is read again cell by cell, to find the place
+for the message or to accept it after all (such as a quoted label with a line break in it).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.io import schema
+from graphtrack.io.numbers import parse_number
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.registry import Format
+from graphtrack.io.source import Source
+from graphtrack.io.table import from_columns, to_columns
+from graphtrack.tracks import TrackSet
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Whether the first line names the columns ``track_id`` and ``frame``."""
+    first = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0]
+    cells = {cell.strip().strip(b'"') for cell in first.split(b",")}
+    return {b"track_id", b"frame"} <= cells
+
+
+def read(source: Source, options: ReadOptions) -> TrackSet:
+    """Read the native CSV table (ARCHITECTURE: *the table*).
+
+    Raises
+    ------
+    InputError
+        With line and column of the first cell that cannot be used.
+    """
+    header = _header(source)
+    columns = _read_fast(source, header)
+    line_of: Callable[[int], int] = _LineFinder(source)
+    if columns is None:
+        columns, lines = _read_slowly(source, header)
+        line_of = lines.__getitem__
+    ignored = [name for name in header if name not in schema.NAMES]
+    return from_columns(
+        columns, path=source.path, format="csv", options=options, line_of=line_of, ignored=ignored
+    )
+
+
+def _header(source: Source) -> list[str]:
+    first = next((line for line in source.lines if line.strip()), "")
+    header = [name.strip() for name in next(csv.reader([first]), [])]
+    for name in header:
+        if header.count(name) > 1:
+            raise InputError(f"column {name!r} twice", "each column once", path=source.path, line=1)
+    return header
+
+
+def _read_fast(source: Source, header: list[str]) -> dict[str, NDArray[Any]] | None:
+    """The columns by pyarrow, or None when a cell needs a closer look."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    names = [name for name in header if name in schema.NAMES]
+    types = {name: pa.string() if name == "label" else pa.float64() for name in names}
+    try:
+        table = arrow_csv.read_csv(
+            io.BytesIO(source.text.encode()),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=types, include_columns=names, null_values=[""], strings_can_be_null=True
+            ),
+            read_options=arrow_csv.ReadOptions(column_names=header, skip_rows=_lines_to_data(source)),
+        )
+    except (pa.ArrowInvalid, pa.ArrowKeyError):
+        return None
+    columns: dict[str, NDArray[Any]] = {}
+    for name in names:
+        column = table.column(name)
+        if name == "label":
+            columns[name] = column.to_numpy(zero_copy_only=False).astype(object)
+            continue
+        values = column.to_numpy(zero_copy_only=False).astype(float)
+        # An empty cell is null in Arrow; a NaN beyond those, or an infinity, stood in the file as text.
+        if np.count_nonzero(np.isnan(values)) != column.null_count or np.isinf(values).any():
+            return None
+        columns[name] = values
+    return columns
+
+
+def _lines_to_data(source: Source) -> int:
+    """Lines up to and including the header."""
+    return next(number for number, line in enumerate(source.lines, 1) if line.strip())
+
+
+def _read_slowly(source: Source, header: list[str]) -> tuple[dict[str, NDArray[Any]], list[int]]:
+    """The columns and the line of each row, cell by cell: the definition of what is accepted."""
+    start = _lines_to_data(source)
+    reader = csv.reader(io.StringIO("\n".join(source.lines[start:]), newline=""), strict=True)
+    wanted = [(j, name) for j, name in enumerate(header) if name in schema.NAMES]
+    cells: dict[str, list[Any]] = {name: [] for _, name in wanted}
+    lines: list[int] = []
+    while True:
+        line = start + reader.line_num + 1
+        try:
+            row = next(reader, None)
+        except csv.Error as error:
+            raise InputError(str(error), "a CSV row", path=source.path, line=line) from error
+        if row is None:
+            break
+        if not any(cell.strip() for cell in row) and len(row) <= 1:
+            continue
+        if len(row) != len(header):
+            raise InputError(f"{len(row)} columns", str(len(header)), path=source.path, line=line)
+        for j, name in wanted:
+            cells[name].append(row[j] if name == "label" else _number(row[j], source.path, line, name))
+        lines.append(line)
+    columns: dict[str, NDArray[Any]] = {
+        name: np.array(values, dtype=object if name == "label" else float) for name, values in cells.items()
+    }
+    return columns, lines
+
+
+def _number(text: str, path: Path, line: int, column: str) -> float:
+    if not text.strip():
+        return float("nan")
+    value = parse_number(text)
+    if value is None:
+        raise InputError(
+            repr(text.strip()[:40]), "a finite number or an empty cell", path=path, line=line, column=column
+        )
+    return value
+
+
+class _LineFinder:
+    """Row number → line, counted only when a message needs it."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+
+    def __call__(self, row: int) -> int:
+        filled = (number for number, line in enumerate(self._source.lines, 1) if line.strip())
+        return next(number for i, number in enumerate(filled, -1) if i == row)
+
+
+def write(tracks: TrackSet, path: Path) -> None:
+    """Write the native table; numbers have the digits that read back to the same double."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    columns = to_columns(tracks)
+    table = pa.table({name: pa.array(_clean(values), from_pandas=True) for name, values in columns.items()})
+    options = arrow_csv.WriteOptions(include_header=False)
+    with pa.OSFile(str(path), "wb") as raw:
+        packed = path.name.lower().endswith(".gz")
+        stream = pa.CompressedOutputStream(raw, "gzip") if packed else raw
+        stream.write((",".join(columns) + "\n").encode())
+        arrow_csv.write_csv(table, stream, options)
+        if packed:
+            stream.close()
+
+
+def _clean(values: NDArray[Any]) -> NDArray[Any]:
+    """Labels without line breaks, None where they are empty; numbers as they are."""
+    if values.dtype != object:
+        return values
+    return np.array(
+        [" ".join(label.replace("\0", " ").splitlines()) or None for label in values], dtype=object
+    )
+
+
+FORMAT = Format(
+    name="csv",
+    description="native table as CSV (also gzipped)",
+    suffixes=(".csv", ".csv.gz"),
+    looks_like=looks_like,
+    read=read,
+    write=write,
+)

@@ -1,0 +1,101 @@
+"""The native table as Parquet. Null and NaN both mean a missing observation."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.io import schema
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.registry import Format
+from graphtrack.io.source import Source
+from graphtrack.io.table import from_columns, to_columns
+from graphtrack.tracks import TrackSet
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Whether the file begins with Parquet's signature."""
+    return head.startswith(b"PAR1")
+
+
+def read(source: Source, options: ReadOptions) -> TrackSet:
+    """Read the native table from Parquet.
+
+    Raises
+    ------
+    InputError
+        For a damaged file, a column of another type, or with row (from 1) and column of a value.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        file = pq.ParquetFile(io.BytesIO(source.data), page_checksum_verification=True)
+        names = file.schema_arrow.names
+        known = [name for name in schema.NAMES if name in names]
+        if len(set(names)) < len(names):
+            raise InputError("a column twice", "each column once", path=source.path)
+        table = file.read(columns=known)
+        table.validate(full=True)
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        found = f"a damaged Parquet file ({str(error).splitlines()[0] if str(error) else error!r})"
+        raise InputError(found, "a whole Parquet file", path=source.path) from error
+    columns = {name: _column(table.column(name), name, source.path) for name in known}
+    ignored = [name for name in names if name not in schema.NAMES]
+    return from_columns(
+        columns,
+        path=source.path,
+        format="parquet",
+        options=options,
+        line_of=lambda row: row + 1,
+        ignored=ignored,
+    )
+
+
+def _column(column: Any, name: str, path: Path) -> NDArray[Any]:
+    import pyarrow as pa
+
+    if pa.types.is_dictionary(column.type):
+        column = column.cast(column.type.value_type)
+    if name == "label":
+        if not (
+            pa.types.is_string(column.type)
+            or pa.types.is_large_string(column.type)
+            or pa.types.is_null(column.type)
+        ):
+            raise InputError(f"values of type {column.type}", "text", path=path, column=name)
+        return column.to_numpy(zero_copy_only=False).astype(object)
+    number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+    if not (number or pa.types.is_null(column.type)):
+        raise InputError(f"values of type {column.type}", "numbers", path=path, column=name)
+    values = column.to_numpy(zero_copy_only=False).astype(float)
+    infinite = np.isinf(values)
+    if infinite.any():
+        row = int(np.argmax(infinite))
+        raise InputError(f"{values[row]}", "a finite number or null", path=path, line=row + 1, column=name)
+    return values
+
+
+def write(tracks: TrackSet, path: Path) -> None:
+    """Write the native table; missing numbers become null."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = to_columns(tracks)
+    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    pq.write_table(table, path, write_page_checksum=True)
+
+
+FORMAT = Format(
+    name="parquet",
+    description="native table as Parquet",
+    suffixes=(".parquet", ".pq"),
+    looks_like=looks_like,
+    read=read,
+    write=write,
+)

@@ -1,0 +1,58 @@
+"""`ReadOptions`: everything that a caller can tell a reader."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
+
+
+@dataclass(frozen=True, eq=False)
+class ReadOptions:
+    """What a caller says about a file beyond the file itself. ``None``: the reader's own rule holds.
+
+    Attributes
+    ----------
+    fps : frames a second, for files without times
+    camera : the camera, when the caller has one already; it wins over the next four
+    homography : (3, 3) image → ground (metres), or the path of a text file with its nine numbers
+    point_pairs : path of a text file with rows ``u v X Y``
+    point_pairs_unit : unit of X and Y there, "m" or "cm"
+    point_pairs_rows : the rows to use, from 1, such as ``"5-8"`` or ``"1,2,5-8"``
+    calibration : path of a camera calibration (``.ci``)
+    metres_per_pixel : scale of a view from straight above (or taken to be one)
+    image_scale : factor from the file's pixels to those of the calibrated image
+    nadir : pixel (u, v) straight below a camera that looks down, where people stretch away from it
+    oxts, ego_calibration : paths of KITTI's ego motion and calibration
+    classes : the classes of object to read, where a file has several
+    """
+
+    fps: float | None = None
+    camera: GroundCamera | None = None
+    homography: FloatArray | str | Path | None = None
+    point_pairs: str | Path | None = None
+    point_pairs_unit: str = "m"
+    point_pairs_rows: str | None = None
+    calibration: str | Path | None = None
+    metres_per_pixel: float | None = None
+    image_scale: float | None = None
+    nadir: tuple[float, float] | None = None
+    oxts: str | Path | None = None
+    ego_calibration: str | Path | None = None
+    classes: tuple[str, ...] = ("Pedestrian",)
+
+    def __post_init__(self) -> None:
+        for name, highest in (("fps", 1e6), ("metres_per_pixel", 1e6), ("image_scale", 1e3)):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and 0.0 < value <= highest):
+                raise InputError(f"{name} = {value}", f"a positive number up to {highest:g}")
+        if self.point_pairs_unit not in ("m", "cm"):
+            raise InputError(f"point_pairs_unit = {self.point_pairs_unit!r}", "'m' or 'cm'")
+        object.__setattr__(
+            self, "classes", (self.classes,) if isinstance(self.classes, str) else tuple(self.classes)
+        )

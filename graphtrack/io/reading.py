@@ -1,0 +1,107 @@
+"""`read` and `write`: any format, one call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from graphtrack.errors import InputError
+from graphtrack.io.atomic import atomic_path
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.registry import detect, format_for_writing, format_named
+from graphtrack.io.source import Source
+from graphtrack.tracks import Track, TrackSet
+
+
+def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, **options: Any) -> TrackSet:
+    """Read tracks from one file or several, in any known format.
+
+    Parameters
+    ----------
+    path : one path, or several whose tracks are merged: ids that clash are renumbered, and tracks without
+        a label get the name of their file
+    format : name of the format; None: recognised by the content
+    **options : the fields of `ReadOptions`, such as ``fps`` and ``homography``
+
+    Returns
+    -------
+    TrackSet
+        With a summary in which every row of the input is counted as used or refused.
+
+    Raises
+    ------
+    InputError
+        With path, line and column, what was found there and what was expected.
+    """
+    try:
+        read_options = ReadOptions(**options)
+    except TypeError as error:
+        known = ", ".join(ReadOptions.__dataclass_fields__)
+        raise InputError(f"options {', '.join(options)}", f"some of {known}") from error
+    paths = [path] if isinstance(path, str | Path) else list(path)
+    if not paths:
+        raise InputError("no paths", "at least one")
+    sets = [_read_one(one, format, read_options) for one in paths]
+    if len(sets) == 1:
+        return sets[0]
+    return _merged(sets, [Path(one) for one in paths])
+
+
+def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
+    source = Source.open(path)
+    chosen = detect(source) if format is None else format_named(format)
+    return chosen.read(source, options)
+
+
+def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
+    tracks: list[Track] = []
+    taken: set[int] = set()
+    renumbered = 0
+    for tracks_of_file, path in zip(sets, paths, strict=True):
+        # The file's own ids stay with it, so that a new one never takes the place of one to come.
+        own = {track.track_id for track in tracks_of_file}
+        next_free = max(taken | own) + 1
+        for track in tracks_of_file:
+            identity = track.track_id
+            if identity in taken:
+                identity, next_free = next_free, next_free + 1
+                renumbered += 1
+            taken.add(identity)
+            tracks.append(replace(track, track_id=identity, label=track.label or _stem(path)))
+    summary = sets[0].summary
+    for other in sets[1:]:
+        summary = summary.merged(other.summary)
+    notes = list(summary.notes)
+    if renumbered:
+        notes.append(f"{renumbered} tracks renumbered because files use the same ids")
+    camera = sets[0].camera
+    if any(other.camera != camera for other in sets[1:]):
+        camera = None
+        notes.append("the files have different cameras, so none is kept")
+    return TrackSet(tuple(tracks), camera, replace(summary, notes=tuple(notes)))
+
+
+def _stem(path: Path) -> str:
+    return path.name.split(".")[0] or path.name
+
+
+def write(tracks: TrackSet, path: str | Path, *, format: str | None = None) -> None:
+    """Write tracks; the file is there whole or, on any failure, not at all.
+
+    Parameters
+    ----------
+    format : name of the format; None: by the ending of the file name
+
+    Raises
+    ------
+    InputError
+        If the format cannot be written, the tracks lack what it needs, or the place cannot be written to.
+    """
+    path = Path(path)
+    chosen = format_for_writing(path) if format is None else format_named(format)
+    if chosen.write is None:
+        raise InputError(f"format {chosen.name!r}", "a format that can be written: csv, parquet, mot")
+    with atomic_path(path) as temporary:
+        chosen.write(tracks, temporary)

@@ -1,0 +1,96 @@
+"""What a format is, and the list of them. A new format is one module and one line in ``FORMAT_MODULES``."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from graphtrack.errors import InputError
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.source import Source
+from graphtrack.tracks import TrackSet
+
+FORMAT_MODULES = (
+    "native_csv",
+    "native_parquet",
+    "mocap",
+)
+"""Modules of this package with a constant ``FORMAT``, the most distinctive contents first."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format.
+
+    Attributes
+    ----------
+    name : what ``format=`` calls it
+    description : one line for people
+    suffixes : endings of file names in lower case; they choose the format on writing
+    looks_like : (first bytes, path) → whether the content is of this format
+    read : (source, options) → tracks
+    write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
+    """
+
+    name: str
+    description: str
+    suffixes: tuple[str, ...]
+    looks_like: Callable[[bytes, Path], bool]
+    read: Callable[[Source, ReadOptions], TrackSet]
+    write: Callable[[TrackSet, Path], None] | None = None
+
+
+@cache
+def formats() -> tuple[Format, ...]:
+    """All formats, in the order in which they are tried."""
+    return tuple(importlib.import_module(f"graphtrack.io.{name}").FORMAT for name in FORMAT_MODULES)
+
+
+def format_named(name: str) -> Format:
+    """The format of that name.
+
+    Raises
+    ------
+    InputError
+        With the known names.
+    """
+    for known in formats():
+        if known.name == name:
+            return known
+    raise InputError(f"format {name!r}", "one of " + ", ".join(f.name for f in formats()))
+
+
+def detect(source: Source) -> Format:
+    """The format of a file by its content.
+
+    Raises
+    ------
+    InputError
+        If no format recognises it.
+    """
+    for candidate in formats():
+        if candidate.looks_like(source.head, source.path):
+            return candidate
+    raise InputError(
+        "content of no known format", "one of " + ", ".join(f.name for f in formats()), path=source.path
+    )
+
+
+def format_for_writing(path: Path) -> Format:
+    """The format that a file name asks for.
+
+    Raises
+    ------
+    InputError
+        If no writable format has that ending.
+    """
+    name = path.name.lower()
+    writable = [f for f in formats() if f.write is not None]
+    for candidate in writable:
+        if name.endswith(candidate.suffixes):
+            return candidate
+    endings = ", ".join(s for f in writable for s in f.suffixes)
+    raise InputError(f"the file name {path.name!r}", f"one of the endings {endings}", path=path)

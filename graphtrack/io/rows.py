@@ -1,0 +1,151 @@
+"""From rows, in the order of a file, to tracks: the step that every reader ends with."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.geometry import GroundCamera
+from graphtrack.tracks import ReadSummary, Track, TrackSet
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The rows of one file, n of them, still in its order.
+
+    Attributes
+    ----------
+    path, format : where they come from
+    track_id, frame : (n,) int64
+    channels : `Track` attribute → (n, ...) in the units of `Track`; ``t`` and ``position`` must be among them
+        when `to_tracks` is called
+    line_of : row number → line in the file
+    labels : track id → label
+    camera : the camera that made the positions, if any
+    refused : reason → number of rows left out so far
+    notes : what was assumed or repaired, one sentence each
+    """
+
+    path: Path
+    format: str
+    track_id: NDArray[np.int64]
+    frame: NDArray[np.int64]
+    channels: Mapping[str, FloatArray]
+    line_of: Callable[[int], int]
+    labels: Mapping[int, str] = field(default_factory=dict)
+    camera: GroundCamera | None = None
+    refused: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.track_id)
+
+    def with_channels(self, **channels: FloatArray) -> Rows:
+        """The same rows with channels added or replaced."""
+        return replace(self, channels={**self.channels, **channels})
+
+    def with_notes(self, *notes: str) -> Rows:
+        """The same rows with more notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+    def keep(self, mask: NDArray[np.bool_], reason: str) -> Rows:
+        """The rows where the mask holds; the others are counted as refused for the reason."""
+        count = int(len(self) - mask.sum())
+        if not count:
+            return self
+        kept, line_of = np.flatnonzero(mask), self.line_of
+        return replace(
+            self,
+            track_id=self.track_id[kept],
+            frame=self.frame[kept],
+            channels={name: value[kept] for name, value in self.channels.items()},
+            line_of=lambda i: line_of(int(kept[i])),
+            refused=dict(Counter(self.refused) + Counter({reason: count})),
+        )
+
+    def with_times(self, fps: float) -> Rows:
+        """Times from the frame numbers at ``fps`` frames a second."""
+        return self.with_channels(t=self.frame / fps)
+
+
+def to_tracks(rows: Rows) -> TrackSet:
+    """Group rows by track and order them by frame.
+
+    Raises
+    ------
+    InputError
+        If no row is left, a (track, frame) stands twice, or times do not increase with the frames.
+
+    Warns
+    -----
+    InputWarning
+        If frames had to be sorted; the summary's notes say so too.
+    """
+    rows_read = len(rows) + sum(rows.refused.values())
+    if not len(rows):
+        reasons = "; ".join(f"{count} {reason}" for reason, count in rows.refused.items())
+        found = f"no usable row ({reasons} refused)" if reasons else "no rows"
+        raise InputError(found, "at least one row", path=rows.path)
+    order = np.lexsort((rows.frame, rows.track_id))
+    track_id, frame = rows.track_id[order], rows.frame[order]
+    same_track = np.diff(track_id) == 0
+    _check_duplicates(rows, order, same_track & (np.diff(frame) == 0))
+    notes = rows.notes
+    unsorted_tracks = _unsorted(rows)
+    if unsorted_tracks:
+        note = f"the frames of {unsorted_tracks} of the tracks were out of order and have been sorted"
+        notes = (*notes, note)
+        warnings.warn(f"{rows.path}: {note}", InputWarning, stacklevel=2)
+    channels = {name: value[order] for name, value in rows.channels.items()}
+    _check_times(rows, order, same_track & (np.diff(channels["t"]) <= 0.0))
+    edges = np.concatenate([[0], np.flatnonzero(~same_track) + 1, [len(order)]])
+    tracks = []
+    for start, stop in pairwise(edges.tolist()):
+        identity = int(track_id[start])
+        own = {name: value[start:stop] for name, value in channels.items()}
+        # A channel that is missing throughout is absent: engines ask for None, not for all-NaN.
+        present = {k: v for k, v in own.items() if k == "position" or not np.isnan(v).all()}
+        tracks.append(Track(identity, frame[start:stop], **present, label=rows.labels.get(identity, "")))
+    summary = ReadSummary(rows.format, rows_read, dict(rows.refused), notes)
+    return TrackSet(tuple(tracks), rows.camera, summary)
+
+
+def _check_duplicates(rows: Rows, order: NDArray[np.int64], twice: NDArray[np.bool_]) -> None:
+    if twice.any():
+        later = order[np.flatnonzero(twice) + 1]
+        i = int(later.min())
+        raise InputError(
+            f"track {rows.track_id[i]} again in frame {rows.frame[i]}",
+            "each track once a frame",
+            path=rows.path,
+            line=rows.line_of(i),
+        )
+
+
+def _check_times(rows: Rows, order: NDArray[np.int64], wrong: NDArray[np.bool_]) -> None:
+    if wrong.any():
+        i = int(order[np.flatnonzero(wrong) + 1].min())
+        raise InputError(
+            f"t = {rows.channels['t'][i]:g} in frame {rows.frame[i]} of track {rows.track_id[i]}",
+            "a time after that of the frame before",
+            path=rows.path,
+            line=rows.line_of(i),
+            column="t",
+        )
+
+
+def _unsorted(rows: Rows) -> int:
+    """How many tracks have a frame that comes after a later one in the file."""
+    order = np.argsort(rows.track_id, kind="stable")
+    track_id, frame = rows.track_id[order], rows.frame[order]
+    back = (np.diff(track_id) == 0) & (np.diff(frame) < 0)
+    return len(np.unique(track_id[1:][back]))

@@ -1,0 +1,113 @@
+"""`Source`: the bytes of one input file, and the ways in which getting at them can fail."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from graphtrack.errors import InputError
+
+MAX_BYTES = 4 * 2**30
+"""The largest input that is read, unpacked: a guard against files that unpack without end."""
+
+HEAD_BYTES = 8192
+"""How much of a file the formats may look at to recognise it."""
+
+_GZIP_MAGIC = b"\x1f\x8b"
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """One input file in memory, gunzipped if it was packed.
+
+    Attributes
+    ----------
+    path : where it was read from (for messages and for files that lie beside it)
+    data : its content
+    """
+
+    path: Path
+    data: bytes
+
+    @classmethod
+    def open(cls, path: str | Path) -> Source:
+        """Read a file whole.
+
+        Raises
+        ------
+        InputError
+            If it is missing, not a file, unreadable, empty, larger than `MAX_BYTES` or a broken gzip file.
+        """
+        path = Path(path)
+        try:
+            if path.is_dir():
+                raise InputError("a directory", "a file", path=path)
+            if path.exists() and not (path.is_file() or path.is_fifo()):
+                raise InputError("a device", "a regular file", path=path)
+            with path.open("rb") as stream:
+                data = _read_limited(stream, path)
+        except FileNotFoundError as error:
+            raise InputError("no such file", "an existing file", path=path) from error
+        except PermissionError as error:
+            raise InputError("a file without permission to read", "a readable file", path=path) from error
+        except (OSError, ValueError) as error:  # ValueError: a path with a null byte
+            raise InputError(str(error), "a readable file", path=path) from error
+        if data.startswith(_GZIP_MAGIC):
+            data = _gunzip(data, path)
+        if not data:
+            raise InputError("an empty file", "rows", path=path)
+        return cls(path, data)
+
+    @property
+    def head(self) -> bytes:
+        """The first bytes, for recognising the format."""
+        return self.data[:HEAD_BYTES]
+
+    @cached_property
+    def text(self) -> str:
+        """The content as UTF-8 text, with or without a byte order mark.
+
+        Raises
+        ------
+        InputError
+            On binary files and other encodings, with the line of the first bad byte.
+        """
+        if self.data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            raise InputError("UTF-16 text", "UTF-8 text", path=self.path, line=1)
+        null = self.data.find(b"\0")
+        if null >= 0:
+            raise InputError("a null byte (a binary file?)", "text", path=self.path, line=self._line(null))
+        try:
+            return self.data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            byte = self.data[min(error.start, len(self.data) - 1)]
+            raise InputError(
+                f"the byte 0x{byte:02x}", "UTF-8 text", path=self.path, line=self._line(error.start)
+            ) from error
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """The lines of `text`, ends stripped; only line feeds end a line."""
+        return [line.rstrip("\r") for line in self.text.split("\n")]
+
+    def _line(self, offset: int) -> int:
+        return self.data.count(b"\n", 0, offset) + 1
+
+
+def _read_limited(stream: io.BufferedIOBase, path: Path) -> bytes:
+    data = stream.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise InputError(f"more than {MAX_BYTES} bytes", "a smaller file", path=path)
+    return data
+
+
+def _gunzip(data: bytes, path: Path) -> bytes:
+    try:
+        with gzip.open(io.BytesIO(data)) as stream:
+            return _read_limited(stream, path)
+    except (EOFError, zlib.error, OSError) as error:
+        raise InputError(f"a gzip file that is cut or damaged ({error})", "a whole one", path=path) from error

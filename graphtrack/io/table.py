@@ -1,0 +1,267 @@
+"""Between tracks and the columns of the native table, whatever holds them (CSV, Parquet, a DataFrame)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.angles import FloatArray, wrap
+from graphtrack.errors import InputError
+from graphtrack.io import schema
+from graphtrack.io.cameras import place_pixels
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.rows import Rows, to_tracks
+from graphtrack.tracks import STATE, Track, TrackSet
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_TAILS = {"covariance": (6, 6), "body_likelihood": (8,), "head_likelihood": (12,)}
+_TAILS |= dict.fromkeys(("position", "pixel", "velocity", "true_position"), (2,))
+
+
+def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
+    """The columns that any of the tracks has, in the order of `schema.NAMES`; missing numbers are NaN.
+
+    Of a covariance the table has the diagonal, as standard deviations.
+    """
+    columns: dict[str, NDArray[Any]] = {
+        "track_id": np.repeat([track.track_id for track in tracks], [len(track) for track in tracks]).astype(
+            np.int64
+        ),
+        "frame": _joined([track.frame for track in tracks], np.int64),
+    }
+    for column in schema.COLUMNS:
+        if any(getattr(track, column.field) is not None for track in tracks):
+            columns[column.name] = _joined([_cells(track, column) for track in tracks], np.float64)
+    # Spreads that no engine estimated are NaN throughout: leave the column out.
+    for column in schema.COLUMNS:
+        if column.field == "covariance" and column.name in columns and np.isnan(columns[column.name]).all():
+            del columns[column.name]
+    if any(track.label for track in tracks):
+        labels = [track.label for track in tracks]
+        columns["label"] = np.repeat(np.array(labels, dtype=object), [len(track) for track in tracks])
+    return columns
+
+
+def _joined(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
+    return np.concatenate(parts).astype(dtype) if parts else np.empty(0, dtype)
+
+
+def _cells(track: Track, column: schema.Column) -> FloatArray:
+    value = getattr(track, column.field)
+    if value is None:
+        return np.full(len(track), np.nan)
+    cells = value[(..., *column.index)]
+    if column.field == "covariance":
+        cells = np.sqrt(cells)
+    return np.rad2deg(cells) if column.degrees else cells
+
+
+def to_table(tracks: TrackSet) -> pd.DataFrame:
+    """One row per person and frame with the columns of the native table (degrees in ``*_deg``)."""
+    import pandas as pd
+
+    return pd.DataFrame(to_columns(tracks))
+
+
+def from_table(table: pd.DataFrame, *, fps: float | None = None) -> TrackSet:
+    """Tracks from a table with the columns of the native format; a missing cell is a missing observation.
+
+    Raises
+    ------
+    InputError
+        Naming the row (from 1) and column that cannot be used.
+    """
+    names = [str(name) for name in table.columns]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"column {twice!r} twice", "each column once")
+    columns = {}
+    for name in names:
+        if name in schema.NAMES:
+            columns[name] = table[name].to_numpy() if name == "label" else _numbers(table, name)
+    return from_columns(
+        columns,
+        path=Path("table"),
+        format="table",
+        options=ReadOptions(fps=fps),
+        line_of=lambda i: i + 1,
+        ignored=[name for name in names if name not in schema.NAMES],
+    )
+
+
+def _numbers(table: pd.DataFrame, name: str) -> FloatArray:
+    import pandas as pd
+
+    try:
+        return table[name].to_numpy(dtype=float, na_value=np.nan)
+    except (TypeError, ValueError):
+        bad = pd.to_numeric(table[name], errors="coerce").isna() & table[name].notna()
+        row = int(np.flatnonzero(bad.to_numpy())[0]) if bad.any() else 0
+        raise InputError(f"{table[name].iloc[row]!r}", "a number", line=row + 1, column=name) from None
+
+
+def from_columns(
+    columns: Mapping[str, NDArray[Any]],
+    *,
+    path: Path,
+    format: str,
+    options: ReadOptions,
+    line_of: Callable[[int], int],
+    ignored: list[str],
+) -> TrackSet:
+    """Tracks from the columns of the native table, checked cell by cell.
+
+    Parameters
+    ----------
+    columns : name → (n,) numbers, NaN where a cell is empty; ``label`` holds text or None
+    path, format, options, line_of : as in `Rows` and the readers
+    ignored : names of columns that the file has besides
+
+    Raises
+    ------
+    InputError
+        For a column that is missing or a value outside its bounds, with its line.
+    """
+
+    def fail(found: str, expected: str, row: int | None = None, column: str | None = None) -> InputError:
+        return InputError(
+            found, expected, path=path, line=None if row is None else line_of(row), column=column
+        )
+
+    for name in schema.INTEGERS:
+        if name not in columns:
+            raise fail("no such column", f"a column {name}", column=name)
+    for group in schema.TOGETHER:
+        have = [name for name in group if name in columns]
+        if have and len(have) < len(group):
+            missing = next(name for name in group if name not in columns)
+            raise fail("no such column", f"a column {missing} beside {have[0]}", column=missing)
+    if "x" not in columns and "u" not in columns:
+        raise fail("no position", "columns x, y (metres) or u, v (pixels) with a homography")
+    if not len(columns["track_id"]):
+        raise fail("a header and no rows", "at least one row")
+    for name, highest in schema.INTEGERS.items():
+        _check_integers(columns[name], name, highest, fail)
+    for name, values in columns.items():
+        if name in schema.BY_NAME:
+            _check_bounds(values, schema.BY_NAME[name], fail)
+    for group in schema.TOGETHER:
+        _check_group({name: columns[name] for name in group if name in columns}, fail)
+    notes = (f"ignored columns {', '.join(ignored)}",) if ignored else ()
+    track_id = columns["track_id"].astype(np.int64)
+    rows = Rows(
+        path,
+        format,
+        track_id,
+        columns["frame"].astype(np.int64),
+        _channels(columns),
+        line_of,
+        _labels(columns.get("label"), track_id, fail),
+        notes=notes,
+    )
+    rows = _with_times(rows, options, fail)
+    return to_tracks(place_pixels(rows, options))
+
+
+def _check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable[..., InputError]) -> None:
+    with np.errstate(invalid="ignore"):
+        bad = ~(np.abs(values) <= highest) | (values != np.floor(values))
+    if bad.any():
+        row = int(np.argmax(bad))
+        found = "an empty cell" if np.isnan(values[row]) else f"{values[row]:.17g}"
+        raise fail(found, f"a whole number within ±{highest}", row, name)
+
+
+def _check_bounds(values: FloatArray, column: schema.Column, fail: Callable[..., InputError]) -> None:
+    with np.errstate(invalid="ignore"):
+        bad = (values < column.low) | (values > column.high) | (column.strict & (values == column.low))
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise fail(f"{values[row]:g}", column.expected, row, column.name)
+
+
+def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError]) -> None:
+    """A row has all cells of a group or none, and class likelihoods are not all zero."""
+    if not group:
+        return
+    empty = np.isnan(np.column_stack(list(group.values())))
+    partial = empty.any(axis=1) & ~empty.all(axis=1)
+    if partial.any():
+        row = int(np.argmax(partial))
+        names = list(group)
+        name = names[int(np.argmax(empty[row]))]
+        raise fail("an empty cell", f"all of {names[0]} … {names[-1]} or none of them", row, name)
+    first = next(iter(group))
+    if first.endswith("_p0"):
+        zero = np.sum(list(group.values()), axis=0) <= 0.0
+        if zero.any():
+            raise fail("class likelihoods that are all 0", "one above 0", int(np.argmax(zero)), first)
+
+
+def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
+    n = len(columns["track_id"])
+    channels: dict[str, FloatArray] = {}
+    for column in schema.COLUMNS:
+        if column.name not in columns:
+            continue
+        if column.field not in channels:
+            channels[column.field] = np.full((n, *_TAILS.get(column.field, ())), np.nan)
+        cells = np.asarray(columns[column.name], dtype=float)
+        if column.degrees:
+            cells = np.deg2rad(cells)
+        if column.wrapped:
+            # An angle in range is kept to the last bit, so that files round-trip.
+            with np.errstate(invalid="ignore"):
+                cells = np.where((cells > -np.pi) & (cells <= np.pi), cells, wrap(cells))
+        if column.field == "covariance":
+            cells = cells**2
+        channels[column.field][(..., *column.index)] = cells
+    if "covariance" in channels:
+        channels["covariance"] = _diagonal(channels["covariance"])
+    return channels
+
+
+def _diagonal(covariance: FloatArray) -> FloatArray:
+    """Zero correlations between the quantities that have a variance; the rest stays NaN."""
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    known = np.isfinite(variance)
+    result = np.where(known[:, :, None] & known[:, None, :], 0.0, np.nan)
+    state = np.arange(len(STATE))
+    result[:, state, state] = variance
+    return result
+
+
+def _labels(
+    labels: NDArray[Any] | None, track_id: NDArray[np.int64], fail: Callable[..., InputError]
+) -> dict[int, str]:
+    """Track id → label; an empty cell says nothing."""
+    if labels is None:
+        return {}
+    found: dict[int, str] = {}
+    for row, (identity, label) in enumerate(zip(track_id.tolist(), labels.tolist(), strict=True)):
+        if not isinstance(label, str) or not label:
+            continue
+        if found.setdefault(identity, label) != label:
+            raise fail(
+                f"{label!r} after {found[identity]!r}", f"one label for track {identity}", row, "label"
+            )
+    return found
+
+
+def _with_times(rows: Rows, options: ReadOptions, fail: Callable[..., InputError]) -> Rows:
+    if "t" not in rows.channels:
+        if options.fps is None:
+            raise fail("no such column", "a column t (seconds), or a frame rate (fps)", column="t")
+        return rows.with_times(options.fps)
+    empty = np.isnan(rows.channels["t"])
+    if empty.any():
+        raise fail("an empty cell", "a time in every row", int(np.argmax(empty)), "t")
+    if options.fps is not None:
+        return rows.with_notes("the frame rate was not used: the file has times")
+    return rows
