@@ -149,6 +149,12 @@ class GroundCamera:
         centre = None if nadir is None else np.asarray(nadir, dtype=float) * [s, -s]
         return cls(np.diag([s, -s, 1.0]), centre_on_ground=centre)
 
+    def resized(self, factor: float) -> GroundCamera:
+        """The same camera for its image at ``factor`` times the size."""
+        to_old = np.diag([1.0 / factor, 1.0 / factor, 1.0])
+        intrinsics = None if self.intrinsics is None else np.diag([factor, factor, 1.0]) @ self.intrinsics
+        return GroundCamera(self.homography @ to_old, intrinsics, self.distortion, self.centre_on_ground)
+
     def undistort(self, pixel: ArrayLike) -> FloatArray:
         """Ideal pixels (..., 2) of raw pixels (..., 2); NaN where the lens model has no inverse."""
         pixel = np.asarray(pixel, dtype=float)
@@ -265,16 +271,17 @@ class GroundCamera:
         Parameters
         ----------
         direction_in_image : (...,) radians in the image, 0 = right, counter-clockwise with v *up*
-        pixel : (..., 2) raw pixel of the ground point below it
+        pixel : (..., 2) raw pixel at which it is seen
 
         Notes
         -----
-        The map is the homography's derivative at the pixel: what is parallel to the ground at another height
-        is seen with nearly the same slant. Where the lens distorts, the direction is taken as that of
-        ideal pixels.
+        The map is the derivative of `image_to_ground` at the pixel, the lens distortion included. It
+        holds at any height: the ground that is seen through a pixel is that of the plane at the height of
+        what is seen there, enlarged about the camera. So take the pixel where the thing itself is seen.
         """
-        toward = unit(direction_in_image) * np.array([1.0, -1.0])
-        moved = np.einsum("...ij,...j->...i", self.ground_jacobian(pixel), toward)
+        pixel = np.asarray(pixel, dtype=float)
+        toward = unit(direction_in_image) * np.array([0.5, -0.5])
+        moved = self.image_to_ground(pixel + toward) - self.image_to_ground(pixel - toward)
         return np.where(np.isfinite(moved).all(axis=-1), direction(moved), np.nan)
 
     @cached_property

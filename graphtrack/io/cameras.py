@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +74,7 @@ def on_ground(rows: Rows, camera: GroundCamera, notes: tuple[str, ...] = ()) -> 
     """Rows with positions (metres) for their pixels; those beyond the horizon are refused."""
     position = camera.image_to_ground(rows.channels["pixel"])
     unseen = np.isnan(position).any(axis=1) & np.isfinite(rows.channels["pixel"]).all(axis=1)
-    rows = replace(rows.with_channels(position=position), camera=camera)
+    rows = rows.with_channels(position=position).with_camera(camera)
     return rows.with_notes(*notes).keep(np.logical_not(unseen), BEYOND_HORIZON)
 
 
@@ -97,7 +96,7 @@ def place_pixels(rows: Rows, options: ReadOptions) -> Rows:
         if camera is None:
             return rows
         kept = "positions are the file's x, y; the camera serves for pixels and pose angles only"
-        return replace(rows, camera=camera).with_notes(*notes, kept)
+        return rows.with_camera(camera).with_notes(*notes, kept)
     if camera is None:
         raise InputError(
             "pixels u, v and no camera", "x, y, or a homography or point pairs as well", path=rows.path

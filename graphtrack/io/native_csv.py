@@ -26,10 +26,10 @@ from graphtrack.tracks import TrackSet
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether the first line names the columns ``track_id`` and ``frame``."""
-    first = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0]
-    cells = {cell.strip().strip(b'"') for cell in first.split(b",")}
-    return {b"track_id", b"frame"} <= cells
+    """Whether the first line names at least two columns of the native table."""
+    first = head.removeprefix(b"\xef\xbb\xbf").lstrip().split(b"\n", 1)[0].decode("utf-8", errors="replace")
+    cells = {cell.strip().strip('"') for cell in first.split(",")}
+    return len(cells & set(schema.NAMES)) >= 2
 
 
 def read(source: Source, options: ReadOptions) -> TrackSet:

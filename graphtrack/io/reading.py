@@ -7,8 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
 from graphtrack.io.atomic import atomic_path
+from graphtrack.io.cameras import read_homography
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import detect, format_for_writing, format_named
 from graphtrack.io.source import Source
@@ -87,12 +90,20 @@ def _stem(path: Path) -> str:
     return path.name.split(".")[0] or path.name
 
 
-def write(tracks: TrackSet, path: str | Path, *, format: str | None = None) -> None:
+def write(
+    tracks: TrackSet,
+    path: str | Path,
+    *,
+    format: str | None = None,
+    homography: FloatArray | str | Path | None = None,
+) -> None:
     """Write tracks; the file is there whole or, on any failure, not at all.
 
     Parameters
     ----------
-    format : name of the format; None: by the ending of the file name
+    format : name of the format; None: by the ending of the file name homography : (3, 3) image → ground
+    or the path of its nine numbers, for formats with boxes; it replaces the
+        camera of the tracks
 
     Raises
     ------
@@ -103,5 +114,8 @@ def write(tracks: TrackSet, path: str | Path, *, format: str | None = None) -> N
     chosen = format_for_writing(path) if format is None else format_named(format)
     if chosen.write is None:
         raise InputError(f"format {chosen.name!r}", "a format that can be written: csv, parquet, mot")
+    if homography is not None:
+        matrix = read_homography(homography) if isinstance(homography, str | Path) else homography
+        tracks = replace(tracks, camera=GroundCamera.from_homography(matrix))
     with atomic_path(path) as temporary:
         chosen.write(tracks, temporary)

@@ -14,9 +14,16 @@ from graphtrack.io.source import Source
 from graphtrack.tracks import TrackSet
 
 FORMAT_MODULES = (
-    "native_csv",
     "native_parquet",
     "mocap",
+    "native_csv",
+    "caviar",
+    "ucy",
+    "kitti",
+    "salsa",
+    "towncentre",
+    "mot",
+    "eth",
 )
 """Modules of this package with a constant ``FORMAT``, the most distinctive contents first."""
 
@@ -73,6 +80,11 @@ def detect(source: Source) -> Format:
     """
     for candidate in formats():
         if candidate.looks_like(source.head, source.path):
+            return candidate
+    # Content that nothing recognises: the reader that the name asks for can say best what is wrong.
+    name = source.path.name.lower().removesuffix(".gz")
+    for candidate in formats():
+        if candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
     raise InputError(
         "content of no known format", "one of " + ", ".join(f.name for f in formats()), path=source.path

@@ -53,6 +53,14 @@ class Rows:
         """The same rows with channels added or replaced."""
         return replace(self, channels={**self.channels, **channels})
 
+    def without(self, *names: str) -> Rows:
+        """The same rows without these channels."""
+        return replace(self, channels={k: v for k, v in self.channels.items() if k not in names})
+
+    def with_camera(self, camera: GroundCamera | None) -> Rows:
+        """The same rows seen by that camera."""
+        return replace(self, camera=camera)
+
     def with_notes(self, *notes: str) -> Rows:
         """The same rows with more notes."""
         return replace(self, notes=(*self.notes, *notes))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -98,6 +99,19 @@ class Source:
         return self.data.count(b"\n", 0, offset) + 1
 
 
+def mostly(head: bytes, matches: Callable[[str], bool]) -> bool:
+    """Whether more than half of the first lines of a file are of some form.
+
+    One bad line among them must not hide the format: its reader is the one to say what is wrong with the
+    line.
+    """
+    lines = head.decode("utf-8-sig", errors="replace").split("\n")
+    if len(head) >= HEAD_BYTES and len(lines) > 1:
+        lines.pop()  # cut at the end
+    lines = [line.strip() for line in lines if line.strip()][:20]
+    return sum(map(matches, lines)) * 2 > len(lines)
+
+
 def _read_limited(stream: io.BufferedIOBase, path: Path) -> bytes:
     data = stream.read(MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
@@ -110,4 +124,5 @@ def _gunzip(data: bytes, path: Path) -> bytes:
         with gzip.open(io.BytesIO(data)) as stream:
             return _read_limited(stream, path)
     except (EOFError, zlib.error, OSError) as error:
-        raise InputError(f"a gzip file that is cut or damaged ({error})", "a whole one", path=path) from error
+        found = f"a cut or damaged gzip file ({error})"
+        raise InputError(found, "a whole one", path=path) from error

@@ -221,7 +221,8 @@ def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
                 cells = np.where((cells > -np.pi) & (cells <= np.pi), cells, wrap(cells))
         if column.field == "covariance":
             cells = cells**2
-        channels[column.field][(..., *column.index)] = cells
+        place: tuple[Any, ...] = (..., *column.index)
+        channels[column.field][place] = cells
     if "covariance" in channels:
         channels["covariance"] = _diagonal(channels["covariance"])
     return channels
