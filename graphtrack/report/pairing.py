@@ -104,6 +104,14 @@ def observed_angle(track: Track, name: str) -> FloatArray | None:
     return best if angle is None else np.where(np.isfinite(angle), angle, best)
 
 
+def has_angle(pair: Pair, name: str) -> bool:
+    """Whether ``body`` or ``head`` is known anywhere, as an estimate or as an observation."""
+    values = [getattr(pair.estimate, name)]
+    if pair.observation is not None:
+        values.append(observed_angle(pair.observation, name))
+    return any(value is not None and np.isfinite(value).any() for value in values)
+
+
 def finite_rows(values: FloatArray) -> NDArray[np.bool_]:
     """Which rows of (n, k) values are finite throughout."""
     return np.asarray(np.isfinite(values).all(axis=1), dtype=bool)

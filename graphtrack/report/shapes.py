@@ -56,6 +56,30 @@ def finite_runs(finite: NDArray[np.bool_]) -> list[slice]:
     return [slice(int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
 
 
+def longest_step(t: FloatArray) -> float:
+    """Seconds between samples beyond which a track has a hole: nothing is drawn as known in between."""
+    return max(0.5, 2.5 * float(np.median(np.diff(t)))) if len(t) > 1 else 0.5
+
+
+def open_holes(t: FloatArray, *values: FloatArray) -> tuple[FloatArray, ...]:
+    """Insert a missing value into every hole of a track, so that lines and bands end there.
+
+    Parameters
+    ----------
+    t : (n,) seconds
+    values : any number of (n,) series
+
+    Returns
+    -------
+    t and the series, each (n + number of holes,)
+    """
+    if len(t) < 2:
+        return (t, *values)
+    before = np.nonzero(np.diff(t) > longest_step(t))[0]
+    middle = (t[before] + t[before + 1]) / 2.0
+    return (np.insert(t, before + 1, middle), *(np.insert(v, before + 1, np.nan) for v in values))
+
+
 def break_at_seam(t: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Cut a curve of wrapped angles wherever it passes ±π, so that drawing it crosses no seam.
 

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from graphtrack.report.pairing import Pair, observed_angle, pair_track
+from graphtrack.report.pairing import Pair, has_angle, observed_angle, pair_track
 from graphtrack.report.plots.canvas import new_figure, tidy
-from graphtrack.report.shapes import NORMAL_95, angle_bands, break_at_seam, finite_runs
+from graphtrack.report.shapes import NORMAL_95, angle_bands, break_at_seam, finite_runs, open_holes
 from graphtrack.report.style import ANGLE_COLOURS, NEUTRAL_COLOUR, TRUTH_COLOUR
 from graphtrack.tracks import Track
 
@@ -31,7 +31,7 @@ def plot_angles(estimate: Track, observation: Track | None = None, *, show_truth
     matplotlib.figure.Figure
     """
     pair = pair_track(estimate, observation)
-    names = [name for name in ANGLE_COLOURS if _has_angle(pair, name)]
+    names = [name for name in ANGLE_COLOURS if has_angle(pair, name)]
     figure = new_figure(9.4, 1.0 + 2.3 * max(len(names), 1))
     figure.suptitle(pair.name.replace("$", r"\$"), x=0.01, ha="left", fontsize=11)
     if not names:
@@ -47,13 +47,6 @@ def plot_angles(estimate: Track, observation: Track | None = None, *, show_truth
     return figure
 
 
-def _has_angle(pair: Pair, name: str) -> bool:
-    values = [getattr(pair.estimate, name)]
-    if pair.observation is not None:
-        values.append(observed_angle(pair.observation, name))
-    return any(value is not None and np.isfinite(value).any() for value in values)
-
-
 def _draw_angle(axes: Axes, pair: Pair, name: str, show_truth: bool) -> None:
     colour, estimate = ANGLE_COLOURS[name], pair.estimate
     angle, std = getattr(estimate, name), estimate.std(name)
@@ -61,7 +54,7 @@ def _draw_angle(axes: Axes, pair: Pair, name: str, show_truth: bool) -> None:
         _draw_observed_angle(axes, pair.observation, name, colour)
     if angle is not None and std is not None:
         for scale, alpha, label in ((NORMAL_95, 0.16, "95 %"), (1.0, 0.26, "±1σ")):
-            for i, band in enumerate(angle_bands(estimate.t, angle, scale * std)):
+            for i, band in enumerate(angle_bands(*open_holes(estimate.t, angle, scale * std))):
                 axes.fill_between(
                     band.t,
                     np.degrees(band.lower),
@@ -74,10 +67,10 @@ def _draw_angle(axes: Axes, pair: Pair, name: str, show_truth: bool) -> None:
                 )
     truth = pair.true_angle(name)
     if show_truth and np.isfinite(truth).any():
-        t, cut = break_at_seam(estimate.t, truth)
+        t, cut = break_at_seam(*open_holes(estimate.t, truth))
         axes.plot(t, np.degrees(cut), color=TRUTH_COLOUR, lw=1.0, dashes=(5, 2.5), label="truth", zorder=4)
     if angle is not None and np.isfinite(angle).any():
-        t, cut = break_at_seam(estimate.t, angle)
+        t, cut = break_at_seam(*open_holes(estimate.t, angle))
         # A line needs two points: an angle known at a single frame between unknown ones would be invisible.
         alone = [run.start for run in finite_runs(np.isfinite(angle)) if run.stop - run.start == 1]
         axes.plot(t, np.degrees(cut), color=colour, linewidth=1.6, label="estimate", zorder=3)

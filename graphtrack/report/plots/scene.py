@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from graphtrack.angles import FloatArray, unit
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots.canvas import new_figure, tidy
-from graphtrack.report.shapes import finite_runs, probability_ellipse
+from graphtrack.report.shapes import finite_runs, longest_step, probability_ellipse
 from graphtrack.report.style import (
     ANGLE_COLOURS,
     NEUTRAL_COLOUR,
@@ -159,8 +159,8 @@ def _draw_path(axes: Axes, pair: Pair, colour: str) -> None:
     if len(position) == 1:
         axes.plot(*position.T, "o", color=colour, markersize=5, zorder=3)
         return
-    # A piece of the path is solid only when both of its ends were observed.
-    solid = seen[:-1] & seen[1:]
+    # A piece of the path is solid only when both of its ends were observed and nothing is missing between.
+    solid = seen[:-1] & seen[1:] & (np.diff(pair.estimate.t) <= longest_step(pair.estimate.t))
     for flags, style in ((solid, "-"), (~solid, ":")):
         for run in finite_runs(flags):
             axes.plot(*position[run.start : run.stop + 1].T, style, color=colour, linewidth=1.8, zorder=3)

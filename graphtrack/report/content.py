@@ -1,0 +1,123 @@
+"""What a report is made of: plain data, without a word of HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from graphtrack.report.rows import Rows, records
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Card:
+    """One number worth seeing first: what it is, its value as it should read, and a few words about it."""
+
+    label: str
+    value: str
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Note:
+    """A paragraph of plain text."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; numbers are shown to four digits, None and NaN as a dash.
+
+    Attributes
+    ----------
+    title : str
+    columns : headings, with units
+    rows : each as long as ``columns``
+    note : a sentence below the table
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+    note: str = ""
+
+    @classmethod
+    def from_records(cls, title: str, table: Rows, *, note: str = "") -> Table:
+        """A table of a DataFrame or a list of dict, in the order of the first row's columns.
+
+        Raises
+        ------
+        InputError
+            When there are no rows or a row lacks a column of the first.
+        """
+        rows = records(table)
+        columns = [str(column) for column in rows[0]]
+        rows = records(rows, columns)
+        return cls(title, tuple(columns), tuple(tuple(row[c] for c in columns) for row in rows), note)
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A matplotlib figure.
+
+    Attributes
+    ----------
+    title : str
+    figure : matplotlib.figure.Figure
+    description : what it shows, for people who cannot see it
+    """
+
+    title: str
+    figure: Figure
+    description: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Plotly figures: the reader chooses one, or they stand side by side as far as the page is wide.
+
+    Attributes
+    ----------
+    title : str
+    figures : name → plotly figure
+    note : a sentence below
+    choose : whether one of the figures is shown at a time
+    has_time : whether x is the time of the replay, so that a click on a point takes the replay there
+    """
+
+    title: str
+    figures: Mapping[str, Any]
+    note: str = ""
+    choose: bool = True
+    has_time: bool = False
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and what stands below it."""
+
+    title: str
+    items: tuple[Note | Table | Picture | Chart, ...]
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page.
+
+    Attributes
+    ----------
+    title, subtitle : str
+    cards : the numbers at the top
+    replay : what `graphtrack.report.replay.replay_data` returns, or None
+    sections : what follows
+    """
+
+    title: str
+    cards: tuple[Card, ...] = ()
+    replay: Mapping[str, Any] | None = None
+    sections: tuple[Section, ...] = field(default=())
+    subtitle: str = ""

@@ -1,0 +1,210 @@
+"""The report as one HTML file that needs nothing else: no network, no server, no other file."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+import numbers
+from collections.abc import Mapping
+from importlib import resources
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from graphtrack.io.atomic import atomic_path
+from graphtrack.report.content import Card, Chart, Note, Picture, Report, Section, Table
+from graphtrack.report.replay_html import render_replay
+from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
+
+SECURITY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "base-uri 'none'; form-action 'none'"
+)
+"""What the page may load: itself. The browser enforces that nothing leaves or enters over the network."""
+
+SCRIPTS = ("replay_data.js", "replay_draw.js", "replay_controls.js", "page.js")
+
+
+def write_report(path: str | Path, report: Report) -> None:
+    """Write a report as one self-contained HTML file.
+
+    The file appears whole or not at all.
+
+    Parameters
+    ----------
+    path : where it goes; an existing file is replaced
+    report : what it says
+
+    Raises
+    ------
+    InputError
+        When the place cannot be written to.
+    """
+    page = render_report(report)
+    with atomic_path(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def render_report(report: Report) -> str:
+    """The page as text. Words are escaped; data stand in it as JSON that cannot end its script element."""
+    has_replay = report.replay is not None and bool(report.replay["people"])
+    names = (["Replay"] if has_replay else []) + [section.title for section in report.sections]
+    anchors = [f"section-{i}" for i in range(len(names))]
+    parts = [_header(report, dict(zip(anchors, names, strict=True)))]
+    if has_replay and report.replay is not None:
+        parts += [
+            f'<section aria-labelledby="{anchors[0]}"><h2 id="{anchors[0]}">Replay</h2>',
+            render_replay(report.replay),
+            f'<script type="application/json" id="replay-data">{safe_json(report.replay)}</script>',
+            "</section>",
+        ]
+    for anchor, section in zip(anchors[has_replay:], report.sections, strict=True):
+        parts.append(_section(anchor, section))
+    has_charts = any(isinstance(item, Chart) for section in report.sections for item in section.items)
+    scripts = "\n".join(_asset(name) for name in SCRIPTS)
+    return "\n".join(
+        [
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{SECURITY}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{html.escape(report.title)}</title>",
+            f"<style>\n{_colours()}\n{_asset('page.css')}</style>\n</head>\n<body>\n" + '<main class="wrap">',
+            *parts,
+            "</main>",
+            f"<script>{_plotly()}</script>" if has_charts else "",
+            f'<script>(function () {{\n"use strict";\n{scripts}}})();</script>\n</body>\n</html>\n',
+        ]
+    )
+
+
+def safe_json(data: Any) -> str:
+    """JSON that can stand inside a script element: no ``<``, ``>`` or ``&``, and no NaN."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def format_cell(value: Any) -> str:
+    """A value as a reader wants it: numbers to four digits, a dash where there is none. Not escaped."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, numbers.Integral):
+        return str(int(value))
+    if isinstance(value, numbers.Real):
+        number = float(value)
+        if math.isnan(number):
+            return "–"
+        # Four digits, but never an exponent for the sizes that people walk at.
+        return f"{number:.0f}" if 1e3 <= abs(number) < 1e9 else f"{number:.4g}"
+    return str(value)
+
+
+def _header(report: Report, anchors: dict[str, str]) -> str:
+    subtitle = f'<p class="quiet">{html.escape(report.subtitle)}</p>' if report.subtitle else ""
+    cards = "".join(_card(card) for card in report.cards)
+    links = "".join(f'<li><a href="#{key}">{html.escape(name)}</a></li>' for key, name in anchors.items())
+    return (
+        f"<header><h1>{html.escape(report.title)}</h1>{subtitle}"
+        + (f'<nav aria-label="Sections"><ul>{links}</ul></nav>' if len(anchors) > 1 else "")
+        + (f'<dl class="cards">{cards}</dl>' if cards else "")
+        + "</header>"
+    )
+
+
+def _card(card: Card) -> str:
+    detail = f"<dd>{html.escape(card.detail)}</dd>" if card.detail else ""
+    return f"<div><dt>{html.escape(card.label)}</dt><dd>{html.escape(card.value)}</dd>{detail}</div>"
+
+
+def _section(anchor: str, section: Section) -> str:
+    body = "\n".join(_item(item) for item in section.items)
+    heading = f'<h2 id="{anchor}">{html.escape(section.title)}</h2>'
+    return f'<section aria-labelledby="{anchor}">{heading}\n{body}\n</section>'
+
+
+def _item(item: Note | Table | Picture | Chart) -> str:
+    if isinstance(item, Table):
+        return _table(item)
+    if isinstance(item, Picture):
+        return _picture(item)
+    if isinstance(item, Chart):
+        return _chart(item)
+    return f"<p>{html.escape(item.text)}</p>"
+
+
+def _table(table: Table) -> str:
+    numeric = [
+        all(isinstance(row[i], numbers.Real) or row[i] is None for row in table.rows)
+        for i in range(len(table.columns))
+    ]
+    kinds = [' class="number"' if flag else "" for flag in numeric]
+    head = "".join(
+        f'<th scope="col"{k}>{html.escape(c)}</th>' for c, k in zip(table.columns, kinds, strict=True)
+    )
+    body = "".join(
+        "<tr>"
+        + "".join(f"<td{k}>{html.escape(format_cell(cell))}</td>" for cell, k in zip(row, kinds, strict=True))
+        + "</tr>\n"
+        for row in table.rows
+    )
+    note = f'<p class="quiet">{html.escape(table.note)}</p>' if table.note else ""
+    title = html.escape(table.title)
+    # tabindex: a region that scrolls must be reachable with the keyboard.
+    return (
+        f'<div class="panel"><div class="scroll" tabindex="0" role="region" aria-label="{title}">'
+        f"<table><caption>{title}</caption><thead><tr>{head}</tr></thead>\n"
+        f"<tbody>{body}</tbody></table></div>{note}</div>"
+    )
+
+
+def _picture(picture: Picture) -> str:
+    buffer = BytesIO()
+    picture.figure.savefig(buffer, format="png", dpi=160)
+    encoded = base64.b64encode(buffer.getvalue()).decode("ascii")
+    width = round(96 * picture.figure.get_figwidth())
+    words = html.escape(picture.description or picture.title)
+    return (
+        f'<figure class="panel"><img width="{width}" alt="{words}" src="data:image/png;base64,{encoded}">'
+        f"<figcaption>{html.escape(picture.title)}</figcaption></figure>"
+    )
+
+
+def _chart(chart: Chart) -> str:
+    note = f'<p class="quiet">{html.escape(chart.note)}</p>' if chart.note else ""
+    if chart.choose:
+        return f'<div class="panel">{_plot(chart.title, chart.figures, chart.has_time)}{note}</div>'
+    plots = [_plot(name, {name: figure}, chart.has_time) for name, figure in chart.figures.items()]
+    title = f"<h3>{html.escape(chart.title)}</h3>"
+    return f'<div class="panel">{title}<div class="plots">{"".join(plots)}</div>{note}</div>'
+
+
+def _plot(title: str, figures: Mapping[str, Any], has_time: bool) -> str:
+    """One place for a plotly figure; the data of all that can be shown in it stand beside it."""
+    data = [json.loads(figure.to_json()) for figure in figures.values()]
+    height = max(int(figure["layout"].get("height", 420)) for figure in data)
+    options = "".join(f"<option>{html.escape(name)}</option>" for name in figures)
+    title = html.escape(title)
+    choice = f'<p class="pick"><label>Show <select>{options}</select></label></p>' if len(data) > 1 else ""
+    return (
+        f'<div class="chart"{" data-time" if has_time else ""}><h4>{title}</h4>{choice}'
+        f'<div class="plot" role="img" aria-label="{title}" style="height:{height}px"></div>'
+        f'<script type="application/json">{safe_json(data)}</script></div>'
+    )
+
+
+def _colours() -> str:
+    return f":root {{ --body: {BODY_COLOUR}; --head: {HEAD_COLOUR}; --velocity: {VELOCITY_COLOUR}; }}"
+
+
+def _asset(name: str) -> str:
+    return (resources.files("graphtrack.report") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _plotly() -> str:
+    from plotly.offline import get_plotlyjs
+
+    # The library holds no such text today; were it to, the page would end in the middle of it.
+    return str(get_plotlyjs()).replace("</script", "<\\/script")

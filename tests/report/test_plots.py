@@ -1,0 +1,186 @@
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from made_up import ERRORS, NEES, observed, scene, walker
+from matplotlib.patches import Ellipse
+from matplotlib.quiver import Quiver
+
+from graphtrack.angles import wrap
+from graphtrack.errors import InputError
+from graphtrack.report.plots import plot_angles, plot_errors, plot_nees, plot_tracks
+from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
+from graphtrack.tracks import Track, TrackSet
+
+
+def arrows(axes, colour):
+    from matplotlib.colors import to_rgba
+
+    found = [c for c in axes.collections if isinstance(c, Quiver)]
+    return [q for q in found if np.allclose(q.get_facecolor()[0], to_rgba(colour))]
+
+
+def labels(figure):
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_the_drawn_ellipses_hold_95_percent_of_the_position():
+    covariance = np.zeros((40, 6, 6))
+    covariance[:, :2, :2] = [[0.3, 0.12], [0.12, 0.1]]
+    track = walker(n=40, covariance=covariance)
+    figure = plot_tracks(TrackSet((track,)), arrow_interval=0.4)
+    patches = [p for p in figure.axes[0].patches if isinstance(p, Ellipse)]
+    assert len(patches) == 4  # 1.6 s
+    rng = np.random.default_rng(0)
+    for patch, i in zip(patches, (0, 10, 20, 30), strict=True):
+        samples = rng.multivariate_normal(track.position[i], covariance[i, :2, :2], 5000)
+        outline = patch.get_patch_transform().transform_path(patch.get_path())
+        assert np.mean(outline.contains_points(samples)) == pytest.approx(0.95, abs=0.015)
+
+
+def test_arrows_point_where_the_angles_do_and_have_their_colours():
+    track = walker(n=50)
+    axes = plot_tracks(TrackSet((track,)), arrow_interval=0.2, show_velocity=True).axes[0]
+    for name, colour in (("body", BODY_COLOUR), ("head", HEAD_COLOUR)):
+        (quiver,) = arrows(axes, colour)
+        assert np.arctan2(quiver.V, quiver.U) == pytest.approx(getattr(track, name)[::5])
+        assert quiver.get_offsets() == pytest.approx(track.position[::5])
+    assert len(arrows(axes, VELOCITY_COLOUR)) == 1
+
+
+def test_axes_are_equal_and_hold_everything():
+    estimates, observations = scene(30)
+    figure = plot_tracks(estimates, observations)
+    figure.canvas.draw()
+    axes = figure.axes[0]
+    assert axes.get_aspect() == 1.0
+    points = np.concatenate([t.position for t in (*estimates, *observations)])
+    points = points[np.isfinite(points).all(axis=1)]
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    assert np.all((points > [left, bottom]) & (points < [right, top]))
+
+
+def test_the_path_is_dotted_exactly_where_nothing_was_observed():
+    estimate = walker()
+    figure = plot_tracks(
+        TrackSet((estimate,)), TrackSet((observed(estimate, slice(20, 35)),)), show_truth=False
+    )
+    lines = figure.axes[0].lines
+    (dotted,) = [line for line in lines if line.get_linestyle() == ":"]
+    assert dotted.get_xydata() == pytest.approx(estimate.position[19:36])
+    hollow = [line for line in lines if line.get_markerfacecolor() == "white"]
+    assert hollow[0].get_xydata() == pytest.approx(estimate.position[[20, 34]])
+    assert "not observed" in labels(figure)
+
+
+def test_a_hole_in_the_frames_is_dotted_too():
+    t = np.array([0.0, 0.1, 0.2, 9.0, 9.1])
+    track = Track(1, np.arange(5), t, np.stack([t, t], axis=1))
+    dotted = [line for line in plot_tracks(TrackSet((track,))).axes[0].lines if line.get_linestyle() == ":"]
+    assert [line.get_xdata().tolist() for line in dotted] == [[0.2, 9.0]]
+
+
+nan = np.nan
+BARE = Track(5, [0, 1, 2], [0.0, 0.1, 0.2], [[0, 0], [nan, nan], [1, 1]])
+
+
+@pytest.mark.parametrize(
+    "tracks",
+    [
+        (),
+        (BARE,),
+        (walker(n=1),),
+        (walker(head=None, covariance=None, velocity=None),),
+        (walker(body=np.full(60, nan)),),
+        (walker(covariance=np.full((60, 6, 6), nan)),),
+        (replace(BARE, position=np.full((3, 2), nan)),),
+        (walker(label="$x_{ <b>"), walker(2, n=3)),
+    ],
+    ids=["nobody", "bare", "one frame", "no head", "body NaN", "covariance NaN", "no position", "odd label"],
+)
+def test_every_figure_can_be_drawn_of_odd_tracks(tracks, tmp_path):
+    plot_tracks(TrackSet(tracks), show_velocity=True).savefig(tmp_path / "a.png")
+    for track in tracks:
+        plot_angles(track).savefig(tmp_path / "b.png")
+        plot_angles(track, BARE).savefig(tmp_path / "c.png")
+
+
+def test_no_line_of_an_angle_crosses_the_seam():
+    estimate = walker(n=200)
+    figure = plot_angles(estimate, observed(estimate))
+    assert len(figure.axes) == 2
+    for axes in figure.axes:
+        drawn = [line for line in axes.lines if line.get_linestyle() in ("-", "--")]
+        assert len(drawn) >= 2  # the estimate and the truth
+        for line in drawn:
+            steps = np.abs(np.diff(np.asarray(line.get_ydata(), dtype=float)))
+            assert np.all(steps[np.isfinite(steps)] <= 180.0)
+        for band in axes.collections:
+            assert np.abs(band.get_paths()[0].vertices[:, 1]).max() <= 180.0 + 1e-9
+
+
+def test_bands_have_the_width_of_the_covariance():
+    std = 0.1
+    covariance = np.tile(np.eye(6) * std**2, (20, 1, 1))
+    track = walker(n=20, body=np.zeros(20), head=None, covariance=covariance)
+    (axes,) = plot_angles(track).axes
+    widths = {band.get_label(): np.ptp(band.get_paths()[0].vertices[:, 1]) for band in axes.collections}
+    assert widths["±1σ"] == pytest.approx(np.degrees(2 * std))
+    assert widths["95 %"] == pytest.approx(np.degrees(2 * 1.96 * std), rel=1e-3)
+
+
+def test_an_angle_that_nobody_knows_has_no_panel():
+    figure = plot_angles(walker(head=None))
+    assert [axes.get_ylabel() for axes in figure.axes] == ["body (°)"]
+    assert "no angle" in plot_angles(BARE).axes[0].texts[0].get_text()
+
+
+def test_class_likelihoods_are_drawn_at_the_centre_of_the_likeliest_class():
+    likelihood = np.full((3, 8), 0.01)
+    likelihood[[0, 1, 2], [0, 3, 6]] = 1.0
+    observation = replace(BARE, body_likelihood=likelihood)
+    (axes,) = plot_angles(walker(5, n=3, head=None), observation).axes
+    (dots,) = [line for line in axes.lines if line.get_label() == "observation"]
+    assert np.radians(dots.get_ydata()) == pytest.approx(wrap(np.pi / 4 * np.array([0, 3, 6])))
+
+
+@pytest.mark.parametrize("table", [ERRORS, pd.DataFrame(ERRORS)], ids=["dicts", "frame"])
+def test_errors_stand_at_their_median_with_their_spread(table):
+    figure = plot_errors(table)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["position error (m)", "head error (°)"]
+    dots = [line for line in figure.axes[0].lines if line.get_marker() == "o"]
+    assert [line.get_xydata()[0].tolist() for line in dots] == [[0.2, 0], [0.1, 1]]
+    spreads = [line.get_xdata().tolist() for line in figure.axes[0].lines if line.get_marker() != "o"]
+    assert spreads == [[0.1, 0.4], [0.05, 0.2]]
+    assert len([line for line in figure.axes[1].lines if line.get_marker() == "o"]) == 1  # NaN is left out
+
+
+def test_nees_is_filled_inside_its_band_and_hollow_outside():
+    dots = [line for line in plot_nees(NEES).axes[0].lines if line.get_marker() == "o"]
+    assert [line.get_markerfacecolor() == "white" for line in dots] == [True, False]
+
+
+def test_tables_that_lack_something_are_refused():
+    with pytest.raises(InputError, match="at least one row"):
+        plot_errors([])
+    with pytest.raises(InputError, match="row 1 without unit"):
+        plot_errors([ERRORS[0], {k: v for k, v in ERRORS[1].items() if k != "unit"}])
+    with pytest.raises(InputError, match="a number"):
+        plot_errors([{**ERRORS[0], "median": "much"}])
+    with pytest.raises(InputError, match="positive"):
+        plot_nees([{**NEES[0], "count": 0}])
+
+
+def test_neither_matplotlib_nor_plotly_is_loaded_before_it_is_needed():
+    code = "import graphtrack, graphtrack.report, sys; print(*(m in sys.modules for m in ('matplotlib', 'plotly')))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.split() == ["False", "False"]
+
+
+def test_pyplot_stays_untouched():
+    code = "from graphtrack.report import plots, build; import sys; print('matplotlib.pyplot' in sys.modules)"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "False"

@@ -1,0 +1,128 @@
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from importlib import resources
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made_up import observed, scene, walker
+
+from graphtrack.angles import difference, wrap
+from graphtrack.report.replay import (
+    ANGLE_STEP,
+    LENGTH_STEP,
+    TIME_STEP,
+    delta_code,
+    delta_decode,
+    replay_data,
+    thin,
+)
+from graphtrack.report.shapes import probability_ellipse
+from graphtrack.tracks import TrackSet
+
+numbers = st.lists(st.one_of(st.floats(-1e6, 1e6), st.just(float("nan"))), min_size=1, max_size=40)
+
+
+@given(numbers)
+def test_codes_bring_back_every_value_to_half_a_step(values):
+    values = np.array(values)
+    back = delta_decode(delta_code(values, LENGTH_STEP), LENGTH_STEP, len(values))
+    assert np.array_equal(np.isnan(back), np.isnan(values))
+    known = np.isfinite(values)
+    assert np.all(np.abs(back - values)[known] <= LENGTH_STEP / 2 + 1e-9)
+
+
+def test_a_channel_without_values_takes_no_room():
+    assert delta_code(np.full(5, np.nan), LENGTH_STEP) is None
+
+
+def decoded(person, name, step):
+    return delta_decode(person[name], step, len(person["t"]))
+
+
+def test_the_data_survive_json_within_a_millimetre_and_a_tenth_of_a_degree():
+    estimates, observations = scene(people=3, n=80)
+    data = json.loads(json.dumps(replay_data(estimates, observations, max_rate=100.0), allow_nan=False))
+    assert data["rate"] is None
+    for person, estimate, observation in zip(data["people"], estimates, observations, strict=True):
+        assert decoded(person, "t", TIME_STEP) == pytest.approx(estimate.t, abs=1e-3)
+        for i, axis in enumerate("xy"):
+            assert decoded(person, axis, LENGTH_STEP) == pytest.approx(estimate.position[:, i], abs=1e-3)
+            seen, true = (
+                decoded(person, f"seen_{axis}", LENGTH_STEP),
+                decoded(person, f"true_{axis}", LENGTH_STEP),
+            )
+            assert seen == pytest.approx(observation.position[:, i], abs=1e-3, nan_ok=True)
+            assert true == pytest.approx(observation.true_position[:, i], abs=1e-3)
+        for name in ("body", "head"):
+            error = difference(decoded(person, name, ANGLE_STEP), getattr(estimate, name))
+            assert np.abs(error).max() <= ANGLE_STEP
+        ellipse = probability_ellipse(estimate.covariance[:, :2, :2])
+        assert decoded(person, "major", LENGTH_STEP) == pytest.approx(ellipse.semi_major, abs=1e-3)
+        assert [flag == "1" for flag in person["seen"]] == np.isfinite(observation.position[:, 0]).tolist()
+
+
+@given(st.lists(st.floats(0.001, 0.5), min_size=1, max_size=60), st.floats(1.0, 40.0))
+def test_thinning_keeps_both_ends_and_the_rate(steps, rate):
+    t = np.cumsum(steps)
+    at = thin(t, rate)
+    assert at[0] == 0
+    assert at[-1] == len(t) - 1
+    assert np.all(np.diff(at) > 0)
+    intervals = np.floor(t[at[:-1]] * rate + 1e-6)
+    assert len(np.unique(intervals)) == len(intervals)
+
+
+def test_many_samples_lower_the_rate_and_the_data_say_so():
+    estimates, observations = scene(people=10, n=500)
+    data = replay_data(estimates, observations, max_samples=1000)
+    kept = sum(len(person["t"]) for person in data["people"])
+    assert kept <= 1000 + 2 * 10  # both ends of everybody are always kept
+    assert data["rate"] == pytest.approx(5.0, rel=0.05)
+
+
+def test_twenty_people_over_600_frames_stay_below_a_megabyte():
+    estimates, observations = scene(people=20, n=600)
+    assert len(json.dumps(replay_data(estimates, observations), separators=(",", ":"))) < 1_000_000
+
+
+def test_absent_channels_and_people_are_absent():
+    nowhere = walker(2, position=np.full((60, 2), np.nan))
+    bare = walker(1, body=None, head=None, covariance=None, velocity=None)
+    data = replay_data(TrackSet((nowhere, bare)))
+    (person,) = data["people"]
+    assert person["id"] == 1
+    missing = ("body", "head", "major", "vx", "seen", "seen_x", "true_x", "true_body")
+    assert all(person[name] is None for name in missing)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node to run the page's own decoder")
+def test_the_page_shows_people_where_they_are():
+    estimate = walker(4, n=60)
+    jump = replace(estimate, t=np.where(np.arange(60) < 30, estimate.t, estimate.t + 10.0))
+    data = replay_data(TrackSet((jump,)), TrackSet((replace(observed(estimate), t=jump.t),)), max_rate=100.0)
+    between = (jump.t[:-1] + jump.t[1:]) / 2.0
+    script = (resources.files("graphtrack.report") / "assets" / "replay_data.js").read_text(encoding="utf-8")
+    script += f"""
+    const data = {json.dumps(data)};
+    const person = decodePerson(data.people[0], data.steps);
+    const ask = (times) => times.map((t) => stateAt(person, t));
+    console.log(JSON.stringify([ask({jump.t.tolist()}), ask({between.tolist()}), ask([-1, 99])]));
+    """
+    run = subprocess.run(["node", "-e", script], capture_output=True, text=True, check=True)
+    at, halfway, outside = json.loads(run.stdout)
+    assert outside == [None, None]
+    for i, state in enumerate(at):
+        assert [state["x"], state["y"]] == pytest.approx(jump.position[i], abs=2e-3)
+        assert abs(difference(state["body"], jump.body[i])) < 0.01
+        assert state["seen"] == (not 20 <= i < 35)
+    for i, state in enumerate(halfway):
+        if i == 29:
+            assert state is None  # the hole of ten seconds
+            continue
+        assert [state["x"], state["y"]] == pytest.approx(jump.position[i : i + 2].mean(axis=0), abs=2e-3)
+        middle = wrap(jump.body[i] + difference(jump.body[i + 1], jump.body[i]) / 2.0)
+        assert abs(difference(state["body"], middle)) < 0.01
