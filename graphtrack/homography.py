@@ -14,6 +14,10 @@ LARGEST_CONDITION = 1e10
 """The condition number, after normalising the coordinates, from which a homography counts as singular."""
 
 
+LARGEST_ENTRY = 1e15
+"""The largest number in a homography, and in a point to fit one to, that is not a mistake."""
+
+
 @dataclass(frozen=True, eq=False)
 class HomographyFit:
     """A homography fitted to pairs of points.
@@ -53,8 +57,8 @@ def fit_homography(source: ArrayLike, target: ArrayLike) -> HomographyFit:
         raise InputError(f"points of shapes {source.shape} and {target.shape}", "two arrays of shape (n, 2)")
     if len(source) < 4:
         raise InputError(f"{len(source)} point pairs", "at least 4")
-    if not (np.isfinite(source).all() and np.isfinite(target).all()):
-        raise InputError("a point that is not finite", "finite coordinates")
+    if not (np.all(np.abs(source) <= LARGEST_ENTRY) and np.all(np.abs(target) <= LARGEST_ENTRY)):
+        raise InputError("a point beyond reason", f"coordinates within ±{LARGEST_ENTRY:g}")
     into_source, into_target = _normaliser(source), _normaliser(target)
     (u, v), (x, y) = apply_homography(into_source, source).T, apply_homography(into_target, target).T
     one, zero = np.ones_like(u), np.zeros_like(u)
@@ -111,14 +115,14 @@ def check_homography(homography: ArrayLike) -> FloatArray:
     homography = np.array(homography, dtype=float)
     if homography.shape != (3, 3):
         raise InputError(f"a homography of shape {homography.shape}", "shape (3, 3)")
-    if not np.isfinite(homography).all():
-        raise InputError("a homography with a value that is not finite", "nine finite numbers")
+    if not np.all(np.abs(homography) <= LARGEST_ENTRY):
+        raise InputError("a homography with a value beyond reason", f"nine numbers within ±{LARGEST_ENTRY:g}")
     # Balance rows and columns first: metres and pixels rightly differ in size, that is not singular.
     balanced = homography.copy()
     for _ in range(10):
         for axis in (0, 1):
             size = np.linalg.norm(balanced, axis=axis, keepdims=True)
-            if np.any(size == 0.0) or not np.isfinite(size).all():
+            if np.any(size < 1.0 / LARGEST_ENTRY**2):
                 raise InputError("a singular homography", "an invertible one")
             balanced = balanced / size
     if not np.linalg.cond(balanced) < LARGEST_CONDITION:

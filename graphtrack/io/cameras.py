@@ -18,6 +18,8 @@ from graphtrack.io.source import Source
 PERSON_HEIGHT = 1.7
 """Metres; the scale of views without a camera is chosen so that the median person has this size."""
 
+_LARGEST_SETTING = 1e7
+
 BEYOND_HORIZON = "at or beyond the camera's horizon"
 
 
@@ -63,6 +65,9 @@ def camera_or_scale(
         return GroundCamera.from_scale(scale, nadir=options.nadir), (
             f"positions are pixels times {scale:g} m, with no regard to perspective",
         )
+    size = size[size > 0.0]
+    if not len(size):
+        raise InputError(f"no {size_is} above 0", "one to take the scale from, or a camera")
     scale = PERSON_HEIGHT / float(np.median(size))
     return GroundCamera.from_scale(scale, nadir=options.nadir), (
         f"NO CAMERA IS KNOWN: positions are pixels times {scale:.4g} m, so that the median {size_is} is "
@@ -145,8 +150,8 @@ def read_calibration(path: str | Path) -> GroundCamera:
     if not 0.9 < np.linalg.norm(quaternion) < 1.1:
         raise InputError(f"a rotation {quaternion.tolist()}", "a unit quaternion", path=path)
     fx, fy, cx, cy = take("FocalLengthX", "FocalLengthY", "PrincipalPointX", "PrincipalPointY")
-    if fx <= 0.0 or fy <= 0.0:
-        raise InputError(f"focal lengths {fx:g}, {fy:g}", "positive ones", path=path)
+    if min(fx, fy) < 1.0:
+        raise InputError(f"focal lengths {fx:g}, {fy:g}", "at least a pixel", path=path)
     distortion = [values.get(f"Distortion{name}", 0.0) for name in ("K1", "K2", "P1", "P2", "K3")]
     try:
         return GroundCamera.from_calibration(
@@ -169,7 +174,7 @@ def _read_settings(path: str | Path) -> Mapping[str, float]:
             value = float(text)
         except ValueError:
             value = float("nan")
-        if not equals or not np.isfinite(value):
+        if not equals or not abs(value) <= _LARGEST_SETTING:
             raise InputError(repr(line.strip()[:60]), "Name = number", path=path, line=number)
         settings[name] = value
     return settings

@@ -96,7 +96,9 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         be used.
     """
     observations = _Reader(source).observations()
-    boxes = np.array([o.box for o in observations]).reshape(-1, 4)
+    if not observations:
+        raise InputError("no objects in frames", "at least one", path=source.path)
+    boxes = np.array([o.box for o in observations])
     pixel, foot_note, in_lobby = _foot_points(observations, boxes, options)
     camera, notes = _camera(options, pixel, boxes, in_lobby)
     rows = Rows(
@@ -117,10 +119,10 @@ def _foot_points(
     observations: list[_Observation], boxes: FloatArray, options: ReadOptions
 ) -> tuple[FloatArray, str, bool]:
     """Foot pixels (n, 2), a note on them, and whether the view is taken to be the lobby's."""
-    labelled = np.array([o.foot for o in observations]).reshape(-1, 2)
+    labelled = np.array([o.foot for o in observations])
     centre, half = boxes[:, :2], boxes[:, 2:] / 2.0
     within = bool(np.all(centre <= _LOBBY_SIZE))
-    in_lobby = within and bool(np.mean(half[:, 0] > half[:, 1]) > _WIDE_SHARE) if len(boxes) else False
+    in_lobby = within and bool(np.mean(half[:, 0] > half[:, 1]) > _WIDE_SHARE)
     nadir = options.nadir or (LOBBY_NADIR if in_lobby else None)
     if nadir is None:
         guess = centre + np.column_stack([np.zeros(len(half)), half[:, 1]])
@@ -166,7 +168,7 @@ def _orientations(
     apart = np.linalg.norm(across, axis=1) > 1e-6
     body = np.where(apart, wrap(direction(across) + quarter), np.nan)
     gaze = np.array([o.gaze for o in observations])
-    head_pixel = np.array([o.head for o in observations]).reshape(-1, 2)
+    head_pixel = np.array([o.head for o in observations])
     head = camera.image_direction_to_world(gaze, head_pixel)
     head = np.where(np.isnan(head), camera.image_direction_to_world(gaze, foot), head)
     return {"body": body, "head": head}

@@ -174,8 +174,9 @@ def _read_camera_to_imu(path: Path) -> FloatArray:
         name = known[0]
         number, text = lines[name]
         values = [parse_number(cell) for cell in text.split()]
-        if len(values) != entry.size or None in values:
-            raise InputError(repr(text[:40]), f"{entry.size} numbers", path=path, line=number, column=name)
+        if len(values) != entry.size or not all(v is not None and abs(v) < 1e4 for v in values):
+            expected = f"{entry.size} numbers within ±1e4"
+            raise InputError(repr(text[:40]), expected, path=path, line=number, column=name)
         matrix = np.eye(4)
         matrix[:3, : entry.size // 3] = np.array(values, dtype=float).reshape(3, -1)
         if not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-3):

@@ -53,8 +53,13 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
 
 
 def _header(source: Source) -> list[str]:
-    first = next((line for line in source.lines if line.strip()), "")
-    header = [name.strip() for name in next(csv.reader([first]), [])]
+    first = next((line for line in source.lines if line.strip()), None)
+    if first is None:
+        raise InputError("no rows", "a header and rows", path=source.path)
+    try:
+        header = [name.strip() for name in next(csv.reader([first]))]
+    except csv.Error as error:
+        raise InputError(str(error), "a header", path=source.path, line=1) from error
     for name in header:
         if header.count(name) > 1:
             raise InputError(f"column {name!r} twice", "each column once", path=source.path, line=1)

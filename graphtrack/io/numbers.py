@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,16 +13,16 @@ from graphtrack.errors import InputError
 from graphtrack.io import schema
 from graphtrack.io.source import Source
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-
 
 def parse_number(text: str) -> float | None:
     """A finite decimal number, or None; no ``nan``, ``inf``, ``1_000`` or other digits as ``float`` has."""
-    text = text.strip()
-    if not _NUMBER.fullmatch(text):
+    if "_" in text or not text.isascii():
         return None
-    value = float(text)
-    return value if np.isfinite(value) else None
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,8 +92,20 @@ class Source:
 
     @cached_property
     def lines(self) -> list[str]:
-        """The lines of `text`, ends stripped; only line feeds end a line."""
-        return [line.rstrip("\r") for line in self.text.split("\n")]
+        """The lines of `text` without their ends (LF or CR LF).
+
+        Raises
+        ------
+        InputError
+            For a carriage return within a line, which some readers take for an end and others do not.
+        """
+        lines = [line.removesuffix("\r") for line in self.text.split("\n")]
+        if "\r" in self.text:
+            for number, line in enumerate(lines, 1):
+                if "\r" in line:
+                    found = "a carriage return within a line"
+                    raise InputError(found, "lines that end in LF or CR LF", path=self.path, line=number)
+        return lines
 
     def _line(self, offset: int) -> int:
         return self.data.count(b"\n", 0, offset) + 1

@@ -81,8 +81,8 @@ def _image_scale(options: ReadOptions, camera: GroundCamera, top_centre: FloatAr
         return scale, f"the file's pixels are multiplied by {scale:g}, as told"
     if camera.intrinsics is None:
         return 1.0, ""
-    # The principal point is the middle of the calibrated image; half the image ends there. Boxes may reach out
-    # below the image, where people are cut, so it is their upper edges that must lie within.
+    # The principal point is the middle of the calibrated image; half the image ends there. Boxes of people
+    # who are cut reach out below the image, so it is their upper edges that must lie within.
     half = camera.intrinsics[:2, 2] + 0.5
     if np.all(top_centre <= half):
         return 2.0, "the boxes fit into half of the calibrated image: their pixels are doubled"

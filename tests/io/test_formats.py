@@ -1,0 +1,178 @@
+"""What each reader makes of its format, on made-up files whose answer is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from format_samples import FRAMES, SAMPLES, Sample, name_of, ucy
+
+from graphtrack import io
+from graphtrack.angles import difference
+from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
+from graphtrack.io.caviar import lobby_camera
+
+
+def sample_of(format: str, name: str = "") -> Sample:
+    return next(s for s in SAMPLES if s.format == format and name in s.name)
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
+def test_each_format_is_recognised_whatever_its_name(sample: Sample, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    renamed = path.rename(path.with_name(path.name.split(".")[0] + ".data"))
+    options = dict(sample.options)
+    if sample.format == "kitti":
+        options |= {"oxts": tmp_path / "oxts/0001.txt", "ego_calibration": tmp_path / "calib/0001.txt"}
+    assert io.read(renamed, **options).summary.format == sample.format
+
+
+@pytest.mark.parametrize(
+    ("format", "fps"), [("mot", 25), ("ucy", 25), ("towncentre", 25), ("caviar", 25), ("kitti", 10)]
+)
+def test_frame_rates(format: str, fps: float, tmp_path: Path) -> None:
+    path = sample_of(format).write(tmp_path)
+    for tracks, rate in ((io.read(path), fps), (io.read(path, fps=5.0), 5.0)):
+        for track in tracks:
+            np.testing.assert_allclose(track.t, track.frame / rate)
+
+
+def test_the_frame_rate_of_eth_follows_the_step_of_its_frames(tmp_path: Path) -> None:
+    track = next(iter(io.read(sample_of("eth").write(tmp_path))))
+    np.testing.assert_allclose(np.diff(track.t), 0.4)
+
+
+def test_the_frame_rate_of_mot_from_seqinfo(tmp_path: Path) -> None:
+    path = sample_of("mot").write(tmp_path)
+    (path.parent / "seqinfo.ini").write_text("[Sequence]\nname=made\nframeRate=14\n")
+    np.testing.assert_allclose(io.read(path)[1].t * 14, io.read(path)[1].frame)
+
+
+def test_mot_ignored_rows_and_classes_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "gt.txt"
+    path.write_text("1,1,10,20,30,40,1,1,0.9\n1,2,10,20,30,40,0,1,0.9\n1,3,10,20,30,40,1,3,1\n")
+    tracks = io.read(path)
+    assert tracks.summary.refused == {"marked to be ignored": 1, "of class Car": 1}
+    assert [track.track_id for track in io.read(path, classes=("Pedestrian", "Car"))] == [1, 3]
+
+
+def test_mot_missing_metres_are_missing_positions(tmp_path: Path) -> None:
+    path = tmp_path / "gt.txt"
+    path.write_text("1,1,10,20,30,40,1,5,6,0\n2,1,10,20,30,40,1,-1,-1,-1\n")
+    np.testing.assert_array_equal(io.read(path)[1].position, [[5, 6], [np.nan, np.nan]])
+
+
+def test_pixels_without_a_camera_are_scaled_by_the_median_person(tmp_path: Path) -> None:
+    path = sample_of("mot").write(tmp_path)
+    scaled = io.read(path)
+    assert any("NO CAMERA IS KNOWN" in note for note in scaled.summary.notes)
+    np.testing.assert_allclose(scaled[1].position, scaled[1].pixel * [0.017, -0.017])
+    forced = io.read(path, metres_per_pixel=0.5)
+    np.testing.assert_allclose(forced[1].position, forced[1].pixel * [0.5, -0.5])
+
+
+def test_point_pairs_in_centimetres_and_some_of_their_rows(tmp_path: Path) -> None:
+    path = sample_of("mot").write(tmp_path)
+    pairs = tmp_path / "pairs.txt"
+    pairs.write_text("# u v X Y\n9 9 9 9\n0 0 0 0\n100 0 200 0\n100 100 200 -200\n0 100 0 -200 # corner\n")
+    tracks = io.read(path, point_pairs=pairs, point_pairs_unit="cm", point_pairs_rows="2-5")
+    np.testing.assert_allclose(tracks[1].position, tracks[1].pixel * [0.02, -0.02], atol=1e-9)
+    assert any("reprojection error" in note for note in tracks.summary.notes)
+
+
+def test_ucy_is_turned_right_handed(tmp_path: Path) -> None:
+    path = sample_of("ucy").write(tmp_path)
+    tracks = io.read(path)
+    assert tracks.camera is not None and not tracks.camera.is_mirrored
+    assert any("right-handed" in note for note in tracks.summary.notes)
+    # (x, y) = (−50, 30) is (row, column) = (258, 310); the made-up homography takes that to (7.2, 5.66).
+    np.testing.assert_allclose(tracks[0].position[0], [7.2, -5.66])
+    assert all(track.head is None for track in tracks)
+
+
+def test_ucy_control_points_of_one_frame_are_counted(tmp_path: Path) -> None:
+    path = sample_of("ucy").write(tmp_path)
+    path.write_bytes(ucy().replace(b" 25 90.0", b" 0 90.0", 1))
+    assert io.read(path).summary.refused == {"second control point of a spline in one frame": 1}
+
+
+def test_town_centre_boxes_of_the_half_image_are_doubled(tmp_path: Path) -> None:
+    path = sample_of("towncentre").write(tmp_path)
+    found = io.read(path)
+    forced = {scale: io.read(path, image_scale=scale) for scale in (1.0, 2.0)}
+    assert any("doubled" in note for note in found.summary.notes)
+    np.testing.assert_array_equal(found[1].position, forced[2.0][1].position)
+    assert np.abs(found[1].position - forced[1.0][1].position).max() > 0.5
+    assert found.camera is not None
+    np.testing.assert_allclose(found.camera.ground_to_image(found[1].position), found[1].pixel, atol=1e-6)
+
+
+def test_caviar_feet_shoulders_and_gaze(tmp_path: Path) -> None:
+    track = io.read(sample_of("caviar").write(tmp_path), metres_per_pixel=0.01)[0]
+    np.testing.assert_allclose(track.pixel[0], [100.0, 139.5])
+    # The left shoulder is left of the right one and 2 px higher: the person walks away from the viewer.
+    np.testing.assert_allclose(np.rad2deg(track.body), 90.0 - np.rad2deg(np.arctan2(2, 12)), atol=1e-9)
+    gaze = np.deg2rad([0.0, 30.0, np.nan, 90.0, 120.0, 150.0])
+    np.testing.assert_allclose(track.head, gaze, atol=1e-9)
+
+
+def test_a_person_in_the_lobby_stretches_away_from_the_pixel_below_the_camera() -> None:
+    camera = lobby_camera()
+    assert not camera.is_mirrored
+    below = camera.ground_to_image(camera.optical_centre_on_ground)
+    nearer = camera.image_to_ground([[200.0, 150.0], [100.0, 100.0]])
+    assert np.linalg.norm(nearer[0]) < np.linalg.norm(nearer[1])
+    assert np.linalg.norm(below - [295.0, 221.0]) < 60.0
+
+
+def test_kitti_brings_a_standing_person_to_one_place_from_a_moving_camera(tmp_path: Path) -> None:
+    """Labels made from a known place and heading by the inverse chain come back as that place and heading."""
+    sample = sample_of("kitti")
+    path = sample.write(tmp_path)
+    place, heading = np.array([12.0, 5.0, -1.0]), 0.7
+    to_camera = np.eye(4)
+    for line in (tmp_path / "calib/0001.txt").read_text().splitlines()[1:]:
+        values = np.array(line.split()[1:], dtype=float).reshape(3, -1)
+        matrix = np.eye(4)
+        matrix[:3, : values.shape[1]] = values
+        to_camera = to_camera @ matrix
+    rows, ego = [], []
+    for f in range(FRAMES):
+        yaw = 0.5 + 0.1 * f
+        # East by 0.1 m a frame at the equator, where Mercator is true to scale.
+        ego.append(f"0.0 {np.rad2deg(0.1 * f / 6378137.0)} 0.0 0.0 0.0 {yaw} " + "0 " * 24)
+        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+        in_imu = turn.T @ (place - [0.1 * f, 0.0, 0.0])
+        x, y, z, _ = to_camera @ np.append(in_imu, 1.0)
+        rotation = yaw - heading - np.pi / 2
+        rows.append(f"{f} 4 Pedestrian 0 0 0 1 2 3 4 1.7 0.6 0.8 {x} {y} {z} {rotation}")
+    path.write_text("\n".join(rows) + "\n")
+    (tmp_path / "oxts/0001.txt").write_text("\n".join(ego) + "\n")
+    track = io.read(path)[4]
+    np.testing.assert_allclose(track.position, np.tile(place[:2], (FRAMES, 1)), atol=1e-6)
+    np.testing.assert_allclose(difference(track.body, heading), 0.0, atol=1e-9)
+
+
+def test_kitti_other_classes_are_counted(tmp_path: Path) -> None:
+    path = sample_of("kitti").write(tmp_path)
+    assert io.read(path).summary.refused == {"of class DontCare": 2 * FRAMES}
+    with pytest.raises(InputError, match="of class Pedestrian"):
+        io.read(path, classes=("Cyclist",))
+
+
+def test_salsa_angles_are_wrapped_and_steps_numbered(tmp_path: Path) -> None:
+    track = io.read(sample_of("salsa").write(tmp_path))[2]
+    np.testing.assert_array_equal(track.frame, np.arange(FRAMES))
+    np.testing.assert_allclose(track.t, 3.0 * np.arange(FRAMES) + 0.2)
+    np.testing.assert_allclose(track.body[0], -5.0 + 2 * np.pi)
+    assert track.label == "ID_002"
+
+
+def test_a_camera_of_the_caller_wins(tmp_path: Path) -> None:
+    path = sample_of("towncentre").write(tmp_path)
+    camera = GroundCamera.from_scale(0.25)
+    tracks = io.read(path, camera=camera)
+    assert tracks.camera is camera
+    np.testing.assert_allclose(tracks[1].position, tracks[1].pixel * [0.25, -0.25])

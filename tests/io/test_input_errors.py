@@ -1,0 +1,353 @@
+"""Every bad input gives one `InputError` that names the place."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from format_samples import SAMPLES, TEXT_SAMPLES, Sample, name_of
+
+from graphtrack import io
+from graphtrack.errors import InputError, InputWarning
+
+DELIMITED = tuple(sample for sample in TEXT_SAMPLES if sample.format != "caviar")
+
+
+def sample_of(format: str, name: str = "") -> Sample:
+    return next(s for s in SAMPLES if s.format == format and name in s.name)
+
+
+def refused(path: Path, **options: object) -> InputError:
+    with pytest.raises(InputError) as caught:
+        io.read(path, **options)
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+def line_with(data: bytes, fragment: bytes) -> int:
+    return data.count(b"\n", 0, data.index(fragment)) + 1
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
+def test_the_undamaged_file_is_read_and_every_row_counted(sample: Sample, tmp_path: Path) -> None:
+    tracks = io.read(sample.write(tmp_path), **sample.options)
+    assert tracks.summary.format == sample.format
+    assert tracks.summary.rows_read == sample.rows
+    assert tracks.summary.rows_used == tracks.n_frames
+    assert len(tracks) == 2
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
+def test_missing_empty_and_odd_paths(sample: Sample, tmp_path: Path) -> None:
+    path = tmp_path / Path(sample.name).name
+    assert refused(path, format=sample.format).path == str(path)
+    assert "directory" in str(refused(tmp_path, format=sample.format))
+    path.write_bytes(b"")
+    assert "empty" in str(refused(path, format=sample.format))
+    path.write_bytes(b"\n\n  \n")
+    assert refused(path, format=sample.format).path == str(path)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may read everything")
+def test_a_file_without_permission(tmp_path: Path) -> None:
+    path = sample_of("mot").write(tmp_path)
+    path.chmod(0)
+    assert "permission" in str(refused(path))
+
+
+def test_a_device_and_a_path_that_cannot_be(tmp_path: Path) -> None:
+    assert "device" in str(refused(Path("/dev/zero")))
+    assert refused(tmp_path / "null\0byte").expected == "a readable file"
+
+
+@pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
+def test_binary_files(sample: Sample, tmp_path: Path) -> None:
+    path = tmp_path / Path(sample.name).name
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 20)
+    assert refused(path).path == str(path)
+    assert refused(path, format=sample.format).path == str(path)
+
+
+@pytest.mark.parametrize("sample", TEXT_SAMPLES, ids=name_of)
+@pytest.mark.parametrize("text", ["nan", "NaN", "inf", "-Infinity", "abc", "1_0", "0x10", "1e999", "\u0663"])
+def test_what_is_no_finite_number(sample: Sample, text: str, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    data = path.read_bytes()
+    worse = sample.number.replace(re.search(rb"[\d.]+", sample.number)[0], text.encode(), 1)  # type: ignore[index]
+    path.write_bytes(data.replace(sample.number, worse, 1))
+    error = refused(path)
+    assert error.line == line_with(data, sample.number)
+    assert error.column is not None
+    assert repr(text) in error.found
+
+
+@pytest.mark.parametrize("sample", DELIMITED, ids=name_of)
+def test_rows_of_another_width(sample: Sample, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    lines = path.read_bytes().split(b"\n")
+    mark = b"," if b"," in lines[3].split()[0] else b" "
+    cells = lines[3].split(mark)
+    for worse in (mark.join([b"1", b"1", *cells]), mark.join(cells[:2])):
+        path.write_bytes(b"\n".join([*lines[:3], worse, *lines[4:]]))
+        error = refused(path)
+        assert error.line == 4
+        assert "columns" in error.found
+
+
+@pytest.mark.parametrize("sample", DELIMITED, ids=name_of)
+def test_a_file_cut_within_a_row(sample: Sample, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    data = path.read_bytes().rstrip()
+    path.write_bytes(data[: max(data.rindex(b"\n") + 4, 0)])
+    assert refused(path).line == data.count(b"\n") + 1
+
+
+@pytest.mark.parametrize("sample", DELIMITED, ids=name_of)
+def test_the_same_row_twice(sample: Sample, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    lines = path.read_bytes().rstrip().split(b"\n")
+    path.write_bytes(b"\n".join([*lines, lines[-2], b""]))
+    error = refused(path)
+    if sample.format == "ucy":  # a control point beyond the number that was announced
+        assert "end of the file" in error.expected
+    else:
+        assert error.line == len(lines) + 1
+
+
+@pytest.mark.parametrize("sample", TEXT_SAMPLES, ids=name_of)
+def test_encodings(sample: Sample, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    data = path.read_bytes()
+    plain = io.read(path, **sample.options)
+    path.write_bytes(b"\xef\xbb\xbf" + data)
+    assert io.read(path, **sample.options).n_frames == plain.n_frames
+    path.write_bytes(data.replace(b"\n", b"\r\n"))
+    assert io.read(path, **sample.options).n_frames == plain.n_frames
+    path.write_bytes(gzip.compress(data))
+    assert io.read(path, **sample.options).n_frames == plain.n_frames
+    if sample.format != "caviar":  # XML says its encoding itself, and UTF-16 is one of them
+        path.write_bytes(data.decode().encode("utf-16"))
+        assert refused(path, format=sample.format).found == "UTF-16 text"
+        path.write_bytes(data[:-1] + b"\xe9\n")
+        assert refused(path, format=sample.format).found == "the byte 0xe9"
+
+
+@pytest.mark.parametrize("sample", TEXT_SAMPLES, ids=name_of)
+def test_damaged_gzip(sample: Sample, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    packed = gzip.compress(path.read_bytes())
+    path.write_bytes(packed[: len(packed) // 2])
+    assert "gzip" in refused(path).found
+    path.write_bytes(packed[:-6] + bytes([packed[-6] ^ 1]) + packed[-5:])
+    assert "gzip" in refused(path).found
+
+
+FRAME_AND_ID = {
+    "csv": (r"^3,10,", "{id},{frame},"),
+    "mot": (r"^1,1,", "{frame},{id},"),
+    "towncentre": (r"^0,1,", "{frame},{id},"),
+    "eth": (r"^1.0000000e\+00 1.0000000e\+00 ", "{frame} {id} "),
+    "kitti": (r"^0 1 ", "{frame} {id} "),
+}
+
+
+@pytest.mark.parametrize("format", FRAME_AND_ID)
+@pytest.mark.parametrize(
+    ("frame", "identity"), [("1e300", "1"), ("2.5", "1"), ("1", "1e300"), ("1", "1.5"), ("4000000000", "1")]
+)
+def test_absurd_frames_and_ids(format: str, frame: str, identity: str, tmp_path: Path) -> None:
+    path = sample_of(format).write(tmp_path)
+    pattern, row = FRAME_AND_ID[format]
+    text = path.read_text()
+    worse, count = re.subn(pattern, row.format(frame=frame, id=identity), text, count=1, flags=re.MULTILINE)
+    assert count == 1
+    path.write_text(worse)
+    error = refused(path)
+    assert "whole number" in error.expected
+    assert error.line is not None and error.column in ("frame", "id", "track_id")
+
+
+@pytest.mark.parametrize("sample", [s for s in SAMPLES if s.format in ("mot", "towncentre")], ids=name_of)
+@pytest.mark.parametrize("size", ["0", "-5"])
+def test_boxes_without_a_size(sample: Sample, size: str, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    cells = path.read_text().split(",")
+    cells[4] = size
+    path.write_text(",".join(cells))
+    error = refused(path)
+    assert (error.line, error.column) == (1, "width")
+
+
+def test_caviar_boxes_without_a_size(tmp_path: Path) -> None:
+    path = sample_of("caviar").write(tmp_path)
+    text = path.read_text()
+    path.write_text(text.replace('w="18"', 'w="-18"', 1))
+    assert refused(path).column == "box w"
+    path.write_text(text.replace('w="18"', 'w="0"', 1))
+    assert io.read(path).summary.refused == {"with an empty box": 1}
+
+
+@pytest.mark.parametrize("format", ["csv", "mot", "towncentre", "eth"])
+def test_frames_out_of_order_are_sorted_with_a_warning(format: str, tmp_path: Path) -> None:
+    sample = sample_of(format)
+    path = sample.write(tmp_path)
+    in_order = io.read(path)
+    lines = path.read_bytes().rstrip().split(b"\n")
+    header = 1 if format == "csv" else 0
+    path.write_bytes(b"\n".join([*lines[:header], *reversed(lines[header:])]) + b"\n")
+    with pytest.warns(InputWarning, match="out of order"):
+        backwards = io.read(path)
+    assert any("out of order" in note for note in backwards.summary.notes)
+    for a, b in zip(in_order, backwards, strict=True):
+        np.testing.assert_array_equal(a.frame, b.frame)
+        np.testing.assert_array_equal(a.position, b.position)
+
+
+XML_ATTACKS = {
+    "laughs": '<!DOCTYPE x [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;">]><dataset>&b;</dataset>',
+    "external": '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///secret">]><dataset>&a;</dataset>',
+    "document type": '<!DOCTYPE dataset SYSTEM "http://localhost/x.dtd"><dataset/>',
+}
+
+
+@pytest.mark.parametrize("attack", XML_ATTACKS.values(), ids=XML_ATTACKS)
+def test_xml_with_entities_or_a_document_type_is_refused(attack: str, tmp_path: Path) -> None:
+    path = tmp_path / "attack.xml"
+    path.write_text('<?xml version="1.0"?>' + attack)
+    assert "document type or entity" in refused(path).found
+
+
+def test_damaged_xml_names_its_line(tmp_path: Path) -> None:
+    path = sample_of("caviar").write(tmp_path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:-4]))
+    assert refused(path).line == len(lines) - 4
+    path.write_text("<dataset></dataset>")
+    assert "no objects" in refused(path).found
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("1 2 3\n2 4 6\n0 0 1\n", "singular"),
+        ("0 0 0\n0 0 0\n0 0 0\n", "singular"),
+        ("1 0 0\n0 1 0\n", "6 numbers"),
+        ("1 0 0\n0 1 0\n0 0 nan\n", "nan"),
+        ("1 0\n0 1\n", "2 columns"),
+    ],
+)
+def test_homographies_that_are_none(text: str, found: str, tmp_path: Path) -> None:
+    path = sample_of("mot").write(tmp_path)
+    camera = tmp_path / "H.txt"
+    camera.write_text(text)
+    assert found in refused(path, homography=camera).found
+
+
+@pytest.mark.parametrize(
+    ("rows", "found"),
+    [
+        ("0 0 0 0\n1 0 1 0\n1 1 1 1\n", "3 point pairs"),
+        ("0 0 0 0\n1 1 1 1\n2 2 2 2\n3 3 3 3\n", "line"),
+        ("0 0 0 0\n0 0 0 0\n0 0 0 0\n0 0 0 0\n", "same point"),
+        ("0 0 0 0\n1 0 1 0\n2 0 2 0\n0 1 0 1\n", "line"),
+        ("0 0 0\n", "3 columns"),
+    ],
+)
+def test_point_pairs_that_make_no_homography(rows: str, found: str, tmp_path: Path) -> None:
+    path = sample_of("mot").write(tmp_path)
+    pairs = tmp_path / "pairs.txt"
+    pairs.write_text("# u v X Y\n" + rows)
+    error = refused(path, point_pairs=pairs)
+    assert found in error.found
+    assert error.path == str(pairs)
+
+
+@pytest.mark.parametrize("rows", ["0-3", "1-99", "a", "4-2", "1-2-3", "", "-"])
+def test_rows_of_point_pairs_that_are_not_there(rows: str, tmp_path: Path) -> None:
+    path = sample_of("mot").write(tmp_path)
+    pairs = tmp_path / "pairs.txt"
+    pairs.write_text("0 0 0 0\n1 0 1 0\n1 1 1 1\n0 1 0 1\n")
+    assert "point_pairs_rows" in refused(path, point_pairs=pairs, point_pairs_rows=rows).found
+
+
+@pytest.mark.parametrize("sample", [s for s in SAMPLES if s.format in ("ucy", "kitti")], ids=name_of)
+def test_a_missing_companion_is_named(sample: Sample, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    for name in sample.beside:
+        content = (tmp_path / name).read_bytes()
+        (tmp_path / name).unlink()
+        error = refused(path)
+        assert Path(name).name in str(error)
+        (tmp_path / name).write_bytes(content)
+
+
+def test_ego_poses_that_do_not_reach_a_frame(tmp_path: Path) -> None:
+    path = sample_of("kitti").write(tmp_path)
+    oxts = tmp_path / "oxts/0001.txt"
+    oxts.write_text("".join(oxts.read_text().splitlines(keepends=True)[:3]))
+    error = refused(path)
+    assert error.column == "frame"
+    assert error.line == line_with(path.read_bytes(), b"\n3 1 ") + 1
+
+
+def test_detections_without_identity(tmp_path: Path) -> None:
+    path = tmp_path / "det.txt"
+    path.write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
+    assert "without identity" in str(refused(path))
+
+
+def test_a_file_of_ignored_rows_only(tmp_path: Path) -> None:
+    path = tmp_path / "gt.txt"
+    path.write_text("1,1,10,20,30,40,0,-1,-1,-1\n")
+    assert "1 marked to be ignored" in refused(path).found
+
+
+BAD_NATIVE = {
+    "no frame": ("track_id,x,y,t\n1,0,0,0\n", "frame", None),
+    "no position": ("track_id,frame,t\n1,0,0\n", None, None),
+    "x without y": ("track_id,frame,x,t\n1,0,0,0\n", "y", None),
+    "no time": ("track_id,frame,x,y\n1,0,0,0\n", "t", None),
+    "half a position": ("track_id,frame,t,x,y\n1,0,0,0,0\n1,1,1,,2\n", "x", 3),
+    "empty id": ("track_id,frame,t,x,y\n,0,0,0,0\n", "track_id", 2),
+    "empty time": ("track_id,frame,t,x,y\n1,0,0,0,0\n\n1,1,,0,0\n", "t", 4),
+    "time goes back": ("track_id,frame,t,x,y\n1,0,5,0,0\n1,1,4,0,0\n", "t", 3),
+    "zero spread": ("track_id,frame,t,x,y,pos_std\n1,0,5,0,0,0\n", "pos_std", 2),
+    "negative kappa": ("track_id,frame,t,x,y,body_kappa\n1,0,5,0,0,-1\n", "body_kappa", 2),
+    "far away": ("track_id,frame,t,x,y\n1,0,5,1e30,0\n", "x", 2),
+    "classes missing": ("track_id,frame,t,x,y,body_p0\n1,0,5,0,0,1\n", "body_p1", None),
+    "column twice": ("track_id,frame,t,x,y,x\n1,0,5,0,0,1\n", None, 1),
+    "header only": ("track_id,frame,t,x,y\n", None, None),
+    "pixels only": ("track_id,frame,t,u,v\n1,0,0,5,5\n", None, None),
+    "two labels": ("track_id,frame,t,x,y,label\n1,0,0,5,5,a\n1,1,1,5,5,b\n", "label", 3),
+}
+
+
+@pytest.mark.parametrize(("text", "column", "line"), BAD_NATIVE.values(), ids=BAD_NATIVE)
+def test_native_tables(text: str, column: str | None, line: int | None, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    error = refused(path)
+    assert error.column == column
+    assert error.line == line
+
+
+def test_class_likelihoods_that_are_all_zero(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    names = ",".join(f"body_p{k}" for k in range(8))
+    path.write_text(f"track_id,frame,t,x,y,{names}\n1,0,0,5,5" + ",0" * 8 + "\n")
+    assert refused(path).line == 2
+
+
+def test_options_that_do_not_exist_or_make_no_sense(tmp_path: Path) -> None:
+    path = sample_of("mot").write(tmp_path)
+    assert "fsp" in refused(path, fsp=25).found
+    assert "fps" in refused(path, fps=0.0).found
+    assert "fps" in refused(path, fps=float("nan")).found
+    assert "inch" in refused(path, point_pairs=path, point_pairs_unit="inch").found
+    assert "nonsense" in refused(path, format="nonsense").found
+    with pytest.raises(InputError):
+        io.read([])

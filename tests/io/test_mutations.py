@@ -1,0 +1,189 @@
+"""Damaged files: a reader gives tracks or a `GraphtrackError`, never anything else, and soon."""
+
+from __future__ import annotations
+
+import gzip
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from format_samples import SAMPLES, Sample, name_of
+
+from graphtrack import io
+from graphtrack.errors import GraphtrackError, InputWarning
+from graphtrack.tracks import TrackSet
+
+MUTANTS = 1000
+MUTANTS_BESIDE = 300
+SLOWEST_READ = 5.0
+"""Seconds; a sample reads in milliseconds, so that this is a hang and not a slow machine."""
+
+JUNK = (
+    *(
+        b"nan",
+        b"NaN",
+        b"inf",
+        b"-inf",
+        b"1e300",
+        b"-1e300",
+        b"1e-320",
+        b"1e9999",
+        b"9" * 40,
+        b"-1",
+        b"0",
+        b"1.5",
+    ),
+    *(
+        b"",
+        b"x",
+        b"\x00",
+        b"\xff\xfe",
+        b"\xc3\xa9",
+        b'"',
+        b"'",
+        b"1_000",
+        b"0x10",
+        b",",
+        b" ",
+        b"\t",
+        b"\n",
+        b"\r",
+    ),
+    *(b"\xd9\xa3", b"<", b"&lol;", b"-", b"- (2D point", b"#", b"=", b"PAR1", b"\x1f\x8b"),
+)
+
+
+def mutate(data: bytes, rng: np.random.Generator) -> bytes:
+    """One to three random changes of bytes, cells or lines."""
+    for _ in range(rng.integers(1, 4)):
+        data = MUTATIONS[rng.integers(len(MUTATIONS))](data, rng)
+    return data
+
+
+def flip_bytes(data: bytes, rng: np.random.Generator) -> bytes:
+    changed = bytearray(data)
+    for _ in range(rng.integers(1, 6)):
+        if changed:
+            changed[rng.integers(len(changed))] ^= int(rng.integers(1, 256))
+    return bytes(changed)
+
+
+def truncate(data: bytes, rng: np.random.Generator) -> bytes:
+    return data[: rng.integers(len(data) + 1)]
+
+
+def change_lines(data: bytes, rng: np.random.Generator) -> bytes:
+    lines = data.split(b"\n")
+    i, j = rng.integers(len(lines), size=2)
+    action = rng.integers(3)
+    if action == 0:
+        del lines[i]
+    elif action == 1:
+        lines.insert(j, lines[i])
+    else:
+        lines[i], lines[j] = lines[j], lines[i]
+    return b"\n".join(lines)
+
+
+def change_cells(data: bytes, rng: np.random.Generator) -> bytes:
+    """Swap two cells of a line, or put junk in place of one."""
+    lines = data.split(b"\n")
+    i = int(rng.integers(len(lines)))
+    mark = b"," if b"," in lines[i] else b'"' if b'"' in lines[i] else b" "
+    cells = lines[i].split(mark)
+    a, b = rng.integers(len(cells), size=2)
+    if rng.integers(2):
+        cells[a], cells[b] = cells[b], cells[a]
+    else:
+        cells[a] = JUNK[rng.integers(len(JUNK))]
+    lines[i] = mark.join(cells)
+    return b"\n".join(lines)
+
+
+def insert_junk(data: bytes, rng: np.random.Generator) -> bytes:
+    at = int(rng.integers(len(data) + 1))
+    return data[:at] + JUNK[rng.integers(len(JUNK))] + data[at:]
+
+
+MUTATIONS = (flip_bytes, truncate, change_lines, change_cells, insert_junk)
+
+
+def outcome(path: Path, options: dict[str, object]) -> str:
+    """ "read", or the message of the error; other exceptions pass."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", InputWarning)
+        start = time.perf_counter()
+        try:
+            tracks = io.read(path, **options)
+        except GraphtrackError as error:
+            result = str(error)
+        else:
+            assert isinstance(tracks, TrackSet)
+            assert tracks.summary.rows_used == tracks.n_frames
+            result = "read"
+    assert time.perf_counter() - start < SLOWEST_READ
+    return result
+
+
+@pytest.mark.parametrize("named", [False, True], ids=["recognised", "format given"])
+@pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
+def test_damaged_copies_are_read_or_refused(sample: Sample, named: bool, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    whole = path.read_bytes()
+    options = dict(sample.options)
+    if named:
+        options["format"] = sample.format
+    refused = set()
+    for seed in range(MUTANTS // 2):
+        path.write_bytes(mutate(whole, np.random.default_rng([seed, named])))
+        try:
+            refused.add(outcome(path, options))
+        except Exception as error:
+            error.add_note(f"seed {seed}")
+            raise
+    # The damage must have been felt, in more than one way.
+    assert len(refused) > 5
+
+
+def test_damage_inside_a_packed_file_is_refused_as_well(tmp_path: Path) -> None:
+    sample = next(sample for sample in SAMPLES if sample.name == "made.csv")
+    whole, path = sample.make(), tmp_path / "made.csv.gz"
+    for seed in range(200):
+        path.write_bytes(gzip.compress(mutate(whole, np.random.default_rng(seed)), mtime=0))
+        outcome(path, {})
+
+
+BESIDE = [(sample, name) for sample in SAMPLES for name in sample.beside]
+
+
+@pytest.mark.parametrize(("sample", "name"), BESIDE, ids=[name for _, name in BESIDE])
+def test_damaged_companions_are_read_or_refused(sample: Sample, name: str, tmp_path: Path) -> None:
+    path = sample.write(tmp_path)
+    whole = (tmp_path / name).read_bytes()
+    for seed in range(MUTANTS_BESIDE):
+        (tmp_path / name).write_bytes(mutate(whole, np.random.default_rng(seed)))
+        try:
+            outcome(path, sample.options)
+        except Exception as error:
+            error.add_note(f"seed {seed}")
+            raise
+
+
+@pytest.mark.parametrize("option", ["homography", "point_pairs"])
+def test_damaged_camera_files_are_read_or_refused(option: str, tmp_path: Path) -> None:
+    sample = next(sample for sample in SAMPLES if sample.format == "mot")
+    path, camera = sample.write(tmp_path), tmp_path / "camera.txt"
+    whole = {
+        "homography": b"0.01 0 0\n0 -0.01 0\n0 0.0001 1\n",
+        "point_pairs": b"# u v X Y\n0 0 0 0\n100 0 1 0\n100 100 1 -1\n0 100 0 -1.1\n50 50 0.5 -0.5\n",
+    }[option]
+    for seed in range(MUTANTS_BESIDE):
+        camera.write_bytes(mutate(whole, np.random.default_rng(seed)))
+        try:
+            outcome(path, {option: camera})
+        except Exception as error:
+            error.add_note(f"seed {seed}")
+            raise

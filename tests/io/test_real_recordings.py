@@ -1,0 +1,133 @@
+"""Real recordings: known counts, and what must hold of people who walk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from graphtrack import io
+from graphtrack.angles import difference, direction
+from graphtrack.tracks import TrackSet
+
+CORRIDOR = {"point_pairs_unit": "cm", "point_pairs_rows": "5-8"}
+
+
+def speeds(tracks: TrackSet, seconds: float) -> np.ndarray:
+    """Speeds (m/s) over a span of about ``seconds``, of everyone."""
+    found = []
+    for track in tracks:
+        k = max(1, round(seconds / float(np.median(np.diff(track.t))))) if len(track) > 1 else 1
+        moved = np.linalg.norm(track.position[k:] - track.position[:-k], axis=1)
+        found.append(moved / (track.t[k:] - track.t[:-k]))
+    return np.concatenate(found)
+
+
+def heading_errors(tracks: TrackSet, channel: str, seconds: float, slowest: float) -> np.ndarray:
+    """Orientation minus direction of motion (radians) where people move faster than ``slowest`` m/s."""
+    found = []
+    for track in tracks:
+        angle = getattr(track, channel)
+        k = max(1, round(seconds / float(np.median(np.diff(track.t)))))
+        if angle is None or len(track) <= 2 * k:
+            continue
+        velocity = (track.position[2 * k :] - track.position[: -2 * k]) / (
+            track.t[2 * k :] - track.t[: -2 * k]
+        )[:, None]
+        error = difference(angle[k:-k], direction(velocity))
+        found.append(error[(np.linalg.norm(velocity, axis=1) > slowest) & np.isfinite(error)])
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "used", "people"),
+    [
+        ("mocap/tracks_30hz.csv.gz", 68066, 68066, 374),
+        ("salsa/features.txt", 645 * 18, 645 * 18, 18),
+        ("kitti/label_02/0012.txt", 354, 64, 1),
+        ("eth/seq_hotel/obsmat.txt", 6544, 6544, 390),
+        ("ucy/zara01/annotation.vsp", 1520, 1520, 148),
+        ("towncentre/boxes.csv", 71460, 71460, 230),
+        ("tud/TUD-Stadtmitte/gt.txt", 1156, 1156, 10),
+        ("tud/TUD-Campus/gt.txt", 359, 359, 8),
+        ("tud/TUD-Stadtmitte/test.txt", 749, 749, 12),
+        ("caviar/xml/mws1gt.xml", 1788, 1788, 9),
+        ("caviar/xml/wk2gt.xml", 2914, 2914, 6),
+        ("caviar/corridor/fols1gt.xml", 438, 438, 3),
+    ],
+)
+def test_counts(name: str, rows: int, used: int, people: int, data_dir: Path) -> None:
+    tracks = io.read(data_dir / name)
+    assert tracks.summary.rows_read == rows
+    assert tracks.summary.rows_used == used == tracks.n_frames
+    assert len(tracks) == people
+
+
+@pytest.mark.parametrize(
+    ("name", "slowest", "fastest"),
+    [
+        ("mocap/tracks_30hz.csv.gz", 0.9, 1.3),
+        ("kitti/label_02/0012.txt", 1.0, 1.6),
+        ("eth/seq_hotel/obsmat.txt", 1.0, 1.6),
+        ("ucy/zara01/annotation.vsp", 1.0, 1.4),
+        ("towncentre/boxes.csv", 1.4, 1.5),
+        ("tud/TUD-Stadtmitte/gt.txt", 1.0, 1.4),
+        ("caviar/xml/mws1gt.xml", 1.0, 1.7),
+        ("caviar/xml/fra2gt.xml", 1.0, 1.7),
+    ],
+)
+def test_people_walk_at_a_walking_pace(name: str, slowest: float, fastest: float, data_dir: Path) -> None:
+    assert slowest < np.nanmedian(speeds(io.read(data_dir / name), 1.0)) < fastest
+
+
+def test_standing_people_of_the_poster_session_stand(data_dir: Path) -> None:
+    assert np.median(speeds(io.read(data_dir / "salsa/features.txt"), 3.0)) < 0.1
+
+
+def test_the_corridor_through_its_point_pairs(data_dir: Path) -> None:
+    folder = data_dir / "caviar/corridor"
+    tracks = io.read(folder / "fols1gt.xml", point_pairs=folder / "homography_points.txt", **CORRIDOR)
+    moving = speeds(tracks, 1.0)
+    assert 0.7 < np.median(moving[moving > 0.3]) < 1.6
+    corners = tracks.camera.image_to_ground([[60.0, 153.0], [367.0, 200.0]])
+    np.testing.assert_allclose(corners, [[0.0, 0.0], [3.82, 8.78]], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "within"),
+    [("kitti/label_02/0012.txt", "body", 10.0), ("mocap/tracks_30hz.csv.gz", "body", 10.0)],
+)
+def test_people_face_where_they_walk(name: str, channel: str, within: float, data_dir: Path) -> None:
+    tracks = io.read(data_dir / name)
+    if "mocap" in name:
+        tracks = tracks.select("*_walk_*")
+    error = heading_errors(tracks, channel, 0.3, 0.5)
+    assert len(error) > 40
+    assert np.rad2deg(np.median(np.abs(error))) < within
+
+
+@pytest.mark.parametrize("name", ["mws1gt", "fra2gt"])
+def test_shoulders_of_the_lobby_are_square_to_the_motion(name: str, data_dir: Path) -> None:
+    error = heading_errors(io.read(data_dir / f"caviar/xml/{name}.xml"), "body", 0.25, 0.8)
+    assert len(error) > 100
+    assert np.rad2deg(np.median(np.abs(error))) < 18.0
+
+
+def test_zara_is_mirrored_and_its_control_points_lie_on_the_published_walks(data_dir: Path) -> None:
+    zara = io.read(data_dir / "ucy/zara01/annotation.vsp")
+    assert any("right-handed" in note for note in zara.summary.notes)
+    # OpenTraj's table of the same walks keeps the mirrored ground: the same x, the opposite y.
+    for walk in io.read(data_dir / "ucy/zara01/obsmat.txt"):
+        spline = zara[walk.track_id - 1]
+        x, y = (np.interp(walk.frame, spline.frame, axis) for axis in spline.position.T)
+        assert np.median(np.hypot(x - walk.position[:, 0], y + walk.position[:, 1])) < 0.25
+
+
+def test_a_file_of_the_recordings_survives_writing(data_dir: Path, tmp_path: Path) -> None:
+    tracks = io.read(data_dir / "salsa/features.txt")
+    for name in ("copy.csv", "copy.parquet"):
+        io.write(tracks, tmp_path / name)
+        for one, other in zip(tracks, io.read(tmp_path / name), strict=True):
+            np.testing.assert_array_equal(one.position, other.position)
+            np.testing.assert_allclose(one.body, other.body, rtol=1e-14)

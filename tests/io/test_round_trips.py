@@ -1,0 +1,237 @@
+"""What is written is read back: through CSV, gzip, Parquet and DataFrames."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from format_samples import made_tracks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from graphtrack import io
+from graphtrack.angles import wrap
+from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
+from graphtrack.io.native_csv import _header, _read_fast, _read_slowly
+from graphtrack.io.source import Source
+from graphtrack.tracks import Track, TrackSet
+
+METRES = st.floats(-1e6, 1e6, allow_subnormal=False)
+ANGLES = st.floats(-np.pi, np.pi, exclude_min=True)
+
+
+@st.composite
+def tracks(draw: st.DrawFn) -> TrackSet:
+    """Track sets with any of the channels, any of their cells missing."""
+    optional = {
+        "position_std": draw(st.booleans()),
+        "body": draw(st.booleans()),
+        "head_likelihood": draw(st.booleans()),
+        "velocity": draw(st.booleans()),
+        "covariance": draw(st.booleans()),
+        "true_body": draw(st.booleans()),
+    }
+    ids = draw(st.lists(st.integers(-(2**53), 2**53), min_size=1, max_size=3, unique=True))
+    made = []
+    for identity in sorted(ids):
+        n = draw(st.integers(1, 5))
+        frame = np.cumsum(draw(hnp.arrays(np.int64, n, elements=st.integers(1, 1000))))
+        missing = draw(hnp.arrays(bool, n))
+
+        def channel(
+            elements: st.SearchStrategy[float], *tail: int, n: int = n, missing=missing
+        ) -> np.ndarray:
+            values = draw(hnp.arrays(float, (n, *tail), elements=elements))
+            values[missing] = np.nan
+            return values
+
+        channels = {"position": channel(METRES, 2)}
+        if optional["position_std"]:
+            channels["position_std"] = channel(st.floats(1e-6, 1e3))
+        if optional["body"]:
+            channels["body"] = channel(ANGLES)
+        if optional["true_body"]:
+            channels["true_body"] = channel(ANGLES)
+        if optional["head_likelihood"]:
+            channels["head_likelihood"] = channel(st.floats(1e-9, 1.0), 12)
+        if optional["velocity"]:
+            channels["velocity"] = channel(METRES, 2)
+        if optional["covariance"]:
+            variance = channel(st.floats(1e-6, 1e3), 6)
+            covariance = np.zeros((n, 6, 6))
+            covariance[:, np.arange(6), np.arange(6)] = variance
+            covariance[missing] = np.nan
+            channels["covariance"] = covariance
+        label = draw(st.text(st.characters(codec="utf-8", exclude_categories=("C", "Z")), max_size=8))
+        made.append(Track(identity, frame, frame / 7.0, **channels, label=label))
+    return TrackSet(tuple(made))
+
+
+def assert_same(a: TrackSet, b: TrackSet) -> None:
+    assert [t.track_id for t in a] == [t.track_id for t in b]
+    for one, other in zip(a, b, strict=True):
+        assert one.label == other.label
+        for field in fields(Track):
+            x, y = getattr(one, field.name), getattr(other, field.name)
+            if x is None or (isinstance(x, np.ndarray) and field.name != "position" and np.isnan(x).all()):
+                assert y is None
+            elif isinstance(x, np.ndarray):
+                # Radians go through degrees, and variances through standard deviations.
+                np.testing.assert_allclose(y, x, rtol=1e-14, atol=0.0)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet"])
+@settings(deadline=None, max_examples=60)
+@given(written=tracks())
+def test_files_give_back_the_tracks(suffix: str, written: TrackSet) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"tracks{suffix}"
+        io.write(written, path)
+        read = io.read(path)
+        assert_same(written, read)
+        assert read.summary.rows_read == read.summary.rows_used == written.n_frames
+        assert [entry.name for entry in Path(folder).iterdir()] == [path.name]
+
+
+@settings(deadline=None, max_examples=60)
+@given(written=tracks())
+def test_tables_give_back_the_tracks(written: TrackSet) -> None:
+    assert_same(written, TrackSet.from_table(written.to_table()))
+
+
+def test_every_channel_of_the_table(tmp_path: Path) -> None:
+    path = tmp_path / "made.csv"
+    io.write(made_tracks(), path)
+    assert_same(made_tracks(), io.read(path))
+
+
+CELL = st.one_of(
+    st.just(""),
+    st.floats(-1e6, 1e6).map(repr),
+    st.integers(-1000, 1000).map(str),
+    st.sampled_from(
+        ["nan", "inf", "1e9999", "x", "+1", ".5", "5.", " 1 ", '"2"', "1_0", "0x1", "NA", "null"]
+    ),
+)
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.lists(st.tuples(CELL, CELL), min_size=1, max_size=6), st.sampled_from(["\n", "\r\n", "\n\n"]))
+def test_the_fast_reader_of_csv_agrees_with_the_slow_one(rows: list[tuple[str, str]], end: str) -> None:
+    text = end.join(["track_id,x,other", *(f"1,{a},{b}" for a, b in rows)])
+    source = Source(Path("table.csv"), text.encode())
+    header = _header(source)
+    fast = _read_fast(source, header)
+    try:
+        slow, lines = _read_slowly(source, header)
+    except InputError:
+        assert fast is None
+        return
+    assert len(lines) == len(rows)
+    if fast is not None:
+        for name in ("track_id", "x"):
+            np.testing.assert_array_equal(fast[name], slow[name])
+
+
+def test_degrees_are_wrapped_and_unknown_columns_noted(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("track_id,frame,x,y,body_deg,mood\n1,0,0,0,270,good\n1,1,0,1,-180,bad\n")
+    tracks = io.read(path, fps=10)
+    np.testing.assert_allclose(tracks[1].body, [-np.pi / 2, np.pi])
+    np.testing.assert_allclose(tracks[1].t, [0.0, 0.1])
+    assert tracks.summary.notes == ("ignored columns mood",)
+
+
+def test_pixels_become_metres_by_a_homography(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("track_id,frame,t,u,v\n1,0,0,100,200\n1,1,1,110,200\n1,2,2,110,-2000\n1,3,3,,\n")
+    homography = np.array([[0.01, 0.0, 0.0], [0.0, -0.01, 0.0], [0.0, 0.001, 1.0]])
+    tracks = io.read(path, homography=homography)
+    assert tracks.summary.refused == {"at or beyond the camera's horizon": 1}
+    np.testing.assert_allclose(tracks[1].position[:2], np.array([[1.0, -2.0], [1.1, -2.0]]) / 1.2)
+    assert np.isnan(tracks[1].position[2]).all()
+    np.testing.assert_array_equal(tracks[1].pixel[:2], [[100, 200], [110, 200]])
+    assert tracks.camera == GroundCamera.from_homography(homography)
+
+
+def test_several_files_are_merged_under_ids_of_their_own(tmp_path: Path) -> None:
+    plain = made_tracks().map(lambda track: replace(track, label=""))
+    for name in ("first", "second"):
+        io.write(plain, tmp_path / f"{name}.csv.gz")
+    merged = io.read([tmp_path / "first.csv.gz", tmp_path / "second.csv.gz"])
+    assert [track.label for track in merged] == ["first", "first", "second", "second"]
+    assert len({track.track_id for track in merged}) == 4
+    assert merged.summary.rows_used == 2 * plain.n_frames
+    assert any("renumbered" in note for note in merged.summary.notes)
+
+
+@pytest.mark.parametrize("with_camera", [False, True])
+def test_mot_text_gives_back_positions(with_camera: bool, tmp_path: Path) -> None:
+    camera = GroundCamera.from_homography(np.array([[0.02, 0, -5], [0, -0.02, 30], [0, 0.002, 0.2]]))
+    path = tmp_path / "made.txt"
+    written = replace(made_tracks(), camera=camera if with_camera else None)
+    io.write(written, path)
+    read = io.read(path)
+    for one, other in zip(written, read, strict=True):
+        seen = np.isfinite(one.position).all(axis=1)
+        np.testing.assert_array_equal(other.frame, one.frame[seen])
+        np.testing.assert_array_equal(other.position, one.position[seen])
+        if with_camera:
+            np.testing.assert_allclose(other.pixel, camera.ground_to_image(other.position), atol=2e-3)
+        else:
+            assert other.pixel is None
+
+
+def test_mot_text_takes_a_homography(tmp_path: Path) -> None:
+    io.write(made_tracks(), tmp_path / "made.txt", homography=np.diag([0.01, -0.01, 1.0]))
+    box = np.loadtxt(tmp_path / "made.txt", delimiter=",")[:, 2:6]
+    np.testing.assert_allclose(box[:, 3], 170.0)
+
+
+def test_angles_outside_the_circle_come_back_on_it() -> None:
+    table = made_tracks().to_table()
+    turned = table.assign(body_deg=table["body_deg"] + 720.0)
+    for a, b in zip(TrackSet.from_table(table), TrackSet.from_table(turned), strict=True):
+        np.testing.assert_allclose(wrap(a.body - b.body), np.where(np.isnan(a.body), np.nan, 0.0), atol=1e-12)
+
+
+class Broken(Exception):
+    pass
+
+
+def test_a_failed_writing_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "result.csv"
+    path.write_text("old")
+    with pytest.raises(Broken), io.atomic_path(path) as temporary:
+        temporary.write_text("half of the new")
+        raise Broken
+    assert path.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["result.csv"]
+
+
+def test_writing_to_places_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "folder.csv").mkdir()
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "folder.csv", tmp_path / "absent" / "a.csv", tmp_path / "file" / "a.csv"):
+        with pytest.raises(InputError):
+            io.write(made_tracks(), path)
+    for path, format in ((tmp_path / "a.xyz", None), (tmp_path / "a.txt", "eth")):
+        with pytest.raises(InputError):
+            io.write(made_tracks(), path, format=format)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "folder.csv"]
+
+
+def test_directories_are_written_whole(tmp_path: Path) -> None:
+    with io.atomic_path(tmp_path / "report", directory=True) as folder:
+        (folder / "inner").mkdir()
+        (folder / "inner" / "page.html").write_text("x")
+        assert not (tmp_path / "report").exists()
+    assert (tmp_path / "report" / "inner" / "page.html").read_text() == "x"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report"]
+    with pytest.raises(InputError), io.atomic_path(tmp_path / "report", directory=True):
+        pass
