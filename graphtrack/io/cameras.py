@@ -38,12 +38,22 @@ def known_camera(options: ReadOptions, visible: FloatArray) -> tuple[GroundCamer
             homography = read_homography(options.homography)
         else:
             homography = np.asarray(options.homography, dtype=float)
-        return GroundCamera.from_homography(homography, visible=visible), ()
+        camera = GroundCamera.from_homography(homography, visible=visible)
+        return camera, _handedness(camera)
     if options.point_pairs is not None:
-        return _from_point_pairs(options)
+        camera, notes = _from_point_pairs(options)
+        return camera, (*notes, *_handedness(camera))
     if options.calibration is not None:
         return read_calibration(options.calibration), ()
     return None, ()
+
+
+def _handedness(camera: GroundCamera) -> tuple[str, ...]:
+    if not camera.is_mirrored:
+        return ()
+    return (
+        "the ground of the homography is left-handed as seen from above: so are all positions and angles",
+    )
 
 
 def camera_or_scale(

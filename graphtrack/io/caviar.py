@@ -36,6 +36,9 @@ FPS = 25.0
 LOBBY_NADIR = (295.0, 221.0)
 """Pixel of the lobby view to which the lines from labelled heads to labelled feet converge."""
 
+LOBBY_HEIGHT = 5.35
+"""Metres of the lobby's camera above the floor, as far as heads are 1.6 m above feet."""
+
 _TOWARDS_NADIR = 0.8
 """Where the feet are between the box's centre (0) and its edge towards the nadir (1); measured as above."""
 
@@ -56,7 +59,7 @@ def lobby_camera() -> GroundCamera:
 
     downward = np.diag([1.0, -1.0, -1.0])
     rotation = Rotation.from_euler("xy", [-0.294, 0.628]).as_matrix() @ downward
-    centre = np.array([0.0, 0.0, 5.35])
+    centre = np.array([0.0, 0.0, LOBBY_HEIGHT])
     intrinsics = np.array([[231.0, 0.0, 192.0], [0.0, 231.0, 144.0], [0.0, 0.0, 1.0]])
     distortion = np.array([-0.322, 0.0993, 0.0, 0.0, 0.0])
     return GroundCamera.from_calibration(rotation, -rotation @ centre, intrinsics, distortion)

@@ -81,10 +81,11 @@ def detect(source: Source) -> Format:
     for candidate in formats():
         if candidate.looks_like(source.head, source.path):
             return candidate
-    # Content that nothing recognises: the reader that the name asks for can say best what is wrong.
+    # Content that nothing recognises: the reader that the name asks for can say best what is wrong. The
+    # ending ``.txt`` asks for none, since half of the formats have it.
     name = source.path.name.lower().removesuffix(".gz")
     for candidate in formats():
-        if candidate.suffixes and name.endswith(candidate.suffixes):
+        if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
     raise InputError(
         "content of no known format", "one of " + ", ".join(f.name for f in formats()), path=source.path

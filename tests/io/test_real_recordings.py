@@ -9,6 +9,8 @@ import pytest
 
 from graphtrack import io
 from graphtrack.angles import difference, direction
+from graphtrack.io.caviar import LOBBY_HEIGHT, _Reader, lobby_camera
+from graphtrack.io.source import Source
 from graphtrack.tracks import TrackSet
 
 CORRIDOR = {"point_pairs_unit": "cm", "point_pairs_rows": "5-8"}
@@ -112,6 +114,18 @@ def test_shoulders_of_the_lobby_are_square_to_the_motion(name: str, data_dir: Pa
     error = heading_errors(io.read(data_dir / f"caviar/xml/{name}.xml"), "body", 0.25, 0.8)
     assert len(error) > 100
     assert np.rad2deg(np.median(np.abs(error))) < 18.0
+
+
+def test_heads_are_seen_above_the_feet_by_the_camera_of_the_lobby(data_dir: Path) -> None:
+    camera = lobby_camera()
+    observations = _Reader(Source.open(data_dir / "caviar/xml/mws1gt.xml")).observations()
+    both = [o for o in observations if np.isfinite([*o.foot, *o.head]).all()]
+    foot, head = np.array([o.foot for o in both]), np.array([o.head for o in both])
+    # A head 1.6 m up hides the ground that is further away by the camera's height over what is left of it.
+    predicted = camera.ground_to_image(camera.image_to_ground(foot) * LOBBY_HEIGHT / (LOBBY_HEIGHT - 1.6))
+    miss = np.linalg.norm(predicted - head, axis=1)
+    assert len(both) > 1400
+    assert np.median(miss) < 3.5 < np.median(np.linalg.norm(foot - head, axis=1)) / 5
 
 
 def test_zara_is_mirrored_and_its_control_points_lie_on_the_published_walks(data_dir: Path) -> None:
