@@ -50,7 +50,7 @@ def circular_mean(angle: ArrayLike, weights: ArrayLike | None = None) -> float:
 
 
 def mean_absolute_error(estimate: ArrayLike, truth: ArrayLike) -> float:
-    """Mean angular error |wrap(estimate − truth)| in radians over the finite pairs; NaN where there is none."""
+    """Mean angular error |wrap(estimate − truth)|, radians, over the finite pairs; NaN if there is none."""
     error = np.abs(difference(estimate, truth))
     error = error[np.isfinite(error)]
     return float(error.mean()) if error.size else float("nan")

@@ -106,7 +106,9 @@ class Track:
                 raise InputError(f"an infinite {name}", f"finite values or NaN in track {self.track_id}")
             self._set(name, value)
         if np.any(np.diff(self.frame) <= 0):
-            raise InputError("frames that do not increase", f"each frame once, in order, in track {self.track_id}")
+            raise InputError(
+                "frames that do not increase", f"each frame once, in order, in track {self.track_id}"
+            )
         if not np.all(np.isfinite(self.t)) or np.any(np.diff(self.t) <= 0):
             raise InputError("times that do not increase", f"strictly increasing t in track {self.track_id}")
 
@@ -180,7 +182,7 @@ class ReadSummary:
 
 @dataclass(frozen=True, eq=False)
 class TrackSet:
-    """People of one scene: tracks with distinct ids, the camera if one is known, and the reading's summary."""
+    """People of one scene: tracks with distinct ids, the camera if it is known, and the reading's summary."""
 
     tracks: tuple[Track, ...]
     camera: GroundCamera | None = None

@@ -1,0 +1,138 @@
+"""Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part (MODEL terms 1 and 6).
+
+What the graph is compared with: the same motion, the same position noise, the same prior on the velocity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.errors import SolveError
+from graphtrack.model.motion import process_noise, transition_matrix
+from graphtrack.model.parameters import Parameters
+from graphtrack.tracks import Track
+
+MEASUREMENT_MATRIX = np.eye(2, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianStates:
+    """Means (n, 4) and covariances (n, 4, 4) of x, y, vx, vy; NaN before the first position."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def position_std(track: Track, parameters: Parameters) -> FloatArray:
+    """1-σ (n,) of each axis of the observed positions, metres."""
+    default = np.full(len(track), parameters.likelihood.position_std)
+    if track.position_std is None:
+        return default
+    return np.where(np.isfinite(track.position_std), track.position_std, default)
+
+
+def _first_position(track: Track) -> int:
+    seen = np.flatnonzero(np.isfinite(track.position).all(axis=1))
+    if not len(seen):
+        raise SolveError(track.track_id, "found no position at all, expected at least one")
+    return int(seen[0])
+
+
+def filter_states(track: Track, parameters: Parameters) -> tuple[GaussianStates, GaussianStates]:
+    """Filtered and one-step predicted states, from the first observed position on.
+
+    The first state has the observed position and a broad velocity; the update is in Joseph form, which
+    keeps covariances symmetric and positive.
+
+    Raises
+    ------
+    SolveError
+        If no position was observed.
+    """
+    n, start = len(track), _first_position(track)
+    variance = position_std(track, parameters) ** 2
+    mean, covariance = np.full((n, 4), np.nan), np.full((n, 4, 4), np.nan)
+    predicted_mean, predicted_covariance = mean.copy(), covariance.copy()
+    state = np.array([*track.position[start], 0.0, 0.0])
+    spread = np.diag([variance[start]] * 2 + [parameters.motion.initial_speed_std**2] * 2)
+    mean[start], covariance[start] = state, spread
+    identity = np.eye(4)
+    for k in range(start + 1, n):
+        dt = float(track.t[k] - track.t[k - 1])
+        transition = transition_matrix(dt)
+        state = transition @ state
+        spread = transition @ spread @ transition.T + process_noise(
+            dt, parameters.motion.acceleration_density
+        )
+        predicted_mean[k], predicted_covariance[k] = state, spread
+        observed = track.position[k]
+        if np.isfinite(observed).all():
+            noise = variance[k] * np.eye(2)
+            gain = np.linalg.solve(spread[:2, :2] + noise, spread[:2, :]).T
+            state = state + gain @ (observed - state[:2])
+            keep = identity - gain @ MEASUREMENT_MATRIX
+            spread = keep @ spread @ keep.T + gain @ noise @ gain.T
+        mean[k], covariance[k] = state, spread
+    return GaussianStates(mean, covariance), GaussianStates(predicted_mean, predicted_covariance)
+
+
+def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:
+    """Rauch–Tung–Striebel smoothed states; before the first position, extrapolated backwards.
+
+    Raises
+    ------
+    SolveError
+        If no position was observed.
+    """
+    filtered, predicted = filter_states(track, parameters)
+    mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
+    start = _first_position(track)
+    for k in range(len(track) - 2, start - 1, -1):
+        transition = transition_matrix(float(track.t[k + 1] - track.t[k]))
+        spread_ahead = predicted.covariance[k + 1]
+        gain = np.linalg.solve(spread_ahead, transition @ filtered.covariance[k]).T
+        mean[k] += gain @ (mean[k + 1] - predicted.mean[k + 1])
+        covariance[k] += gain @ (covariance[k + 1] - spread_ahead) @ gain.T
+    for k in range(start - 1, -1, -1):
+        # No information of their own: x_k = F⁻¹(x_{k+1} − w).
+        dt = float(track.t[k + 1] - track.t[k])
+        back = transition_matrix(-dt)
+        mean[k] = back @ mean[k + 1]
+        noise = process_noise(dt, parameters.motion.acceleration_density)
+        covariance[k] = back @ (covariance[k + 1] + noise) @ back.T
+    return GaussianStates(mean, covariance)
+
+
+def as_track(track: Track, states: GaussianStates) -> Track:
+    """The track with these estimates; its orientations are left out, for they were not estimated."""
+    covariance = np.full((len(track), 6, 6), np.nan)
+    covariance[:, :4, :4] = states.covariance
+    return replace(
+        track,
+        position=states.mean[:, :2],
+        velocity=states.mean[:, 2:],
+        covariance=covariance,
+        position_std=None,
+        pixel=None,
+        body=None,
+        body_kappa=None,
+        head=None,
+        head_kappa=None,
+        body_likelihood=None,
+        head_likelihood=None,
+    )
+
+
+def kalman_filter(track: Track, parameters: Parameters | None = None) -> Track:
+    """Online estimates: each uses only what came before."""
+    parameters = Parameters() if parameters is None else parameters
+    return as_track(track, filter_states(track, parameters)[0])
+
+
+def rauch_tung_striebel(track: Track, parameters: Parameters | None = None) -> Track:
+    """Offline estimates of the linear model: its exact posterior."""
+    parameters = Parameters() if parameters is None else parameters
+    return as_track(track, smooth_states(track, parameters))

@@ -1,0 +1,87 @@
+"""What a fixed lag remembers of states it has let go: a Gaussian on the oldest step of its window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import gtsam
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.model.custom import variable_dimension
+
+
+@dataclass(frozen=True, eq=False)
+class MarginalPrior:
+    """½·dᵀ·Λ·d − ηᵀ·d + ½·c, where d is the deviation from a linearisation point.
+
+    Attributes
+    ----------
+    keys : GTSAM keys of the variables, in order
+    point : their values at the linearisation point: 2 numbers for X and V, an angle (radians) for B and H
+    information, linear, constant : Λ, η and c
+    """
+
+    keys: tuple[int, ...]
+    point: tuple[tuple[float, ...], ...]
+    information: FloatArray
+    linear: FloatArray
+    constant: float
+
+    def factor(self) -> gtsam.LinearContainerFactor:
+        """The factor. A linearisation point belongs to it: without one its error would be 0 everywhere."""
+        values = gtsam.Values()
+        for key, point in zip(self.keys, self.point, strict=True):
+            values.insert(key, np.array(point) if len(point) == 2 else gtsam.Rot2(point[0]))
+        sizes = [variable_dimension(key) for key in self.keys]
+        ends = np.cumsum(sizes)
+        place = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        parts = gtsam.GaussianFactorGraph()
+        for i, key in enumerate(self.keys):
+            constant = self.constant if i == 0 else 0.0
+            block = self.information[place[i], place[i]]
+            parts.push_back(gtsam.HessianFactor(key, block, self.linear[place[i]], constant))
+        # GTSAM's Python offers Hessian factors of up to three variables; sums of pairs make larger ones.
+        for i, j in combinations(range(len(self.keys)), 2):
+            parts.push_back(
+                gtsam.HessianFactor(
+                    self.keys[i],
+                    self.keys[j],
+                    np.zeros((sizes[i], sizes[i])),
+                    self.information[place[i], place[j]],
+                    np.zeros(sizes[i]),
+                    np.zeros((sizes[j], sizes[j])),
+                    np.zeros(sizes[j]),
+                    0.0,
+                )
+            )
+        return gtsam.LinearContainerFactor(gtsam.HessianFactor(parts), values)
+
+
+def find_marginal_prior(
+    factors: gtsam.NonlinearFactorGraph, linearization: gtsam.Values
+) -> MarginalPrior | None:
+    """The marginal among a fixed-lag smoother's factors; None before anything was marginalised.
+
+    iSAM2 never moves the linearisation point of a variable that a marginal touches, so the current one is
+    the marginal's own.
+    """
+    found = None
+    for i in range(factors.size()):
+        factor = factors.at(i) if factors.exists(i) else None
+        if isinstance(factor, gtsam.LinearContainerFactor):
+            found = factor
+    if found is None:
+        return None
+    keys = tuple(found.keys())
+    point = tuple(
+        tuple(linearization.atVector(key).tolist())
+        if variable_dimension(key) == 2
+        else (linearization.atRot2(key).theta(),)
+        for key in keys
+    )
+    hessian = found.toHessian()
+    return MarginalPrior(
+        keys, point, hessian.information(), np.ravel(hessian.linearTerm()), float(hessian.constantTerm())
+    )

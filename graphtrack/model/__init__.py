@@ -1,0 +1,29 @@
+"""The model: terms, parameters and presets."""
+
+from graphtrack.model.custom import FactorShapeError, custom_factor
+from graphtrack.model.model import Model, presets
+from graphtrack.model.parameters import (
+    CouplingParameters,
+    LikelihoodParameters,
+    MotionParameters,
+    OrientationParameters,
+    Parameters,
+)
+from graphtrack.model.steps import Observation, States, Step
+from graphtrack.model.term import Term
+
+__all__ = [
+    "CouplingParameters",
+    "FactorShapeError",
+    "LikelihoodParameters",
+    "Model",
+    "MotionParameters",
+    "Observation",
+    "OrientationParameters",
+    "Parameters",
+    "States",
+    "Step",
+    "Term",
+    "custom_factor",
+    "presets",
+]

@@ -1,0 +1,120 @@
+"""`Model`: a list of terms with their parameters, and the presets."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import tomli_w
+
+from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
+from graphtrack.io.atomic import atomic_path
+from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.motion import Motion
+from graphtrack.model.orientation import BodyDynamics, HeadDynamics
+from graphtrack.model.parameters import Parameters
+from graphtrack.model.pose import BodyLikelihood, HeadLikelihood
+from graphtrack.model.position import PositionLikelihood
+from graphtrack.model.steps import States, Step
+from graphtrack.model.term import Term
+from graphtrack.tracks import Track
+
+_POSITION: tuple[type[Term], ...] = (Motion, PositionLikelihood)
+_SEPARATE: tuple[type[Term], ...] = (*_POSITION, BodyDynamics, HeadDynamics, BodyLikelihood, HeadLikelihood)
+
+presets: dict[str, tuple[type[Term], ...]] = {
+    "position": _POSITION,
+    "separate": _SEPARATE,
+    "joint": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody),
+}
+"""Name → the terms of the model: positions only; orientations too, each for itself; all coupled (002)."""
+
+
+class Model:
+    """A list of terms. Every engine interprets the same list.
+
+    Parameters
+    ----------
+    preset : name of a list in `presets`
+    parameters : their parameters
+    terms : further terms of your own, as classes
+    """
+
+    def __init__(
+        self,
+        preset: str = "joint",
+        parameters: Parameters | None = None,
+        terms: Iterable[type[Term]] = (),
+    ) -> None:
+        if preset not in presets:
+            raise InputError(f"model {preset!r}", f"one of {', '.join(presets)}, or a model file (.toml)")
+        self.preset = preset
+        self.parameters = Parameters() if parameters is None else parameters
+        self._extra = tuple(terms)
+        self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self._extra))
+        used = frozenset().union(*(term.uses for term in self.terms))
+        self.has_body, self.has_head = "body" in used, "head" in used
+
+    def __repr__(self) -> str:
+        extra = "".join(f", {kind.__name__}" for kind in self._extra)
+        return f"Model({self.preset!r}{extra}, {self.parameters})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Model, (self.preset, self.parameters, self._extra)
+
+    def factors(self, step: Step) -> list[gtsam.NonlinearFactor]:
+        """All factors that arrive with a step."""
+        return [factor for term in self.terms for factor in term.factors(step)]
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Negative log density of states (up to constants), from the terms' densities and not the factors."""
+        return sum(term.cost(states, track, camera) for term in self.terms)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a model file holds."""
+        from dataclasses import asdict
+
+        return {"preset": self.preset, **asdict(self.parameters)}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Model:
+        """The inverse of `to_dict`; InputError names what is unknown or out of range."""
+        tables = dict(content)
+        preset = tables.pop("preset", "joint")
+        if not isinstance(preset, str):
+            raise InputError(f"preset = {preset!r}", f"one of {', '.join(presets)}")
+        return cls(preset, Parameters.from_dict(tables))
+
+    def save(self, path: str | Path) -> None:
+        """Write a model file (TOML), whole or not at all."""
+        with atomic_path(path) as temporary:
+            Path(temporary).write_text(tomli_w.dumps(self.to_dict()), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Model:
+        """Read a model file (TOML); InputError names the file and the key."""
+        try:
+            content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(error.strerror or str(error), "a readable model file", path=path) from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"no TOML ({error})", "a model file", path=path) from error
+        try:
+            return cls.from_dict(content)
+        except InputError as error:
+            raise InputError(error.found, error.expected, path=path) from error
+
+    @classmethod
+    def named(cls, model: Model | str | Path) -> Model:
+        """A model from a preset's name or a model file's path; a model is returned as it is."""
+        if isinstance(model, Model):
+            return model
+        if isinstance(model, str) and model in presets:
+            return cls(model)
+        if Path(model).suffix == ".toml":
+            return cls.load(model)
+        raise InputError(f"model {str(model)!r}", f"one of {', '.join(presets)}, or a model file (.toml)")

@@ -1,0 +1,61 @@
+"""Term 1: white-noise acceleration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.geometry import GroundCamera
+from graphtrack.model.steps import States, Step
+from graphtrack.model.term import Term
+from graphtrack.tracks import Track
+
+
+def transition_matrix(dt: float) -> FloatArray:
+    """F(Δt) (4, 4) for the state x, y, vx, vy."""
+    matrix = np.eye(4)
+    matrix[0, 2] = matrix[1, 3] = dt
+    return matrix
+
+
+def process_noise(dt: float, acceleration_density: float) -> FloatArray:
+    """Q(Δt) (4, 4) of white-noise acceleration, for the state x, y, vx, vy (MODEL term 1)."""
+    block = np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
+    return acceleration_density * np.kron(block, np.eye(2))
+
+
+class Motion(Term):
+    """White-noise acceleration between frames, and a broad prior on the velocity where the track begins."""
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        """`WnoaMotionFactorPoint2`, native and exact."""
+        motion = self.parameters.motion
+        found: list[gtsam.NonlinearFactor] = []
+        if step.starts:
+            noise = gtsam.noiseModel.Isotropic.Sigma(2, motion.initial_speed_std)
+            found.append(gtsam.PriorFactorPoint2(step.velocity_key, np.zeros(2), noise))
+        if step.previous is not None:
+            before = step.previous
+            found.append(
+                gtsam.WnoaMotionFactorPoint2(
+                    gtsam.StateData(before.position_key, before.velocity_key, before.observation.t),
+                    gtsam.StateData(step.position_key, step.velocity_key, step.observation.t),
+                    np.full(2, motion.acceleration_density),
+                )
+            )
+        return found
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Negative log density of the accelerations and of the first velocity."""
+        motion = self.parameters.motion
+        dt = np.diff(track.t)[:, None]
+        dv = np.diff(states.velocity, axis=0)
+        # Independent parts of Q⁻¹: the velocity step, and the position step beyond the mean velocity.
+        bend = np.diff(states.position, axis=0) - 0.5 * dt * (states.velocity[1:] + states.velocity[:-1])
+        squares = (dv**2 / dt + 12.0 * bend**2 / dt**3) / motion.acceleration_density
+        seen = np.isfinite(track.position).all(axis=1)
+        first = states.velocity[int(np.argmax(seen)) if seen.any() else 0]
+        return 0.5 * float(squares.sum() + (first**2).sum() / motion.initial_speed_std**2)

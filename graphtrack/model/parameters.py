@@ -1,0 +1,158 @@
+"""Parameters of the model, with their units. They are what a model file holds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+from graphtrack.errors import InputError
+
+Robust = Literal["none", "huber", "cauchy"]
+
+
+def _check(owner: object, name: str, low: float, high: float, *, open_low: bool = False) -> None:
+    value = getattr(owner, name)
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not number or not (low < value if open_low else low <= value) or value > high:
+        bracket = "(" if open_low else "["
+        raise InputError(f"{name} = {value!r}", f"a number in {bracket}{low:g}, {high:g}]")
+
+
+@dataclass(frozen=True)
+class MotionParameters:
+    """White-noise acceleration (MODEL term 1).
+
+    Attributes
+    ----------
+    acceleration_density : q in m²/s³; Q(Δt) = q·[[Δt³/3, Δt²/2], [Δt²/2, Δt]] on each axis
+    initial_speed_std : m/s, 1-σ of each axis of the velocity where the track begins
+    """
+
+    acceleration_density: float = 0.5
+    initial_speed_std: float = 1.5
+
+    def __post_init__(self) -> None:
+        _check(self, "acceleration_density", 0.0, 1e6, open_low=True)
+        _check(self, "initial_speed_std", 0.0, 1e3, open_low=True)
+
+
+@dataclass(frozen=True)
+class OrientationParameters:
+    """Rotational diffusion of body and head (MODEL term 2): κ of a step is 1/(diffusion·Δt).
+
+    Attributes
+    ----------
+    body_diffusion, head_diffusion : rad²/s
+    """
+
+    body_diffusion: float = 0.5
+    head_diffusion: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("body_diffusion", "head_diffusion"):
+            _check(self, name, 0.0, 1e6, open_low=True)
+
+
+@dataclass(frozen=True)
+class CouplingParameters:
+    """Body follows motion and head follows body (MODEL terms 3 and 4; 002 eq. 8–10).
+
+    Attributes
+    ----------
+    motion_body_kappa : κ₁ in (m/s)⁻²; κ(v) = κ₁·max(0, ‖v‖ − τ)²
+    speed_threshold : τ in m/s
+    head_body_kappa : κ₂, dimensionless
+    correlation_time : seconds over which deviations from a coupling persist. Frames closer than that carry
+        the same evidence again, so a step of Δt counts min(1, Δt/correlation_time) times; 0: each frame
+        counts once, as in 002.
+    """
+
+    motion_body_kappa: float = 10.0
+    speed_threshold: float = 0.2
+    head_body_kappa: float = 3.0
+    correlation_time: float = 0.2
+
+    def __post_init__(self) -> None:
+        for name in ("motion_body_kappa", "speed_threshold", "head_body_kappa", "correlation_time"):
+            _check(self, name, 0.0, 1e6)
+
+    def weight(self, step: float | None) -> float:
+        """How much a coupling counts at a frame ``step`` seconds after the one before (None: the first)."""
+        if step is None or step >= self.correlation_time:
+            return 1.0
+        return step / self.correlation_time
+
+
+@dataclass(frozen=True)
+class LikelihoodParameters:
+    """Position and orientation likelihoods (MODEL terms 6 and 7).
+
+    Attributes
+    ----------
+    position_std : metres, 1-σ of each axis where the data do not say
+    pixel_std : pixels, 1-σ of each axis of the foot point, where the pixel likelihood is used
+    image_frame : judge positions in the image (002 eq. 12) where the track has pixels and a camera
+    robust : "none", "huber" or "cauchy" position likelihood
+    robust_threshold : standard deviations beyond which a position counts less
+    body_kappa, head_kappa : von Mises concentration of observed angles where the data do not say
+    outlier_probability : ε of an observed angle
+    class_outlier_probability : ε of class likelihoods
+    """
+
+    position_std: float = 0.1
+    pixel_std: float = 3.0
+    image_frame: bool = True
+    robust: Robust = "none"
+    robust_threshold: float = 3.0
+    body_kappa: float = 4.0
+    head_kappa: float = 4.0
+    outlier_probability: float = 0.0
+    class_outlier_probability: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("position_std", "pixel_std", "robust_threshold"):
+            _check(self, name, 0.0, 1e6, open_low=True)
+        for name in ("body_kappa", "head_kappa"):
+            _check(self, name, 0.0, 1e6)
+        for name in ("outlier_probability", "class_outlier_probability"):
+            _check(self, name, 0.0, 0.999)
+        if self.robust not in ("none", "huber", "cauchy"):
+            raise InputError(f"robust = {self.robust!r}", "'none', 'huber' or 'cauchy'")
+        if not isinstance(self.image_frame, bool):
+            raise InputError(f"image_frame = {self.image_frame!r}", "true or false")
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """All parameters of the model."""
+
+    motion: MotionParameters = field(default_factory=MotionParameters)
+    orientation: OrientationParameters = field(default_factory=OrientationParameters)
+    coupling: CouplingParameters = field(default_factory=CouplingParameters)
+    likelihood: LikelihoodParameters = field(default_factory=LikelihoodParameters)
+
+    @classmethod
+    def from_dict(cls, tables: dict[str, Any]) -> Parameters:
+        """Parameters from nested tables; what is not named keeps its default.
+
+        Raises
+        ------
+        InputError
+            For an unknown table or key, and for a value outside its range.
+        """
+        known = {f.name: f.default_factory for f in fields(cls)}
+        parts = {}
+        for table, values in tables.items():
+            if table not in known or not isinstance(values, dict):
+                raise InputError(f"table {table!r}", f"one of {', '.join(known)}")
+            kind: Any = known[table]
+            names = [f.name for f in fields(kind)]
+            for name in values:
+                if name not in names:
+                    raise InputError(f"key {table}.{name}", f"one of {', '.join(names)}")
+            try:
+                parts[table] = kind(**values)
+            except InputError as error:
+                raise InputError(f"{table}.{error.found}", error.expected) from error
+        return cls(**parts)

@@ -1,0 +1,202 @@
+"""Term 7: the orientation likelihoods of body and head, from angles or from class likelihoods.
+
+As a density: L(θ) = ε/2π + (1 − ε)·Σ_k w_k·VM(θ; μ_k, κ). An observed angle is the mixture of one class; with
+ε = 0 it is a von Mises, which is native.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import gtsam
+import numpy as np
+from scipy import special
+
+from graphtrack.angles import FloatArray, von_mises_log_density
+from graphtrack.geometry import GroundCamera
+from graphtrack.model.custom import custom_factor
+from graphtrack.model.orientation import von_mises_prior
+from graphtrack.model.steps import States, Step
+from graphtrack.model.term import Term, Variable
+from graphtrack.tracks import Track
+
+
+def class_centres(n_classes: int) -> FloatArray:
+    """Centres (n,) of the classes in radians: 2π·k/n."""
+    return 2.0 * np.pi * np.arange(n_classes) / n_classes
+
+
+def class_kappa(n_classes: int) -> float:
+    """Concentration of one class: σ is half the distance of the centres.
+
+    That is the narrowest for which equal weights give a flat density (the ripple is 2·exp(−π²/2) = 1.4 %).
+    """
+    return (n_classes / np.pi) ** 2
+
+
+@dataclass(frozen=True)
+class VonMisesMixture:
+    """−log of ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ), up to the constant that makes its minimum bound 0.
+
+    The cost is stated as ½‖r‖² of three rows. Two are those of the one von Mises that the responsibilities
+    at θ make: their Jacobian gives the exact gradient and a positive curvature. The third has Jacobian 0 and
+    carries the remainder, so that the cost is exact.
+
+    Attributes
+    ----------
+    means : (k,) radians
+    weights : (k,), not negative; they are normalised to sum 1 − ε
+    kappa : concentration of every component
+    uniform : ε, the probability of an outlier
+    """
+
+    means: tuple[float, ...]
+    weights: tuple[float, ...]
+    kappa: float
+    uniform: float
+
+    def __post_init__(self) -> None:
+        total = sum(self.weights)
+        share = (1.0 - self.uniform) / total if total > 0.0 else 0.0
+        peak = 1.0 / (2.0 * math.pi * float(special.i0e(self.kappa)))
+        uniform = (self.uniform if total > 0.0 else 1.0) / (2.0 * math.pi)
+        components = [(w * share * peak, m) for w, m in zip(self.weights, self.means, strict=True) if w > 0.0]
+        object.__setattr__(self, "_components", components)
+        object.__setattr__(self, "_uniform_density", uniform)
+        # −log L − R(1 − cos) ≥ −log(highest density) − 2κ, since the resultant R is at most κ.
+        highest = uniform + sum(height for height, _ in components)
+        object.__setattr__(self, "_offset", math.log(highest) + 2.0 * self.kappa)
+
+    def rows(self, angle: float) -> tuple[FloatArray, FloatArray]:
+        """Residual (3,) and Jacobian (3, 1) at an angle in radians."""
+        kappa, density = self.kappa, self._uniform_density  # type: ignore[attr-defined]
+        cos_sum = sin_sum = 0.0
+        for height, mean in self._components:  # type: ignore[attr-defined]
+            value = height * math.exp(kappa * (math.cos(angle - mean) - 1.0))
+            density += value
+            cos_sum += value * math.cos(mean)
+            sin_sum += value * math.sin(mean)
+        if density <= 0.0:
+            # Far from every class and no outliers: the nearest peak, by its logarithm.
+            height, mean = max(self._components, key=lambda c: math.cos(angle - c[1]))  # type: ignore[attr-defined]
+            log_density = math.log(height) + kappa * (math.cos(angle - mean) - 1.0)
+            resultant, direction = kappa, mean
+        else:
+            log_density = math.log(density)
+            resultant = kappa * math.hypot(cos_sum, sin_sum) / density
+            direction = math.atan2(sin_sum, cos_sum)
+        root = math.sqrt(resultant)
+        cos, sin = math.cos(angle), math.sin(angle)
+        deviation = 1.0 - math.cos(angle - direction)
+        remainder = self._offset - log_density - resultant * deviation  # type: ignore[attr-defined]
+        residual = np.array(
+            [
+                root * (cos - math.cos(direction)),
+                root * (sin - math.sin(direction)),
+                math.sqrt(2.0 * max(remainder, 0.0)),
+            ]
+        )
+        return residual, np.array([[-root * sin], [root * cos], [0.0]])
+
+    def negative_log_density(self, angle: float) -> float:
+        """−log L(angle), the written density itself, as an independent statement of ½‖r‖² − offset."""
+        weights = np.array(self.weights)
+        total = weights.sum()
+        if total <= 0.0:
+            return math.log(2.0 * math.pi)
+        terms = von_mises_log_density(angle, np.array(self.means), self.kappa)
+        with np.errstate(divide="ignore"):
+            logs = np.append(
+                np.log((1.0 - self.uniform) * weights / total) + terms, np.log(self.uniform / (2 * np.pi))
+            )
+        return -float(special.logsumexp(logs))
+
+    @property
+    def offset(self) -> float:
+        """½‖r‖² minus the negative log density: a constant of the mixture."""
+        return float(self._offset)  # type: ignore[attr-defined]
+
+
+def mixture_factor(key: int, mixture: VonMisesMixture) -> gtsam.NonlinearFactor:
+    """A custom factor whose error is the mixture's negative log density plus its offset."""
+
+    def linearised(values: gtsam.Values) -> tuple[FloatArray, Sequence[FloatArray]]:
+        residual, jacobian = mixture.rows(values.atRot2(key).theta())
+        return residual, [jacobian]
+
+    return custom_factor([key], 3, lambda values: linearised(values)[0], linearised)
+
+
+class _PoseLikelihood(Term):
+    name: ClassVar[Variable]
+
+    def mixture(
+        self, angle: float | None, kappa: float | None, classes: tuple[float, ...] | None
+    ) -> VonMisesMixture | None:
+        """What was observed, as a mixture; None where nothing was. Classes win over an angle."""
+        likelihood = self.parameters.likelihood
+        if classes is not None:
+            n = len(classes)
+            means = tuple(class_centres(n).tolist())
+            return VonMisesMixture(means, classes, class_kappa(n), likelihood.class_outlier_probability)
+        if angle is None:
+            return None
+        if kappa is None:
+            kappa = likelihood.body_kappa if self.name == "body" else likelihood.head_kappa
+        return VonMisesMixture((angle,), (1.0,), kappa, likelihood.outlier_probability)
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        """A native von Mises where that is exact, else the mixture."""
+        seen = step.observation
+        if self.name == "body":
+            key, mixture = step.body_key, self.mixture(seen.body, seen.body_kappa, seen.body_likelihood)
+        else:
+            key, mixture = step.head_key, self.mixture(seen.head, seen.head_kappa, seen.head_likelihood)
+        if mixture is None or mixture.kappa == 0.0:
+            return []
+        if len(mixture.means) == 1 and mixture.uniform == 0.0:
+            return [von_mises_prior(key, mixture.means[0], mixture.kappa)]
+        return [mixture_factor(key, mixture)]
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Σ of the negative log densities, each plus the constant that its factor carries."""
+        angles = states.body if self.name == "body" else states.head
+        total = 0.0
+        none = np.full(len(track), np.nan)
+        seen = none if getattr(track, self.name) is None else getattr(track, self.name)
+        kappas = getattr(track, f"{self.name}_kappa")
+        kappas = none if kappas is None else kappas
+        classes = getattr(track, f"{self.name}_likelihood")
+        for k in range(len(track)):
+            scores = (
+                None if classes is None or not np.isfinite(classes[k]).all() else tuple(classes[k].tolist())
+            )
+            mixture = self.mixture(
+                float(seen[k]) if np.isfinite(seen[k]) else None,
+                float(kappas[k]) if np.isfinite(kappas[k]) else None,
+                scores,
+            )
+            if mixture is None or mixture.kappa == 0.0:
+                continue
+            if len(mixture.means) == 1 and mixture.uniform == 0.0:
+                total += mixture.kappa * (1.0 - math.cos(angles[k] - mixture.means[0]))
+            else:
+                total += mixture.negative_log_density(float(angles[k])) + mixture.offset
+        return total
+
+
+class BodyLikelihood(_PoseLikelihood):
+    """What was seen of the body's orientation (002 eq. 14, smooth)."""
+
+    name: ClassVar[Variable] = "body"
+    uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
+
+
+class HeadLikelihood(_PoseLikelihood):
+    """What was seen of the head's pan (002 eq. 13, smooth; tilt is summed out before)."""
+
+    name: ClassVar[Variable] = "head"
+    uses: ClassVar[frozenset[Variable]] = frozenset({"head"})

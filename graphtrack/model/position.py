@@ -1,0 +1,82 @@
+"""Term 6: the position likelihood, in metres or in pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.geometry import GroundCamera
+from graphtrack.homography import apply_homography, jacobian
+from graphtrack.model.custom import custom_factor, unit_noise
+from graphtrack.model.parameters import LikelihoodParameters
+from graphtrack.model.steps import States, Step
+from graphtrack.model.term import Term
+from graphtrack.tracks import Track
+
+
+def robust_loss(distance: FloatArray, likelihood: LikelihoodParameters) -> FloatArray:
+    """Cost of residuals ``distance`` standard deviations long, as GTSAM's estimators define it."""
+    k = likelihood.robust_threshold
+    if likelihood.robust == "huber":
+        return np.where(distance <= k, 0.5 * distance**2, k * (distance - 0.5 * k))
+    if likelihood.robust == "cauchy":
+        return 0.5 * k**2 * np.log1p((distance / k) ** 2)
+    return 0.5 * distance**2
+
+
+def robust_noise(noise: gtsam.noiseModel.Base, likelihood: LikelihoodParameters) -> gtsam.noiseModel.Base:
+    """The noise model, made robust as the parameters say."""
+    estimators = gtsam.noiseModel.mEstimator
+    if likelihood.robust == "huber":
+        return gtsam.noiseModel.Robust.Create(estimators.Huber.Create(likelihood.robust_threshold), noise)
+    if likelihood.robust == "cauchy":
+        return gtsam.noiseModel.Robust.Create(estimators.Cauchy.Create(likelihood.robust_threshold), noise)
+    return noise
+
+
+class PositionLikelihood(Term):
+    """Gaussian in metres, or in pixels through the camera (002 eq. 12); robust by option."""
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        """A native prior in metres, or a custom factor in pixels."""
+        likelihood, seen = self.parameters.likelihood, step.observation
+        if likelihood.image_frame and seen.pixel is not None and step.camera is not None:
+            return [self._pixel_factor(step.position_key, np.array(seen.pixel), step.camera)]
+        if seen.position is None:
+            return []
+        std = likelihood.position_std if seen.position_std is None else seen.position_std
+        noise = robust_noise(gtsam.noiseModel.Isotropic.Sigma(2, std), likelihood)
+        return [gtsam.PriorFactorPoint2(step.position_key, np.array(seen.position), noise)]
+
+    def _pixel_factor(self, key: int, pixel: FloatArray, camera: GroundCamera) -> gtsam.NonlinearFactor:
+        # The lens is taken out of the observation once; what remains is the plane's homography.
+        ideal, std = camera.undistort(pixel), self.parameters.likelihood.pixel_std
+        to_image = np.linalg.inv(camera.homography)
+
+        def residual(values: gtsam.Values) -> FloatArray:
+            return (apply_homography(to_image, values.atPoint2(key)) - ideal) / std
+
+        def linearised(values: gtsam.Values) -> tuple[FloatArray, Sequence[FloatArray]]:
+            position = values.atPoint2(key)
+            return residual(values), [jacobian(to_image, position) / std]
+
+        noise = robust_noise(unit_noise(2), self.parameters.likelihood)
+        return custom_factor([key], 2, residual, linearised, noise)
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Negative log density of the observed positions."""
+        likelihood = self.parameters.likelihood
+        std = np.full(len(track), likelihood.position_std)
+        if track.position_std is not None:
+            std = np.where(np.isfinite(track.position_std), track.position_std, std)
+        residual = (states.position - track.position) / std[:, None]
+        if likelihood.image_frame and track.pixel is not None and camera is not None:
+            seen = np.isfinite(track.pixel).all(axis=1)
+            to_image = np.linalg.inv(camera.homography)
+            predicted = apply_homography(to_image, states.position[seen])
+            residual[seen] = (predicted - camera.undistort(track.pixel[seen])) / likelihood.pixel_std
+        residual = residual[np.isfinite(residual).all(axis=1)]
+        return float(robust_loss(np.linalg.norm(residual, axis=1), likelihood).sum())

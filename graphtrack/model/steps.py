@@ -1,0 +1,118 @@
+"""One step of a track as the factors see it, and the states of a whole track as the densities see them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from gtsam.symbol_shorthand import B, H, V, X
+
+from graphtrack.angles import FloatArray
+from graphtrack.geometry import GroundCamera
+from graphtrack.tracks import Track
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What was observed of one person at one time. ``None`` is a missing channel; units as in `Track`."""
+
+    t: float
+    frame: int = 0
+    position: tuple[float, float] | None = None
+    position_std: float | None = None
+    pixel: tuple[float, float] | None = None
+    body: float | None = None
+    body_kappa: float | None = None
+    head: float | None = None
+    head_kappa: float | None = None
+    body_likelihood: tuple[float, ...] | None = None
+    head_likelihood: tuple[float, ...] | None = None
+
+
+CHANNELS = tuple(name for name in Observation.__dataclass_fields__ if name not in ("t", "frame"))
+
+
+def observations(track: Track) -> Iterator[Observation]:
+    """The observations of a track, frame by frame."""
+    channels = {name: value for name in CHANNELS if (value := getattr(track, name)) is not None}
+    for k in range(len(track)):
+        given: dict[str, object] = {}
+        for name, values in channels.items():
+            value = values[k]
+            if isinstance(value, np.ndarray):
+                if np.isfinite(value).all():
+                    given[name] = tuple(value.tolist())
+            elif math.isfinite(value):
+                given[name] = float(value)
+        yield Observation(t=float(track.t[k]), frame=int(track.frame[k]), **given)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One frame of the chain.
+
+    Attributes
+    ----------
+    index : number of the frame's variables: X(index) … H(index)
+    observation : what was seen there
+    previous : the step before; None at the beginning
+    starts : whether the velocity prior stands here (at the first step with a position)
+    camera : camera of the scene, for the pixel likelihood
+    """
+
+    index: int
+    observation: Observation
+    previous: Step | None = None
+    starts: bool = False
+    camera: GroundCamera | None = None
+
+    @cached_property
+    def dt(self) -> float | None:
+        """Seconds since the step before; None at the beginning."""
+        return None if self.previous is None else self.observation.t - self.previous.observation.t
+
+    @property
+    def position_key(self) -> int:
+        """GTSAM key of the position."""
+        return X(self.index)
+
+    @property
+    def velocity_key(self) -> int:
+        """GTSAM key of the velocity."""
+        return V(self.index)
+
+    @property
+    def body_key(self) -> int:
+        """GTSAM key of the body orientation."""
+        return B(self.index)
+
+    @property
+    def head_key(self) -> int:
+        """GTSAM key of the head pan."""
+        return H(self.index)
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """The states of one track: position (n, 2), velocity (n, 2), body (n,), head (n,); metres, m/s, radians.
+
+    Angles that the model does not estimate are NaN.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    body: FloatArray
+    head: FloatArray
+
+
+def chain(track: Track, camera: GroundCamera | None = None) -> list[Step]:
+    """The steps of a whole track, linked."""
+    seen = np.isfinite(track.position).all(axis=1)
+    start = int(np.argmax(seen)) if seen.any() else 0
+    steps: list[Step] = []
+    for k, observation in enumerate(observations(track)):
+        steps.append(Step(k, observation, steps[-1] if steps else None, k == start, camera))
+    return steps

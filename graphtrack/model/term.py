@@ -1,0 +1,41 @@
+"""What a term of the model is."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar, Literal
+
+import gtsam
+
+from graphtrack.geometry import GroundCamera
+from graphtrack.model.parameters import Parameters
+from graphtrack.model.steps import States, Step
+from graphtrack.tracks import Track
+
+Variable = Literal["body", "head"]
+
+
+class Term(ABC):
+    """One term of the model: its density and its factors, side by side.
+
+    A subclass is a whole new term; see the README for one in full.
+
+    Attributes
+    ----------
+    parameters : all parameters of the model
+    uses : the orientations that the term acts on; a model estimates those that some term acts on
+    """
+
+    uses: ClassVar[frozenset[Variable]] = frozenset()
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.parameters = parameters
+
+    @abstractmethod
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        """The factors that arrive with a step: on its variables and those of ``step.previous``."""
+
+    @abstractmethod
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Negative log density of a whole track, the sum of its factors' errors; vectorised over frames."""
