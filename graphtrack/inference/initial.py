@@ -53,8 +53,8 @@ def observed_vectors(track: Track, name: str) -> FloatArray:
 def _running_mean(track: Track, name: str) -> FloatArray:
     """Circular mean (n,) of what was seen within `WINDOW`; NaN where nothing was."""
     vectors = observed_vectors(track, name)
-    seen = np.isfinite(vectors).all(axis=1)
     seen = np.isfinite(vectors[:, 0])
+    sums = np.vstack([np.zeros(2), np.cumsum(np.where(seen[:, None], vectors, 0.0), axis=0)])
     counts = np.concatenate([[0], np.cumsum(seen)])
     low = np.searchsorted(track.t, track.t - WINDOW, side="left")
     high = np.searchsorted(track.t, track.t + WINDOW, side="right")
