@@ -172,7 +172,7 @@ def turn_window(track: Track, seconds: float, margin: float) -> BoolArray | str:
     centre = t[int(np.nanargmax(sharpness))]
     # Half open, so that a window holds the frames of its length and not one more.
     window = np.asarray((t >= centre - 0.5 * seconds - 1e-9) & (t < centre + 0.5 * seconds - 1e-9))
-    seen: BoolArray = np.isfinite(track.position).all(axis=1)
+    seen = np.asarray(np.isfinite(track.position).all(axis=1))
     first, last = np.flatnonzero(window)[[0, -1]]
     if not seen[:first].any() or not seen[last + 1 :].any():
         return "no position is known before the window, or none after it"

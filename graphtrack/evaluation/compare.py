@@ -1,0 +1,260 @@
+"""Methods against each other on the same tracks, with the same frames and the same parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from graphtrack.degrade import Occlusion, occlude
+from graphtrack.errors import InputError
+from graphtrack.evaluation.methods import Method, make_method
+from graphtrack.evaluation.metrics import BoolArray, consistency
+from graphtrack.evaluation.scoring import METRICS, QUANTITIES, TrackScore, score
+from graphtrack.geometry import GroundCamera
+from graphtrack.model import Model
+from graphtrack.tracks import Track, TrackSet
+
+METHODS = ("kf", "rts", "smoother", "isam2", "fixed-lag")
+
+Group = Literal["online", "offline"]
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What came out of comparing methods.
+
+    Attributes
+    ----------
+    rows : one a method and metric, online methods first: ``method``, ``group`` ("online" or "offline"),
+        ``metric``, ``unit``, ``median`` over the tracks, ``low`` and ``high`` (16th and 84th percentile),
+        ``mean``, ``n`` (tracks)
+    nees : one a method and quantity: ``method``, ``group``, ``quantity``, ``nees``, ``dof``, ``count``
+        (tracks), ``low`` and ``high`` (95 % band), ``inside``
+    per_track : every method on every track
+    information : method → what it used, in words
+    caption : how to read the tables
+    occlude_seconds : length of the withheld windows; None: nothing was withheld
+    left_out : track_id → why the track was not compared at all
+    """
+
+    rows: tuple[Mapping[str, Any], ...]
+    nees: tuple[Mapping[str, Any], ...]
+    per_track: tuple[TrackScore, ...]
+    information: Mapping[str, str]
+    caption: str
+    occlude_seconds: float | None = None
+    left_out: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def failures(self) -> tuple[TrackScore, ...]:
+        """The methods that failed on a track, with their reason in ``failure``."""
+        return tuple(record for record in self.per_track if record.failure)
+
+    def group(self, name: Group) -> tuple[Mapping[str, Any], ...]:
+        """The rows of the online or the offline methods."""
+        return tuple(row for row in self.rows if row["group"] == name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything in plain types, ready for JSON."""
+        return {
+            "caption": self.caption,
+            "information": dict(self.information),
+            "occlude_seconds": self.occlude_seconds,
+            "rows": [dict(row) for row in self.rows],
+            "nees": [dict(row) for row in self.nees],
+            "per_track": [asdict(record) for record in self.per_track],
+            "left_out": [{"track_id": i, "reason": reason} for i, reason in self.left_out.items()],
+        }
+
+
+def compare(
+    tracks: TrackSet,
+    methods: Sequence[str | Method] = METHODS,
+    model: Model | str | Path = "joint",
+    *,
+    occlude_seconds: float | None = None,
+    jobs: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> Comparison:
+    """Run methods on the same tracks and judge them against the truth.
+
+    All get the same observations and the model's parameters, and are judged at the same frames: those with a
+    true position, from the first observed position on. The tables pool the tracks on which every method that
+    gave any result gave one.
+
+    Parameters
+    ----------
+    tracks : observations, with ``true_position`` and, for angular errors, ``true_body`` and ``true_head``
+    methods : names in `graphtrack.evaluation.methods.registry`, or methods of your own
+    model : a `Model`, a preset's name or a model file
+    occlude_seconds : withhold position and body for so long around everybody's sharpest turn, and judge only
+        there
+    jobs : processes; more than one disturbs the measured time a step
+    progress : called with the number of person-frames of each finished track
+
+    Raises
+    ------
+    InputError
+        If no track has a true position, no track has room for the window, or a method is unknown or named
+        twice.
+    """
+    model = Model.named(model)
+    made = _make(methods, model)
+    with_truth = [track for track in tracks if track.has_truth]
+    if not with_truth:
+        raise InputError(
+            "no true positions",
+            "columns true_x and true_y; if the positions are exact, add noise to them, which keeps the exact "
+            "ones as truth",
+        )
+    left_out = {track.track_id: "no true positions" for track in tracks if not track.has_truth}
+    judged, windows = tracks.with_tracks(with_truth), {}
+    if occlude_seconds is not None:
+        hidden = occlude(judged, occlude_seconds)
+        judged, windows = hidden.tracks, dict(hidden.windows)
+        left_out |= hidden.left_out
+        _require_room(hidden, occlude_seconds)
+    run = partial(_score_all, methods=made, camera=tracks.camera)
+    masks = [windows.get(track.track_id) for track in judged]
+    records: list[TrackScore] = []
+    for track, found in zip(judged, _run(run, judged, masks, jobs), strict=True):
+        records.extend(found)
+        if progress is not None:
+            progress(len(track))
+    pooled = common_tracks(records)
+    return Comparison(
+        rows=tuple(_rows(made, pooled)),
+        nees=tuple(_nees(made, pooled)),
+        per_track=tuple(records),
+        information={method.name: method.information for method in made},
+        caption=_caption(made, records, pooled, occlude_seconds, left_out),
+        occlude_seconds=occlude_seconds,
+        left_out=left_out,
+    )
+
+
+def common_tracks(records: Sequence[TrackScore]) -> list[TrackScore]:
+    """The records of those tracks on which every method succeeded, methods that never did left aside."""
+    succeeded: dict[str, set[int]] = {}
+    for record in records:
+        if not record.failure:
+            succeeded.setdefault(record.method, set()).add(record.track_id)
+    common = set.intersection(*succeeded.values()) if succeeded else set()
+    return [record for record in records if not record.failure and record.track_id in common]
+
+
+def _make(methods: Sequence[str | Method], model: Model) -> tuple[Method, ...]:
+    made = tuple(make_method(method, model) for method in methods)
+    names = [method.name for method in made]
+    if not names:
+        raise InputError("no methods", f"some of {', '.join(METHODS)}")
+    if len(set(names)) != len(names):
+        raise InputError(f"methods {', '.join(names)}", "each method once")
+    # Online methods stand together, for they are compared with each other alone.
+    return tuple(sorted(made, key=lambda method: not method.online))
+
+
+def _require_room(hidden: Occlusion, seconds: float) -> None:
+    if not len(hidden.tracks):
+        reason = next(iter(hidden.left_out.values()), "there are no tracks")
+        raise InputError(f"no track with room for a window of {seconds:g} s ({reason})", "a shorter window")
+
+
+def _run(
+    run: Callable[[Track, BoolArray | None], list[TrackScore]],
+    tracks: TrackSet,
+    masks: Sequence[BoolArray | None],
+    jobs: int,
+) -> Iterator[list[TrackScore]]:
+    if jobs == 1 or len(tracks) < 2:
+        yield from map(run, tracks, masks)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        yield from pool.map(run, tracks, masks, chunksize=max(1, len(tracks) // (8 * jobs)))
+
+
+def _score_all(
+    track: Track, window: BoolArray | None, methods: Sequence[Method], camera: GroundCamera | None
+) -> list[TrackScore]:
+    return [score(method, track, camera, window) for method in methods]
+
+
+def _group(method: Method) -> Group:
+    return "online" if method.online else "offline"
+
+
+def _rows(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
+    for method in methods:
+        own = [record.metrics for record in records if record.method == method.name]
+        for metric, unit in METRICS.items():
+            values = [metrics[metric] for metrics in own if metric in metrics]
+            if not values:
+                continue
+            low, median, high = np.percentile(values, [16.0, 50.0, 84.0]).tolist()
+            yield {
+                "method": method.name,
+                "group": _group(method),
+                "metric": metric,
+                "unit": unit,
+                "median": median,
+                "low": low,
+                "high": high,
+                "mean": float(np.mean(values)),
+                "n": len(values),
+            }
+
+
+def _nees(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
+    for method in methods:
+        own = [record.nees for record in records if record.method == method.name]
+        for quantity, dof in QUANTITIES.items():
+            found = consistency([nees[quantity] for nees in own if quantity in nees], dof)
+            if found is None:
+                continue
+            heading = {"method": method.name, "group": _group(method), "quantity": quantity}
+            yield {**heading, **asdict(found), "inside": found.inside}
+
+
+def _caption(
+    methods: Sequence[Method],
+    records: Sequence[TrackScore],
+    pooled: Sequence[TrackScore],
+    occlude_seconds: float | None,
+    left_out: Mapping[int, str],
+) -> str:
+    n = len({record.track_id for record in pooled})
+    parts = [f"Median over {_tracks(n)}, with the 16th and 84th percentile."]
+    if occlude_seconds is not None:
+        parts.append(
+            f"Position and body were withheld for {occlude_seconds:g} s around everybody's sharpest turn, "
+            "the head was not; only the frames in there count."
+        )
+    used = {
+        group: "; ".join(f"{m.name} ({m.information})" for m in methods if _group(m) == group)
+        for group in ("online", "offline")
+    }
+    if used["online"]:
+        parts.append(f"Online, each estimate from the past alone: {used['online']}.")
+    if used["offline"]:
+        parts.append(f"Offline, from the whole track: {used['offline']}.")
+    if used["online"] and used["offline"]:
+        parts.append("Compare online methods with online ones and offline with offline.")
+    failed = sum(bool(record.failure) for record in records)
+    if failed:
+        parts.append(
+            f"{failed} of {len(records)} runs failed; their tracks count for no method that gave results."
+        )
+    if left_out:
+        verb = "is" if len(left_out) == 1 else "are"
+        parts.append(f"{_tracks(len(left_out))} could not be compared and {verb} left out.")
+    return " ".join(parts)
+
+
+def _tracks(n: int) -> str:
+    return f"{n} track{'' if n == 1 else 's'}"

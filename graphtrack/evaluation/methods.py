@@ -1,0 +1,140 @@
+"""Every method behind one protocol, so that comparing them is a loop over a list of names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Protocol
+
+from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
+from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference.batch import smooth_track
+from graphtrack.inference.incremental import Engine, track_online
+from graphtrack.model import Model
+from graphtrack.tracks import Track
+
+
+class Method(Protocol):
+    """What a method must have to be compared. Processes share methods, so it must pickle.
+
+    Attributes
+    ----------
+    name : short and unique
+    online : whether each estimate uses only what came before it; online and offline methods are not compared
+        with each other
+    information : what it uses, in words, such as "positions, body, head; past only"
+    """
+
+    @property
+    def name(self) -> str:
+        """Short and unique."""
+
+    @property
+    def online(self) -> bool:
+        """Whether each estimate uses only what came before it."""
+
+    @property
+    def information(self) -> str:
+        """What the method uses, in words."""
+
+    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
+        """Estimates from observations, one for each frame; None in channels that are not estimated."""
+
+
+@dataclass(frozen=True)
+class FunctionMethod:
+    """A method made of a function of a track, a model and a camera that stands in a module."""
+
+    name: str
+    online: bool
+    information: str
+    model: Model
+    function: Callable[[Track, Model, GroundCamera | None], Track]
+
+    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
+        """The function's estimates."""
+        return self.function(track, self.model, camera)
+
+
+@dataclass(frozen=True)
+class OnlineGraph:
+    """The incremental smoother's estimates at the latest frame.
+
+    Attributes
+    ----------
+    model : what is estimated
+    engine : "fixed-lag" or "isam2"; it is the name, too
+    lag : seconds that the fixed lag keeps open
+    """
+
+    model: Model
+    engine: Engine
+    lag: float = 2.0
+
+    online = True
+
+    @property
+    def name(self) -> str:
+        """The engine's name."""
+        return self.engine
+
+    @property
+    def information(self) -> str:
+        """The channels of the model, up to each frame."""
+        return f"{channels(self.model)}; past only"
+
+    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
+        """At each frame, from what came before."""
+        return track_online(track, self.model, engine=self.engine, lag=self.lag, camera=camera)
+
+
+def channels(model: Model) -> str:
+    """The observations that a model uses, in words."""
+    used = ["positions", *(["body"] if model.has_body else []), *(["head"] if model.has_head else [])]
+    return ", ".join(used)
+
+
+def _kalman(track: Track, model: Model, camera: GroundCamera | None) -> Track:
+    return kalman_filter(track, model.parameters)
+
+
+def _rauch_tung_striebel(track: Track, model: Model, camera: GroundCamera | None) -> Track:
+    return rauch_tung_striebel(track, model.parameters)
+
+
+def _smoother(track: Track, model: Model, camera: GroundCamera | None) -> Track:
+    return smooth_track(track, model, camera).track
+
+
+registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
+    {
+        "kf": lambda model: FunctionMethod("kf", True, "positions; past only", model, _kalman),
+        "rts": lambda model: FunctionMethod(
+            "rts", False, "positions; past and future", model, _rauch_tung_striebel
+        ),
+        "smoother": lambda model: FunctionMethod(
+            "smoother", False, f"{channels(model)}; past and future", model, _smoother
+        ),
+        "isam2": lambda model: OnlineGraph(model, "isam2"),
+        "fixed-lag": lambda model: OnlineGraph(model, "fixed-lag"),
+    }
+)
+"""Name → factory of the method for a model. All get its parameters; kf and rts use its linear part."""
+
+
+def make_method(method: Method | str, model: Model | str | Path = "joint") -> Method:
+    """A method from its name in `registry`; a method is returned as it is.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
+    if not isinstance(method, str):
+        return method
+    if method not in registry:
+        raise InputError(f"method {method!r}", f"one of {', '.join(registry)}")
+    return registry[method](Model.named(model))

@@ -1,0 +1,145 @@
+"""Errors of estimates against the truth, and whether their covariances are honest.
+
+Frames where the estimate or the truth is missing, and those outside the mask, do not count; a metric with no
+frame left is NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from graphtrack.angles import FloatArray, difference, mean_absolute_error
+from graphtrack.tracks import STATE, Track
+
+Angle = Literal["body", "head"]
+BoolArray = NDArray[np.bool_]
+
+
+def true_velocity(truth: Track) -> FloatArray:
+    """Velocity (n, 2) in m/s of the true positions: central differences at the frame times.
+
+    They are of second order for uneven steps too, and one-sided at the ends; NaN beside a missing position.
+    No recording knows velocities themselves, so an estimate is judged against these.
+    """
+    if truth.true_position is None or len(truth) < 2:
+        return np.full((len(truth), 2), np.nan)
+    return np.gradient(truth.true_position, truth.t, axis=0)
+
+
+def position_rmse(estimate: Track, truth: Track, mask: BoolArray | None = None) -> float:
+    """Root mean squared distance in metres from the true positions, over the frames of ``mask`` (n,)."""
+    if truth.true_position is None:
+        return float("nan")
+    return _rmse(estimate.position - truth.true_position, mask)
+
+
+def velocity_rmse(estimate: Track, truth: Track, mask: BoolArray | None = None) -> float:
+    """Root mean squared length in m/s of the velocity's error, against `true_velocity`."""
+    if estimate.velocity is None:
+        return float("nan")
+    return _rmse(estimate.velocity - true_velocity(truth), mask)
+
+
+def angular_error(estimate: Track, truth: Track, name: Angle, mask: BoolArray | None = None) -> float:
+    """Mean absolute error of body or head in **degrees**, the short way around the circle."""
+    angles, true_angles = getattr(estimate, name), getattr(truth, f"true_{name}")
+    if angles is None or true_angles is None:
+        return float("nan")
+    use = slice(None) if mask is None else mask
+    return float(np.degrees(mean_absolute_error(angles[use], true_angles[use])))
+
+
+def position_nees(estimate: Track, truth: Track) -> FloatArray:
+    """Normalised estimation error squared (n,) of the positions, eᵀ·P⁻¹·e with 2 degrees of freedom.
+
+    NaN where the error or its covariance is not known, or the covariance is not positive definite.
+    """
+    found = np.full(len(truth), np.nan)
+    if truth.true_position is None or estimate.covariance is None:
+        return found
+    error, covariance = estimate.position - truth.true_position, estimate.covariance[:, :2, :2]
+    determinant = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] * covariance[:, 1, 0]
+    with np.errstate(invalid="ignore"):
+        use = np.isfinite(error).all(axis=1) & (determinant > 0.0) & (covariance[:, 0, 0] > 0.0)
+    weighted = np.linalg.solve(covariance[use], error[use, :, None])[..., 0]
+    found[use] = np.sum(error[use] * weighted, axis=1)
+    return found
+
+
+def angle_nees(estimate: Track, truth: Track, name: Angle) -> FloatArray:
+    """Normalised squared error (n,) of body or head, wrapped, with 1 degree of freedom.
+
+    An angle is Gaussian only while its 1-σ is small: beyond some 40° read it as a rough sign.
+    """
+    found = np.full(len(truth), np.nan)
+    angles, true_angles = getattr(estimate, name), getattr(truth, f"true_{name}")
+    if angles is None or true_angles is None or estimate.covariance is None:
+        return found
+    place = STATE.index(name)
+    variance = estimate.covariance[:, place, place]
+    error = difference(angles, true_angles)
+    with np.errstate(invalid="ignore"):
+        use = np.isfinite(error) & (variance > 0.0)
+    found[use] = error[use] ** 2 / variance[use]
+    return found
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """The mean NEES of many tracks with the band in which it lies if covariances are honest.
+
+    Attributes
+    ----------
+    nees : mean over the tracks of each one's mean over its frames
+    dof : degrees of freedom of one error, which is what ``nees`` should be
+    count : tracks
+    low, high : central 95 % of the mean of ``count`` independent χ² variables of ``dof`` degrees of freedom
+    """
+
+    nees: float
+    dof: int
+    count: int
+    low: float
+    high: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether the mean lies in the band. Above it, covariances are too small; below, too large."""
+        return self.low <= self.nees <= self.high
+
+
+def consistency(nees: Sequence[FloatArray | float], dof: int) -> Consistency | None:
+    """Pool the NEES of independent tracks; None where no frame has one.
+
+    Errors of neighbouring frames are alike, so a track counts as one independent error, however many frames
+    it has. Its mean over the frames spreads less than a single error would: the band is wide rather than
+    narrow.
+
+    Parameters
+    ----------
+    nees : for each track the values of its frames (n,), or their mean
+    dof : 2 for positions, 1 for an angle
+    """
+    means = [float(np.mean(known)) for values in nees if (known := _finite(values)).size]
+    if not means:
+        return None
+    count = len(means)
+    low, high = stats.chi2.ppf([0.025, 0.975], dof * count) / count
+    return Consistency(float(np.mean(means)), dof, count, float(low), float(high))
+
+
+def _rmse(error: FloatArray, mask: BoolArray | None) -> float:
+    squares = np.sum(error**2, axis=1)
+    squares = _finite(squares if mask is None else squares[mask])
+    return float(np.sqrt(squares.mean())) if squares.size else float("nan")
+
+
+def _finite(values: FloatArray | float) -> FloatArray:
+    values = np.atleast_1d(np.asarray(values, dtype=float))
+    return values[np.isfinite(values)]
