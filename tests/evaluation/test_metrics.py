@@ -1,0 +1,136 @@
+"""Metrics on cases computed by hand, and the NEES of honest and of overconfident Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graphtrack import Track
+from graphtrack.evaluation.metrics import (
+    angle_nees,
+    angular_error,
+    consistency,
+    position_nees,
+    position_rmse,
+    true_velocity,
+    velocity_rmse,
+)
+
+
+def truth_and_estimate(n: int = 4) -> tuple[Track, Track]:
+    frame = np.arange(n)
+    true = np.column_stack([frame * 1.0, np.zeros(n)])
+    truth = Track(
+        1, frame, frame * 0.5, true, true_position=true, true_body=np.zeros(n), true_head=np.zeros(n)
+    )
+    estimate = replace(
+        truth,
+        body=np.zeros(n),
+        head=np.zeros(n),
+        velocity=np.tile([2.0, 0.0], (n, 1)),
+        covariance=np.tile(np.eye(6), (n, 1, 1)),
+    )
+    return truth, estimate
+
+
+def test_rmse_is_of_distances_not_of_coordinates() -> None:
+    truth, estimate = truth_and_estimate()
+    assert position_rmse(estimate, truth) == 0.0 == velocity_rmse(estimate, truth)
+    moved = replace(estimate, position=truth.true_position + np.array([3.0, 4.0]))
+    assert position_rmse(moved, truth) == pytest.approx(5.0)
+    one = truth.true_position.copy()
+    one[2] += [3.0, 4.0]
+    assert position_rmse(replace(estimate, position=one), truth) == pytest.approx(np.sqrt(25.0 / 4.0))
+    mask = np.array([False, False, True, False])
+    assert position_rmse(replace(estimate, position=one), truth, mask) == pytest.approx(5.0)
+    assert position_rmse(replace(estimate, position=one), truth, ~mask) == 0.0
+
+
+def test_true_velocity_is_exact_for_constant_acceleration_at_uneven_steps() -> None:
+    t = np.array([0.0, 0.1, 0.4, 0.5, 1.3])
+    position = np.column_stack([1.0 + 2.0 * t - 3.0 * t**2, 0.5 * t**2])
+    track = Track(1, np.arange(5), t, position, true_position=position)
+    exact = np.column_stack([2.0 - 6.0 * t, t])
+    np.testing.assert_allclose(true_velocity(track)[1:-1], exact[1:-1], atol=1e-12)
+    estimate = replace(track, velocity=exact + np.array([0.6, 0.8]))
+    middle = np.array([False, True, True, True, False])
+    assert velocity_rmse(estimate, track, middle) == pytest.approx(1.0)
+
+
+def test_angular_error_is_in_degrees_and_the_short_way_around() -> None:
+    truth, estimate = truth_and_estimate(2)
+    truth = replace(truth, true_head=np.radians([179.0, -179.0]))
+    estimate = replace(estimate, head=np.radians([-179.0, 175.0]))
+    assert angular_error(estimate, truth, "head") == pytest.approx((2.0 + 6.0) / 2.0)
+    assert angular_error(estimate, truth, "head", np.array([True, False])) == pytest.approx(2.0)
+    variance = np.tile(np.diag([1.0] * 5 + [np.radians(2.0) ** 2]), (2, 1, 1))
+    nees = angle_nees(replace(estimate, covariance=variance), truth, "head")
+    np.testing.assert_allclose(nees, [1.0, 9.0])
+
+
+def test_position_nees_by_hand() -> None:
+    truth, estimate = truth_and_estimate(3)
+    covariance = np.full((3, 6, 6), np.nan)
+    covariance[:, :2, :2] = [[4.0, 1.0], [1.0, 1.0]]
+    covariance[2, :2, :2] = np.zeros((2, 2))
+    estimate = replace(estimate, position=truth.true_position + np.array([2.0, 1.0]), covariance=covariance)
+    # [2, 1]·P⁻¹·[2, 1] with P⁻¹ = [[1, −1], [−1, 4]]/3
+    np.testing.assert_allclose(position_nees(estimate, truth), [4.0 / 3.0, 4.0 / 3.0, np.nan])
+
+
+def test_missing_values_do_not_count() -> None:
+    truth, estimate = truth_and_estimate()
+    holed = truth.true_position.copy()
+    holed[1] = np.nan
+    truth = replace(truth, true_position=holed, true_body=np.array([0.0, np.nan, 0.2, 0.2]))
+    estimate = replace(estimate, position=estimate.position + np.array([0.0, 2.0]))
+    assert position_rmse(estimate, truth) == pytest.approx(2.0)
+    assert angular_error(estimate, truth, "body") == pytest.approx(np.degrees(0.4 / 3.0))
+    assert np.isnan(position_nees(estimate, truth)).tolist() == [False, True, False, False]
+    assert np.isnan(position_rmse(estimate, truth, np.array([False, True, False, False])))
+
+
+def test_what_is_not_there_is_nan_and_no_error() -> None:
+    truth, estimate = truth_and_estimate()
+    nothing = replace(truth, true_position=None, true_body=None, true_head=None)
+    bare = replace(estimate, body=None, head=None, velocity=None, covariance=None)
+    assert np.isnan(position_rmse(estimate, nothing)) and np.isnan(velocity_rmse(estimate, nothing))
+    assert np.isnan(velocity_rmse(bare, truth)) and np.isnan(angular_error(bare, truth, "body"))
+    assert np.isnan(angular_error(estimate, nothing, "head"))
+    assert np.isnan(position_nees(bare, truth)).all() and np.isnan(angle_nees(bare, truth, "body")).all()
+    assert consistency([], 2) is None
+    assert consistency([np.full(3, np.nan)], 2) is None
+
+
+@pytest.mark.parametrize(
+    ("stated", "lowest", "highest"), [(1.0, 0.91, 0.99), (0.5, 0.0, 0.01), (2.0, 0.0, 0.01)]
+)
+def test_nees_is_in_band_for_honest_gaussians_only(stated: float, lowest: float, highest: float) -> None:
+    """``stated`` is the 1-σ claimed over the 1-σ sampled; 400 experiments of 50 tracks with one frame each."""
+    rng = np.random.default_rng(11)
+    root = np.array([[0.5, 0.0], [0.3, 0.2]])
+    truth, estimate = truth_and_estimate(400 * 50)
+    covariance = np.tile(np.eye(6), (len(truth), 1, 1)) * 0.1**2 * stated**2
+    covariance[:, :2, :2] = stated**2 * root @ root.T
+    estimate = replace(
+        estimate,
+        position=truth.true_position + rng.standard_normal((len(truth), 2)) @ root.T,
+        body=0.1 * rng.standard_normal(len(truth)),
+        covariance=covariance,
+    )
+    for values, dof in ((position_nees(estimate, truth), 2), (angle_nees(estimate, truth, "body"), 1)):
+        found = [consistency(list(experiment), dof) for experiment in values.reshape(400, 50)]
+        assert all(c.count == 50 and c.dof == dof and c.low < dof < c.high for c in found)
+        assert lowest <= np.mean([c.inside for c in found]) <= highest
+
+
+def test_the_band_holds_95_percent_and_a_track_counts_once() -> None:
+    rng = np.random.default_rng(12)
+    hits = np.mean([consistency(list(rng.chisquare(2, (30, 1))), 2).inside for _ in range(2000)])
+    assert abs(hits - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / 2000)
+    # The frames of one track say the same thing again: repeating them must not narrow the band.
+    values = list(rng.chisquare(2, (30, 1)))
+    once, often = consistency(values, 2), consistency([np.repeat(v, 50) for v in values], 2)
+    assert (once.low, once.high, once.nees) == pytest.approx((often.low, often.high, often.nees))
