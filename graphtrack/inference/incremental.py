@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import gtsam
@@ -18,52 +18,14 @@ from graphtrack.angles import FloatArray, wrap
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference.batch import anchors, bounded, insert_state, variable_keys
-from graphtrack.inference.marginal import MarginalPrior, find_marginal_prior
+from graphtrack.inference.marginal import find_marginal_prior
+from graphtrack.inference.state import Estimate, Status, Window, pack_state, unpack_state
 from graphtrack.model import Model, Observation, States, Step
-from graphtrack.model.steps import CHANNELS, observations
+from graphtrack.model.steps import CHANNELS, observations, seconds_between
 from graphtrack.tracks import Track
 
 Engine = Literal["fixed-lag", "isam2"]
 ENGINES: tuple[Engine, ...] = ("fixed-lag", "isam2")
-
-Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed"]
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """What is known after an observation, at the latest time seen so far.
-
-    Attributes
-    ----------
-    t, frame : the time of the estimate (seconds) and its frame
-    position : (2,) metres; velocity : (2,) m/s; NaN while waiting for a first position
-    body, head : radians; NaN when the model does not estimate them
-    covariance : (6, 6) in the order of `graphtrack.tracks.STATE`
-    status : what became of the observation. "new": it came in order. "late": it came out of order but
-        within the window, and was worked in. "duplicate": its time was known and it had nothing new, so it
-        was left out. "too-late": it was older than the window and left out. "waiting": no position has been
-        seen yet, so it was left out. "failed": it could not be used; the state is the one before it.
-    reason : why it failed
-    """
-
-    t: float
-    frame: int
-    position: FloatArray
-    velocity: FloatArray
-    body: float
-    head: float
-    covariance: FloatArray
-    status: Status
-    reason: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class _Window:
-    """Everything the smoother's state consists of: what rebuilds it, and what is saved."""
-
-    steps: tuple[Step, ...]
-    values: dict[int, tuple[float, ...]]
-    prior: MarginalPrior | None
 
 
 class OnlineSmoother:
@@ -138,11 +100,32 @@ class OnlineSmoother:
         """Smoothed states of the window: (t, array of x, y, vx, vy, body, head), oldest first."""
         return [(step.observation.t, np.array(self._state(step))) for step in self._steps]
 
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        return pack_state(self._snapshot(), self._last, self._next_index)
+
+    @classmethod
+    def from_state(
+        cls, state: dict[str, Any], model: Model | str = "joint", **options: Any
+    ) -> OnlineSmoother:
+        """A smoother that goes on where `state` was taken, given the same model and options.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged or of another version.
+        """
+        smoother = cls(model, **options)
+        window, smoother._last, smoother._next_index = unpack_state(state, smoother.camera)
+        smoother._rebuild(window)
+        return smoother
+
     # -- one step ------------------------------------------------------------------------------------------
 
     def _append(self, observation: Observation) -> Estimate:
         previous = self._steps[-1] if self._steps else None
-        step = Step(self._next_index, observation, previous, previous is None, self.camera)
+        dt = seconds_between(previous, observation)
+        step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
         before = self._snapshot()
         try:
             self._extend(step)
@@ -222,9 +205,7 @@ class OnlineSmoother:
         self._last = estimate
         return estimate
 
-    def _rearranged(
-        self, before: _Window, seen: Sequence[Observation], place: int, inserted: bool
-    ) -> _Window:
+    def _rearranged(self, before: Window, seen: Sequence[Observation], place: int, inserted: bool) -> Window:
         """The window with another observation in it: the chain is linked anew."""
         steps: list[Step] = []
         values = dict(before.values)
@@ -235,18 +216,20 @@ class OnlineSmoother:
                 index, starts = self._next_index, False
                 self._next_index += 1
                 values[index] = _between(before, steps[-1], before.steps[place], observation.t)
-            steps.append(Step(index, observation, steps[-1] if steps else None, starts, self.camera))
-        return _Window(tuple(steps), values, before.prior)
+            previous = steps[-1] if steps else None
+            dt = old.dt if previous is None else seconds_between(previous, observation)
+            steps.append(Step(index, observation, previous, dt, starts, self.camera))
+        return Window(tuple(steps), values, before.prior)
 
     # -- state: snapshot, rebuild, roll back ---------------------------------------------------------------
 
-    def _snapshot(self) -> _Window:
+    def _snapshot(self) -> Window:
         linearization = self._smoother.getLinearizationPoint()
         values = {step.index: _state_of(linearization, step, self.model) for step in self._steps}
         prior = find_marginal_prior(self._factors(), linearization) if self.engine == "fixed-lag" else None
-        return _Window(tuple(self._steps), values, prior)
+        return Window(tuple(self._steps), values, prior)
 
-    def _rebuild(self, window: _Window) -> None:
+    def _rebuild(self, window: Window) -> None:
         self._smoother = self._empty_smoother()
         self._steps = list(window.steps)
         if not self._steps:
@@ -266,8 +249,13 @@ class OnlineSmoother:
             for factor in anchors(self._steps[0], self.model, first[4], first[5]):
                 graph.push_back(factor)
         self._run(graph, values, self._steps)
+        if window.prior is not None:
+            # As after a marginalisation: the variables of the marginal keep their linearisation point.
+            fixed = self._smoother.getISAM2().getFixedVariables()
+            for key in window.prior.keys:
+                fixed.insert(key)
 
-    def _roll_back(self, before: _Window, observation: Observation, error: Exception) -> Estimate:
+    def _roll_back(self, before: Window, observation: Observation, error: Exception) -> Estimate:
         self._rebuild(before)
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         return replace(self._unchanged(observation, "failed"), reason=reason)
@@ -373,7 +361,7 @@ def _state_of(values: gtsam.Values, step: Step, model: Model) -> tuple[float, ..
     return (*position.tolist(), *velocity.tolist(), body, head)
 
 
-def _between(window: _Window, before: Step, after: Step, t: float) -> tuple[float, ...]:
+def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float, ...]:
     """Initial state at t, between two steps of the window."""
     start, end = before.observation.t, after.observation.t
     share = (t - start) / (end - start)

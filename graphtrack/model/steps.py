@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from gtsam.symbol_shorthand import B, H, V, X
@@ -58,7 +57,9 @@ class Step:
     ----------
     index : number of the frame's variables: X(index) … H(index)
     observation : what was seen there
-    previous : the step before; None at the beginning
+    previous : the step before; None at the beginning of the chain
+    dt : seconds since the person's frame before; None at the very first. A chain whose beginning was
+        marginalised has a first step with a dt.
     starts : whether the velocity prior stands here (at the first step with a position)
     camera : camera of the scene, for the pixel likelihood
     """
@@ -66,13 +67,9 @@ class Step:
     index: int
     observation: Observation
     previous: Step | None = None
+    dt: float | None = None
     starts: bool = False
     camera: GroundCamera | None = None
-
-    @cached_property
-    def dt(self) -> float | None:
-        """Seconds since the step before; None at the beginning."""
-        return None if self.previous is None else self.observation.t - self.previous.observation.t
 
     @property
     def position_key(self) -> int:
@@ -114,5 +111,13 @@ def chain(track: Track, camera: GroundCamera | None = None) -> list[Step]:
     start = int(np.argmax(seen)) if seen.any() else 0
     steps: list[Step] = []
     for k, observation in enumerate(observations(track)):
-        steps.append(Step(k, observation, steps[-1] if steps else None, k == start, camera))
+        previous = steps[-1] if steps else None
+        steps.append(
+            Step(k, observation, previous, seconds_between(previous, observation), k == start, camera)
+        )
     return steps
+
+
+def seconds_between(previous: Step | None, observation: Observation) -> float | None:
+    """The ``dt`` of a step; None without a step before."""
+    return None if previous is None else observation.t - previous.observation.t

@@ -1,0 +1,82 @@
+"""What the commands print, and how they end."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from graphtrack.errors import InputWarning
+from graphtrack.tracks import TrackSet
+
+console = Console(stderr=True, highlight=False, soft_wrap=True)
+"""Messages go to standard error, so that standard output stays free for data."""
+
+BAD_INPUT = 2
+
+
+def fail(message: str) -> None:
+    """Print one line of error and end with status 2."""
+    print(f"error: {message}", file=sys.stderr)
+    raise SystemExit(BAD_INPUT)
+
+
+@contextmanager
+def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[int], None]]:
+    """A progress bar on standard error; yields the function that advances it."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("", total=total)
+        yield lambda count: progress.advance(task, count)
+
+
+@contextmanager
+def quiet_input_warnings() -> Iterator[None]:
+    """Readers warn and write the same in the summary's notes; the command line shows the notes."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)
+        yield
+
+
+def print_summary(tracks: TrackSet, name: str) -> None:
+    """What was read: rows read, used and refused, tracks, and the reader's notes."""
+    summary = tracks.summary
+    console.print(
+        f"{name}: {summary.format}, rows read {summary.rows_read}, used {summary.rows_used}, "
+        f"refused {summary.rows_refused}; {len(tracks)} tracks",
+        markup=False,
+    )
+    for reason, count in summary.refused.items():
+        console.print(f"  refused {count}: {reason}", markup=False)
+    for note in summary.notes:
+        console.print(f"  note: {note}", markup=False)
+
+
+def print_table(title: str, rows: Sequence[Mapping[str, Any]], *, to: Console | None = None) -> None:
+    """Rows as a table; the columns are the keys of the first row."""
+    if not rows:
+        return
+    table = Table(title=title, title_justify="left")
+    for column in rows[0]:
+        table.add_column(column, justify="left" if isinstance(rows[0][column], str) else "right")
+    for row in rows:
+        table.add_row(*(_cell(value) for value in row.values()))
+    (Console(highlight=False) if to is None else to).print(table)
+
+
+def _cell(value: Any) -> str:
+    if value is None or value != value:
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,93 @@
+"""`graphtrack info` and `graphtrack formats`."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from graphtrack.cli import options
+from graphtrack.cli.console import print_table
+from graphtrack.tracks import Track
+
+
+def info(
+    inputs: options.Inputs,
+    fps: options.Fps = None,
+    homography: options.Homography = None,
+    point_pairs: options.PointPairs = None,
+    point_pairs_unit: options.PointPairsUnit = "m",
+    point_pairs_rows: options.PointPairsRows = None,
+    calibration: options.Calibration = None,
+    metres_per_pixel: options.MetresPerPixel = None,
+    image_scale: options.ImageScale = None,
+    classes: options.Classes = None,
+    format: options.Format = None,
+    select: options.Select = None,
+    json_path: options.Json = None,
+) -> None:
+    """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows."""
+    tracks = options.read_tracks(
+        inputs,
+        format=format,
+        select=select,
+        classes=classes,
+        fps=fps,
+        homography=homography,
+        point_pairs=point_pairs,
+        point_pairs_unit=point_pairs_unit,
+        point_pairs_rows=point_pairs_rows,
+        calibration=calibration,
+        metres_per_pixel=metres_per_pixel,
+        image_scale=image_scale,
+    )
+    rows = [describe(track) for track in tracks]
+    print_table(f"{len(tracks)} tracks, {tracks.n_frames} person-frames", rows)
+    if json_path is not None:
+        from graphtrack.io import atomic_path
+
+        with atomic_path(json_path) as temporary:
+            temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+
+def describe(track: Track) -> dict[str, Any]:
+    """One line about a track: extent, rate, gaps, what was observed, median speed."""
+    seen = np.isfinite(track.position).all(axis=1)
+    steps = np.diff(track.t)
+    usual = float(np.median(steps)) if len(steps) else float("nan")
+    step_frames = np.diff(track.frame)
+    frames = int(np.median(step_frames)) if len(step_frames) else 1
+    speeds = np.linalg.norm(np.diff(track.position, axis=0), axis=1) / steps
+    speeds = speeds[np.isfinite(speeds)]
+
+    def count(name: str) -> int:
+        values = [getattr(track, channel) for channel in (name, f"{name}_likelihood")]
+        known = [np.isfinite(v).reshape(len(track), -1).all(axis=1) for v in values if v is not None]
+        return int(np.any(known, axis=0).sum()) if known else 0
+
+    return {
+        "track": track.track_id,
+        "label": track.label,
+        "rows": len(track),
+        "frames": f"{track.frame[0]}–{track.frame[-1]}",
+        "seconds": float(track.t[-1] - track.t[0]),
+        "rate Hz": 1.0 / usual if usual > 0 else None,
+        "gaps": int(np.sum(step_frames > frames)),
+        "positions": int(seen.sum()),
+        "body": count("body"),
+        "head": count("head"),
+        "speed m/s": float(np.median(speeds)) if len(speeds) else None,
+        "truth": "yes" if track.has_truth else "no",
+    }
+
+
+def formats() -> None:
+    """List the file formats that can be read and written."""
+    from graphtrack.io import formats as all_formats
+
+    rows = [
+        {"format": one.name, "writes": "yes" if one.write else "no", "what": one.description}
+        for one in all_formats()
+    ]
+    print_table("Formats", rows)

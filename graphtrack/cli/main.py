@@ -1,0 +1,42 @@
+"""The application: its commands, and one way to end badly."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from graphtrack.cli import compare, demo, info, simulate, smooth, track
+from graphtrack.cli.console import fail
+from graphtrack.errors import GraphtrackError
+
+app = typer.Typer(
+    name="graphtrack",
+    help="Where pedestrians are, how they move and where their bodies and heads point.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command("smooth")(smooth.smooth)
+app.command("track")(track.track)
+app.command("compare")(compare.compare)
+app.command("demo")(demo.demo)
+app.command("simulate")(simulate.simulate)
+app.command("add-noise")(simulate.add_noise)
+app.command("info")(info.info)
+app.command("formats")(info.formats)
+
+
+def main() -> None:
+    """Entry point of the command line."""
+    try:
+        app()
+    except GraphtrackError as error:
+        fail(str(error))
+    except BrokenPipeError:
+        # The reader of our output has gone, as with `| head`.
+        sys.stderr.close()
+        raise SystemExit(0) from None
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise SystemExit(130) from None

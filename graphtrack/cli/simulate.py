@@ -1,0 +1,78 @@
+"""`graphtrack simulate` and `graphtrack add-noise`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import console
+
+PositionNoise = Annotated[
+    float | None, typer.Option("--position-noise", help="1-σ of the noise on each axis, metres.")
+]
+BodyKappa = Annotated[
+    float | None, typer.Option("--body-kappa", help="von Mises concentration of the body's noise.")
+]
+HeadKappa = Annotated[
+    float | None, typer.Option("--head-kappa", help="von Mises concentration of the head's noise.")
+]
+
+
+def simulate(
+    output: options.Output,
+    model: options.ModelName = "joint",
+    tracks: Annotated[int, typer.Option("--tracks", min=1, help="People.")] = 10,
+    steps: Annotated[int, typer.Option("--steps", min=1, help="Frames of each.")] = 200,
+    fps: Annotated[float, typer.Option("--fps", help="Frames a second.")] = 10.0,
+    missing: Annotated[
+        float, typer.Option("--missing", min=0.0, max=1.0, help="Share of frames unseen.")
+    ] = 0.0,
+    scenario: Annotated[bool, typer.Option("--scenario", help="The demo's scripted people instead.")] = False,
+    seed: options.Seed = 0,
+) -> None:
+    """Simulate people from the model, with their truth, and write the table."""
+    import numpy as np
+
+    from graphtrack.io import write
+    from graphtrack.model import Model
+    from graphtrack.scenario import scenario as scripted
+    from graphtrack.simulate import simulate as sample
+
+    rng = np.random.default_rng(seed)
+    if scenario:
+        found = scripted(rng, fps=fps, seconds=steps / fps)
+    else:
+        found = sample(Model.named(model), n_tracks=tracks, n_steps=steps, fps=fps, missing=missing, rng=rng)
+    write(found, output)
+    console.print(f"wrote {output}: {len(found)} tracks, {found.n_frames} person-frames", markup=False)
+
+
+def add_noise(
+    inputs: options.Inputs,
+    output: options.Output,
+    position_noise: PositionNoise = None,
+    body_kappa: BodyKappa = None,
+    head_kappa: HeadKappa = None,
+    format: options.Format = None,
+    fps: options.Fps = None,
+    select: options.Select = None,
+    seed: options.Seed = 0,
+) -> None:
+    """Take exact tracks as the truth and write noisy observations of them, the truth beside."""
+    import numpy as np
+
+    from graphtrack.degrade import add_noise as noisy
+    from graphtrack.io import write
+
+    tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
+    found = noisy(
+        tracks,
+        position_std=position_noise,
+        body_kappa=body_kappa,
+        head_kappa=head_kappa,
+        rng=np.random.default_rng(seed),
+    )
+    write(found, output)
+    console.print(f"wrote {output}: {len(found)} tracks, {found.n_frames} person-frames", markup=False)

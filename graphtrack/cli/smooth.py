@@ -1,0 +1,83 @@
+"""`graphtrack smooth`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import BAD_INPUT, console, progress_bar
+
+
+def smooth(
+    inputs: options.Inputs,
+    output: options.Output,
+    model: options.ModelName = "joint",
+    fps: options.Fps = None,
+    homography: options.Homography = None,
+    point_pairs: options.PointPairs = None,
+    point_pairs_unit: options.PointPairsUnit = "m",
+    point_pairs_rows: options.PointPairsRows = None,
+    calibration: options.Calibration = None,
+    metres_per_pixel: options.MetresPerPixel = None,
+    image_scale: options.ImageScale = None,
+    classes: options.Classes = None,
+    format: options.Format = None,
+    select: options.Select = None,
+    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Processes across tracks.")] = 1,
+    report: Annotated[Path | None, typer.Option("--report", help="Write an HTML report here too.")] = None,
+) -> None:
+    """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
+    from graphtrack.inference import Failure, Solution, solve
+    from graphtrack.io import write
+    from graphtrack.model import Model
+
+    chosen = Model.named(model)
+    tracks = options.read_tracks(
+        inputs,
+        format=format,
+        select=select,
+        classes=classes,
+        fps=fps,
+        homography=homography,
+        point_pairs=point_pairs,
+        point_pairs_unit=point_pairs_unit,
+        point_pairs_rows=point_pairs_rows,
+        calibration=calibration,
+        metres_per_pixel=metres_per_pixel,
+        image_scale=image_scale,
+    )
+    start = time.perf_counter()
+    with progress_bar(tracks.n_frames) as advance:
+        found = solve(tracks, chosen, jobs=jobs, progress=advance)
+    seconds = time.perf_counter() - start
+    good = [result for result in found if isinstance(result, Solution)]
+    bad = [result for result in found if isinstance(result, Failure)]
+    estimates = tracks.with_tracks(result.track for result in good)
+    if good:
+        write(estimates, output)
+    unconverged = [result for result in good if not result.converged]
+    console.print(
+        f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in {seconds:.1f} s"
+        f"; model {chosen.preset}, {len(good) - len(unconverged)} converged",
+        markup=False,
+    )
+    for result in unconverged:
+        console.print(
+            f"  track {result.track.track_id}: not converged in {result.iterations} steps", markup=False
+        )
+    if report is not None and good:
+        from graphtrack.report.build import tracking_report
+        from graphtrack.report.html import write_report
+
+        write_report(report, tracking_report(estimates, tracks, title="Smoothed tracks"))
+        console.print(f"report: {report}", markup=False)
+    if good:
+        console.print(f"wrote {output}", markup=False)
+    for failure in bad:
+        console.print(f"error: track {failure.track_id}: {failure.reason}", markup=False)
+    if bad:
+        raise typer.Exit(BAD_INPUT)

@@ -1,0 +1,140 @@
+"""`graphtrack track`."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import BAD_INPUT, console, progress_bar
+from graphtrack.errors import InputError
+
+
+def track(
+    input: Annotated[
+        str,
+        typer.Argument(help="File with tracks, or - for NDJSON rows on standard input.", show_default=False),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="File to write; with -, NDJSON goes to standard output."),
+    ] = None,
+    model: options.ModelName = "joint",
+    engine: Annotated[str, typer.Option("--engine", help="fixed-lag or isam2.")] = "fixed-lag",
+    lag: Annotated[
+        float, typer.Option("--lag", help="Seconds of history that the fixed lag keeps open.")
+    ] = 2.0,
+    fps: options.Fps = None,
+    homography: options.Homography = None,
+    point_pairs: options.PointPairs = None,
+    point_pairs_unit: options.PointPairsUnit = "m",
+    point_pairs_rows: options.PointPairsRows = None,
+    calibration: options.Calibration = None,
+    metres_per_pixel: options.MetresPerPixel = None,
+    image_scale: options.ImageScale = None,
+    classes: options.Classes = None,
+    format: options.Format = None,
+    select: options.Select = None,
+    state: Annotated[
+        Path | None, typer.Option("--state", help="With -: keep the state in this file, and go on from it.")
+    ] = None,
+    save_every: Annotated[
+        int, typer.Option("--save-every", min=1, help="Rows between savings of --state.")
+    ] = 1,
+) -> None:
+    """Track online: the estimate at each frame from what came before it alone."""
+    from graphtrack.inference.incremental import OnlineSmoother, track_online
+    from graphtrack.io import write
+    from graphtrack.model import Model
+
+    chosen = Model.named(model)
+    OnlineSmoother(chosen, engine=engine, lag=lag)  # type: ignore[arg-type]  # refuses a bad engine or lag
+    if input == "-":
+        _stream(chosen, engine, lag, fps, homography, state, save_every)
+        return
+    if output is None:
+        raise InputError("no output", "a file to write (--output)")
+    tracks = options.read_tracks(
+        [Path(input)],
+        format=format,
+        select=select,
+        classes=classes,
+        fps=fps,
+        homography=homography,
+        point_pairs=point_pairs,
+        point_pairs_unit=point_pairs_unit,
+        point_pairs_rows=point_pairs_rows,
+        calibration=calibration,
+        metres_per_pixel=metres_per_pixel,
+        image_scale=image_scale,
+    )
+    start = time.perf_counter()
+    found, unseen = [], []
+    with progress_bar(tracks.n_frames) as advance:
+        for one in tracks:
+            estimate = track_online(one, chosen, engine=engine, lag=lag, camera=tracks.camera)  # type: ignore[arg-type]
+            advance(len(one))
+            known = [k for k in range(len(one)) if estimate.position[k, 0] == estimate.position[k, 0]]
+            if known:
+                found.append(estimate)
+            else:
+                unseen.append(one.track_id)
+    seconds = time.perf_counter() - start
+    estimates = tracks.with_tracks(found)
+    if found:
+        write(estimates, output)
+        console.print(
+            f"tracked {len(found)} people, {estimates.n_frames} person-frames in {seconds:.1f} s "
+            f"({1e3 * seconds / estimates.n_frames:.2f} ms each); engine {engine}, model {chosen.preset}\n"
+            f"wrote {output}",
+            markup=False,
+        )
+    for track_id in unseen:
+        console.print(
+            f"error: track {track_id}: found no position at all, expected at least one", markup=False
+        )
+    if unseen:
+        raise typer.Exit(BAD_INPUT)
+
+
+def _stream(
+    model: object,
+    engine: str,
+    lag: float,
+    fps: float | None,
+    homography: Path | None,
+    state: Path | None,
+    save_every: int,
+) -> None:
+    from graphtrack.cli.stream import People, settings_of
+    from graphtrack.geometry import GroundCamera
+    from graphtrack.inference.incremental import OnlineSmoother
+    from graphtrack.io.cameras import read_homography
+
+    camera = None if homography is None else GroundCamera.from_homography(read_homography(homography))
+    made = {"engine": engine, "lag": lag, "camera": camera}
+    people = People(lambda: OnlineSmoother(model, **made), fps)  # type: ignore[arg-type]
+    settings = settings_of(model, engine, lag)  # type: ignore[arg-type]
+    if state is not None and state.exists():
+        people.load(state, settings, lambda saved: OnlineSmoother.from_state(saved, model, **made))  # type: ignore[arg-type]
+        console.print(f"going on from {state}, after {people.rows} rows", markup=False)
+    wrong = 0
+    for line in sys.stdin:
+        if not line.strip():
+            continue
+        answer = people.answer(line)
+        wrong += "error" in answer
+        if state is not None and people.rows % save_every == 0:
+            # Saved before the answer is given: who has read an answer can rely on going on after it.
+            people.save(state, settings)
+        print(json.dumps(answer), flush=True)
+    if state is not None:
+        people.save(state, settings)
+    if wrong:
+        console.print(f"error: {wrong} of {people.rows} rows could not be used", markup=False)
+        raise typer.Exit(BAD_INPUT)
