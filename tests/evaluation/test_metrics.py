@@ -108,7 +108,7 @@ def test_what_is_not_there_is_nan_and_no_error() -> None:
     ("stated", "lowest", "highest"), [(1.0, 0.91, 0.99), (0.5, 0.0, 0.01), (2.0, 0.0, 0.01)]
 )
 def test_nees_is_in_band_for_honest_gaussians_only(stated: float, lowest: float, highest: float) -> None:
-    """``stated`` is the 1-σ claimed over the 1-σ sampled; 400 experiments of 50 tracks with one frame each."""
+    """``stated`` is the 1-σ claimed over the 1-σ sampled; 400 experiments of 50 one-frame tracks."""
     rng = np.random.default_rng(11)
     root = np.array([[0.5, 0.0], [0.3, 0.2]])
     truth, estimate = truth_and_estimate(400 * 50)
