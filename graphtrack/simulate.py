@@ -144,7 +144,8 @@ def sample_orientations(
     turning, coupling = parameters.orientation, parameters.coupling
     if not coupled:
         coupling = CouplingParameters(motion_body_kappa=0.0, head_body_kappa=0.0)
-    body, head = np.empty(velocity.shape[:2]), np.empty(velocity.shape[:2])
+    # Zeros, not empty memory: the first frame reads its predecessor with weight 0, and 0·NaN is NaN.
+    body, head = np.zeros(velocity.shape[:2]), np.zeros(velocity.shape[:2])
     course = direction(velocity)
     excess = np.maximum(np.linalg.norm(velocity, axis=-1) - coupling.speed_threshold, 0.0)
     steps: list[float | None] = [None, *np.diff(t).tolist()]

@@ -64,12 +64,14 @@ def test_channels_without_noise_stay_and_missing_stays_missing() -> None:
     head = track.head.copy()
     head[3] = np.nan
     track = replace(track, position=position, head=head, head_likelihood=np.full((len(track), 12), 1 / 12))
+    track = replace(track, pixel=np.full((len(track), 2), 7.0))
     noisy = add_noise(TrackSet((track,)), position_std=0.1, head_kappa=3.0, rng=np.random.default_rng(3))[1]
     assert np.array_equal(np.isnan(noisy.position), np.isnan(position))
     assert np.array_equal(np.isnan(noisy.head), np.isnan(head))
     np.testing.assert_array_equal(noisy.body, track.body)
     assert noisy.body_kappa is None
     assert noisy.head_likelihood is None, "the classes would win over the noisy angles"
+    assert noisy.pixel is None, "the pixels would win over the noisy positions"
 
 
 def test_a_channel_of_which_only_the_truth_is_known_is_observed() -> None:
