@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+import pickle
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from graphtrack.errors import InputError
+from graphtrack.model import (
+    CouplingParameters,
+    LikelihoodParameters,
+    Model,
+    MotionParameters,
+    OrientationParameters,
+    Parameters,
+    presets,
+)
+
+POSITIVE = st.floats(1e-300, 1e3)
+NOT_NEGATIVE = st.one_of(st.just(0.0), st.floats(0.0, 1e6))
+PROBABILITY = st.floats(0.0, 0.999)
+ROBUST = st.sampled_from(["none", "huber", "cauchy"])
+
+PARAMETERS = st.builds(
+    Parameters,
+    motion=st.builds(MotionParameters, POSITIVE, POSITIVE),
+    orientation=st.builds(OrientationParameters, POSITIVE, POSITIVE),
+    coupling=st.builds(CouplingParameters, NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE),
+    likelihood=st.builds(
+        LikelihoodParameters,
+        position_std=POSITIVE,
+        pixel_std=POSITIVE,
+        image_frame=st.booleans(),
+        robust=ROBUST,
+        robust_threshold=POSITIVE,
+        body_kappa=NOT_NEGATIVE,
+        head_kappa=NOT_NEGATIVE,
+        outlier_probability=PROBABILITY,
+        class_outlier_probability=PROBABILITY,
+    ),
+)
+NUMBERS = [
+    (table.name, key.name)
+    for table in dataclasses.fields(Parameters)
+    for key in dataclasses.fields(getattr(Parameters(), table.name))
+    if isinstance(getattr(getattr(Parameters(), table.name), key.name), float)
+]
+STRICTLY_POSITIVE = [
+    ("motion", "acceleration_density"),
+    ("motion", "initial_speed_std"),
+    ("orientation", "body_diffusion"),
+    ("orientation", "head_diffusion"),
+    ("likelihood", "position_std"),
+    ("likelihood", "pixel_std"),
+    ("likelihood", "robust_threshold"),
+]
+
+
+def load(folder: Path, text: str) -> Model:
+    path = folder / "model.toml"
+    path.write_text(text, encoding="utf-8")
+    return Model.load(path)
+
+
+def refused(folder: Path, text: str) -> InputError:
+    with pytest.raises(InputError) as caught:
+        load(folder, text)
+    assert str(folder / "model.toml") in str(caught.value)
+    return caught.value
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(preset=st.sampled_from(sorted(presets)), parameters=PARAMETERS)
+def test_a_saved_model_loads_as_it_was(tmp_path: Path, preset: str, parameters: Parameters) -> None:
+    path = tmp_path / "model.toml"
+    Model(preset, parameters).save(path)
+    loaded = Model.load(path)
+    assert loaded.preset == preset
+    assert loaded.parameters == parameters
+
+
+@given(preset=st.sampled_from(sorted(presets)), parameters=PARAMETERS)
+def test_models_pickle_and_convert_to_dictionaries(preset: str, parameters: Parameters) -> None:
+    model = Model(preset, parameters)
+    for copy in (pickle.loads(pickle.dumps(model)), Model.from_dict(model.to_dict())):
+        assert (copy.preset, copy.parameters) == (preset, parameters)
+        assert [type(term) for term in copy.terms] == [type(term) for term in model.terms]
+
+
+def test_a_saved_model_is_plain_toml_with_every_parameter(tmp_path: Path) -> None:
+    Model("separate").save(tmp_path / "model.toml")
+    content = tomllib.loads((tmp_path / "model.toml").read_text(encoding="utf-8"))
+    assert content.pop("preset") == "separate"
+    assert content == dataclasses.asdict(Parameters())
+
+
+def test_what_a_file_does_not_name_keeps_its_default(tmp_path: Path) -> None:
+    model = load(tmp_path, 'preset = "position"\n[likelihood]\nposition_std = 0.25\n')
+    assert model.parameters == Parameters(likelihood=LikelihoodParameters(position_std=0.25))
+    assert load(tmp_path, "").parameters == Parameters()
+
+
+def test_integers_are_numbers(tmp_path: Path) -> None:
+    assert load(tmp_path, "[coupling]\nhead_body_kappa = 3\n").parameters.coupling.head_body_kappa == 3.0
+
+
+@pytest.mark.parametrize("preset", sorted(presets))
+def test_named_takes_presets_files_and_models(tmp_path: Path, preset: str) -> None:
+    model = Model.named(preset)
+    assert model.preset == preset
+    assert Model.named(model) is model
+    model.save(tmp_path / "model.toml")
+    assert Model.named(tmp_path / "model.toml").preset == preset
+    assert Model.named(str(tmp_path / "model.toml")).preset == preset
+
+
+def test_presets_estimate_the_orientations_that_they_name() -> None:
+    assert {name: (Model(name).has_body, Model(name).has_head) for name in presets} == {
+        "position": (False, False),
+        "separate": (True, True),
+        "joint": (True, True),
+    }
+
+
+@pytest.mark.parametrize("name", ["jiont", "model.json", "", "folder/position"])
+def test_an_unknown_name_is_answered_with_the_known_ones(name: str) -> None:
+    with pytest.raises(InputError, match="position, separate, joint") as caught:
+        Model.named(name)
+    assert repr(name) in str(caught.value)
+    with pytest.raises(InputError, match="position, separate, joint"):
+        Model(name)
+
+
+@pytest.mark.parametrize("value", ["7", "true", '"unknown"', '["joint"]'])
+def test_a_preset_that_is_none_is_named(tmp_path: Path, value: str) -> None:
+    assert "position, separate, joint" in str(refused(tmp_path, f"preset = {value}\n"))
+
+
+@pytest.mark.parametrize("text", ["[motoin]\n", "motion = 3\n", "[[motion]]\nacceleration_density = 1.0\n"])
+def test_an_unknown_table_is_named(tmp_path: Path, text: str) -> None:
+    error = refused(tmp_path, text)
+    assert "table 'mot" in error.found
+    assert "motion, orientation, coupling, likelihood" in error.expected
+
+
+@pytest.mark.parametrize("table", ["motion", "orientation", "coupling", "likelihood"])
+def test_an_unknown_key_is_named_with_its_table(tmp_path: Path, table: str) -> None:
+    error = refused(tmp_path, f"[{table}]\nspeling = 1.0\n")
+    assert f"{table}.speling" in error.found
+    assert all(f.name in error.expected for f in dataclasses.fields(getattr(Parameters(), table)))
+
+
+@pytest.mark.parametrize(("table", "key"), NUMBERS, ids=lambda name: name)
+@pytest.mark.parametrize("value", ["-1.0", "nan", "inf", "-inf", "1e300", "true", '"1.0"', "[1.0]", "{}"])
+def test_a_value_that_is_no_number_in_range_is_named(
+    tmp_path: Path, table: str, key: str, value: str
+) -> None:
+    error = refused(tmp_path, f"[{table}]\n{key} = {value}\n")
+    assert f"{table}.{key} = " in error.found
+    assert "a number in " in error.expected
+
+
+@pytest.mark.parametrize(("table", "key"), NUMBERS, ids=lambda name: name)
+def test_zero_is_refused_where_it_divides_and_taken_elsewhere(tmp_path: Path, table: str, key: str) -> None:
+    text = f"[{table}]\n{key} = 0.0\n"
+    if (table, key) in STRICTLY_POSITIVE:
+        assert f"{table}.{key}" in refused(tmp_path, text).found
+    else:
+        assert getattr(getattr(load(tmp_path, text).parameters, table), key) == 0.0
+
+
+@pytest.mark.parametrize("key", ["outlier_probability", "class_outlier_probability"])
+def test_certain_outliers_are_refused(tmp_path: Path, key: str) -> None:
+    assert f"likelihood.{key}" in refused(tmp_path, f"[likelihood]\n{key} = 1.0\n").found
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("robust", '"tukey"'), ("robust", "true"), ("robust", "[]"), ("image_frame", "1")]
+)
+def test_options_that_are_no_numbers_are_checked_too(tmp_path: Path, key: str, value: str) -> None:
+    assert f"likelihood.{key} = " in refused(tmp_path, f"[likelihood]\n{key} = {value}\n").found
+
+
+@pytest.mark.parametrize("content", [b"\x00\xff\xfe\x80", b"[motion", b"a = 1\na = 2\n", b"\x89PNG\r\n\x1a\n"])
+def test_a_file_that_is_no_toml_is_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "model.toml"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="TOML") as caught:
+        Model.load(path)
+    assert caught.value.path == str(path)
+
+
+def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
+    (tmp_path / "folder.toml").mkdir()
+    for path in (tmp_path / "missing.toml", tmp_path / "folder.toml"):
+        with pytest.raises(InputError, match="a readable model file") as caught:
+            Model.named(path)
+        assert caught.value.path == str(path)
+
+
+def test_a_model_that_cannot_be_saved_leaves_no_file(tmp_path: Path) -> None:
+    target = tmp_path / "missing" / "model.toml"
+    with pytest.raises((InputError, OSError)):
+        Model().save(target)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:
+    path = tmp_path / "model.toml"
+    path.write_text("x" * 100_000, encoding="utf-8")
+    Model("position").save(path)
+    assert Model.load(path).preset == "position"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@given(st.floats(0.0, 10.0), st.floats(1e-6, 10.0))
+def test_the_weight_of_a_coupling_is_a_share_of_the_correlation_time(correlation: float, step: float) -> None:
+    coupling = CouplingParameters(correlation_time=correlation)
+    weight = coupling.weight(step)
+    assert 0.0 < weight <= 1.0
+    assert weight == pytest.approx(min(1.0, step / correlation) if correlation else 1.0)
+    assert coupling.weight(None) == 1.0
+
+
+def test_parameters_check_themselves_without_a_file() -> None:
+    bad: list[tuple[type, dict[str, Any]]] = [
+        (MotionParameters, {"acceleration_density": -1.0}),
+        (OrientationParameters, {"head_diffusion": math.nan}),
+        (CouplingParameters, {"speed_threshold": True}),
+        (LikelihoodParameters, {"robust": "tukey"}),
+    ]
+    for kind, values in bad:
+        with pytest.raises(InputError, match=next(iter(values))):
+            kind(**values)
