@@ -187,14 +187,23 @@ def marginal_covariances(
 ) -> FloatArray:
     """Joint covariances (n, 6, 6) of each step's variables; NaN for those that the model does not have."""
     marginals = gtsam.Marginals(graph.linearize(values), values)
-    covariance = np.full((len(steps), 6, 6), np.nan)
-    index = [0, 1, 2, 3] + ([4] if model.has_body else []) + ([5] if model.has_head else [])
-    place = np.ix_(index, index)
-    for k, step in enumerate(steps):
-        keys = variable_keys(step, model)
-        joint = marginals.jointMarginalCovariance(keys)
-        covariance[k][place] = np.block([[joint.at(a, b) for b in keys] for a in keys])
-    return bounded(covariance)
+    return bounded(
+        np.array(
+            [
+                joint_covariance(marginals.jointMarginalCovariance(variable_keys(step, model)), model)
+                for step in steps
+            ]
+        )
+    )
+
+
+def joint_covariance(joint: gtsam.JointMarginal, model: Model) -> FloatArray:
+    """A step's joint covariance (6, 6) in the order of the state; NaN for what the model does not have."""
+    # GTSAM orders the blocks by key, that is by letter: b, h, v, x.
+    order = [*([4] if model.has_body else []), *([5] if model.has_head else []), 2, 3, 0, 1]
+    covariance = np.full((6, 6), np.nan)
+    covariance[np.ix_(order, order)] = joint.fullMatrix()
+    return covariance
 
 
 def bounded(covariance: FloatArray) -> FloatArray:

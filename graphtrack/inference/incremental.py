@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import gtsam
@@ -17,8 +17,8 @@ import numpy as np
 from graphtrack.angles import FloatArray, wrap
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry import GroundCamera
-from graphtrack.inference.batch import anchors, bounded, insert_state, variable_keys
-from graphtrack.inference.marginal import find_marginal_prior
+from graphtrack.inference.batch import anchors, bounded, insert_state, joint_covariance, variable_keys
+from graphtrack.inference.marginal import find_marginal_factor, marginal_prior
 from graphtrack.inference.state import Estimate, Status, Window, pack_state, unpack_state
 from graphtrack.model import Model, Observation, States, Step
 from graphtrack.model.steps import CHANNELS, observations, seconds_between
@@ -26,6 +26,15 @@ from graphtrack.tracks import Track
 
 Engine = Literal["fixed-lag", "isam2"]
 ENGINES: tuple[Engine, ...] = ("fixed-lag", "isam2")
+
+
+@dataclass(frozen=True, eq=False)
+class _Mark:
+    """A point to go back to."""
+
+    steps: tuple[Step, ...]
+    linearization: gtsam.Values
+    marginal: gtsam.LinearContainerFactor | None
 
 
 class OnlineSmoother:
@@ -67,6 +76,7 @@ class OnlineSmoother:
         self.relinearize_threshold = relinearize_threshold
         self._steps: list[Step] = []
         self._next_index = 0
+        self._marginal_slot = 0
         self._smoother = self._empty_smoother()
         self._last: Estimate | None = None
 
@@ -102,7 +112,7 @@ class OnlineSmoother:
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
-        return pack_state(self._snapshot(), self._last, self._next_index)
+        return pack_state(self._window(self._mark()), self._last, self._next_index)
 
     @classmethod
     def from_state(
@@ -126,7 +136,7 @@ class OnlineSmoother:
         previous = self._steps[-1] if self._steps else None
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
-        before = self._snapshot()
+        before = self._mark()
         try:
             self._extend(step)
             estimate = self._estimate("new")
@@ -196,9 +206,9 @@ class OnlineSmoother:
             seen[place] = merged
         else:
             seen.insert(place, observation)
-        before = self._snapshot()
+        before = self._mark()
         try:
-            self._rebuild(self._rearranged(before, seen, place, len(seen) > len(times)))
+            self._rebuild(self._rearranged(self._window(before), seen, place, len(seen) > len(times)))
             estimate = self._estimate("late")
         except (RuntimeError, ArithmeticError, GraphtrackError) as error:
             return self._roll_back(before, observation, error)
@@ -223,11 +233,16 @@ class OnlineSmoother:
 
     # -- state: snapshot, rebuild, roll back ---------------------------------------------------------------
 
-    def _snapshot(self) -> Window:
-        linearization = self._smoother.getLinearizationPoint()
-        values = {step.index: _state_of(linearization, step, self.model) for step in self._steps}
-        prior = find_marginal_prior(self._factors(), linearization) if self.engine == "fixed-lag" else None
-        return Window(tuple(self._steps), values, prior)
+    def _mark(self) -> _Mark:
+        """What the state is made of, by reference where GTSAM allows it: cheap enough for every step."""
+        marginal = None
+        if self.engine == "fixed-lag":
+            marginal, self._marginal_slot = find_marginal_factor(self._factors(), self._marginal_slot)
+        return _Mark(tuple(self._steps), gtsam.Values(self._smoother.getLinearizationPoint()), marginal)
+
+    def _window(self, mark: _Mark) -> Window:
+        values = {step.index: _state_of(mark.linearization, step, self.model) for step in mark.steps}
+        return Window(mark.steps, values, marginal_prior(mark.marginal, mark.linearization))
 
     def _rebuild(self, window: Window) -> None:
         self._smoother = self._empty_smoother()
@@ -255,8 +270,8 @@ class OnlineSmoother:
             for key in window.prior.keys:
                 fixed.insert(key)
 
-    def _roll_back(self, before: Window, observation: Observation, error: Exception) -> Estimate:
-        self._rebuild(before)
+    def _roll_back(self, before: _Mark, observation: Observation, error: Exception) -> Estimate:
+        self._rebuild(self._window(before))
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         return replace(self._unchanged(observation, "failed"), reason=reason)
 
@@ -294,10 +309,7 @@ class OnlineSmoother:
             raise ArithmeticError("the estimate is not finite")
         isam = self._smoother if self.engine == "isam2" else self._smoother.getISAM2()
         keys = variable_keys(step, self.model)
-        joint = isam.jointMarginalCovariance(keys)
-        covariance = np.full((6, 6), np.nan)
-        index = [0, 1, 2, 3] + ([4] if self.model.has_body else []) + ([5] if self.model.has_head else [])
-        covariance[np.ix_(index, index)] = np.block([[joint.at(a, b) for b in keys] for a in keys])
+        covariance = joint_covariance(isam.jointMarginalCovariance(keys), self.model)
         return Estimate(
             t=step.observation.t,
             frame=step.observation.frame,
@@ -335,12 +347,12 @@ def check_observation(observation: Observation) -> None:
         value = getattr(observation, name)
         if value is None:
             continue
-        numbers = np.asarray(value, dtype=float)
-        if not np.isfinite(numbers).all():
+        numbers = value if isinstance(value, tuple) else (value,)
+        if not all(map(math.isfinite, numbers)):
             raise InputError(f"{name} = {value}", "finite numbers, or None where nothing was observed")
-        if name == "position_std" and not numbers > 0.0:
+        if name == "position_std" and not value > 0.0:
             raise InputError(f"{name} = {value}", "a positive number of metres")
-        if (name.endswith("_kappa") or name.endswith("_likelihood")) and np.any(numbers < 0.0):
+        if name.endswith(("_kappa", "_likelihood")) and min(numbers) < 0.0:
             raise InputError(f"{name} = {value}", "no negative numbers")
 
 

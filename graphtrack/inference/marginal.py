@@ -59,29 +59,36 @@ class MarginalPrior:
         return gtsam.LinearContainerFactor(gtsam.HessianFactor(parts), values)
 
 
-def find_marginal_prior(
-    factors: gtsam.NonlinearFactorGraph, linearization: gtsam.Values
+def find_marginal_factor(
+    factors: gtsam.NonlinearFactorGraph, slot: int = 0
+) -> tuple[gtsam.LinearContainerFactor | None, int]:
+    """The marginal among a fixed-lag smoother's factors, and its slot; last time's slot is tried first."""
+    for i in (slot, *range(factors.size())):
+        if i < factors.size() and factors.exists(i):
+            factor = factors.at(i)
+            if isinstance(factor, gtsam.LinearContainerFactor):
+                return factor, i
+    return None, 0
+
+
+def marginal_prior(
+    factor: gtsam.LinearContainerFactor | None, linearization: gtsam.Values
 ) -> MarginalPrior | None:
-    """The marginal among a fixed-lag smoother's factors; None before anything was marginalised.
+    """What a fixed-lag smoother's marginal says; None for None.
 
     iSAM2 never moves the linearisation point of a variable that a marginal touches, so the current one is
     the marginal's own.
     """
-    found = None
-    for i in range(factors.size()):
-        factor = factors.at(i) if factors.exists(i) else None
-        if isinstance(factor, gtsam.LinearContainerFactor):
-            found = factor
-    if found is None:
+    if factor is None:
         return None
-    keys = tuple(found.keys())
+    keys = tuple(factor.keys())
     point = tuple(
         tuple(linearization.atVector(key).tolist())
         if variable_dimension(key) == 2
         else (linearization.atRot2(key).theta(),)
         for key in keys
     )
-    hessian = found.toHessian()
+    hessian = factor.toHessian()
     return MarginalPrior(
         keys, point, hessian.information(), np.ravel(hessian.linearTerm()), float(hessian.constantTerm())
     )
