@@ -79,9 +79,7 @@ def turned(track: Track, angle: float, shift: tuple[float, float] = (0.0, 0.0)) 
         classes = getattr(track, f"{name}_likelihood")
         if classes is not None:
             assert quarters == round(quarters)
-            changed[f"{name}_likelihood"] = np.roll(
-                classes, round(quarters) * classes.shape[1] // 4, axis=1
-            )
+            changed[f"{name}_likelihood"] = np.roll(classes, round(quarters) * classes.shape[1] // 4, axis=1)
     return replace(track, **changed)
 
 

@@ -187,7 +187,9 @@ def test_options_that_are_no_numbers_are_checked_too(tmp_path: Path, key: str, v
     assert f"likelihood.{key} = " in refused(tmp_path, f"[likelihood]\n{key} = {value}\n").found
 
 
-@pytest.mark.parametrize("content", [b"\x00\xff\xfe\x80", b"[motion", b"a = 1\na = 2\n", b"\x89PNG\r\n\x1a\n"])
+@pytest.mark.parametrize(
+    "content", [b"\x00\xff\xfe\x80", b"[motion", b"a = 1\na = 2\n", b"\x89PNG\r\n\x1a\n"]
+)
 def test_a_file_that_is_no_toml_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "model.toml"
     path.write_bytes(content)

@@ -1,0 +1,292 @@
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from dataclasses import replace
+
+import filterpy.kalman
+import numpy as np
+import pytest
+import simdkalman
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from stonesoup.models.measurement.linear import LinearGaussian
+from stonesoup.models.transition.linear import (
+    CombinedLinearGaussianTransitionModel,
+    ConstantVelocity,
+)
+from stonesoup.predictor.kalman import KalmanPredictor
+from stonesoup.smoother.kalman import KalmanSmoother
+from stonesoup.types.detection import Detection
+from stonesoup.types.hypothesis import SingleHypothesis
+from stonesoup.types.prediction import GaussianStatePrediction
+from stonesoup.types.track import Track as StoneSoupTrack
+from stonesoup.types.update import GaussianStateUpdate
+from stonesoup.updater.kalman import KalmanUpdater
+from walks import walk, without
+
+from graphtrack.baselines.kalman import (
+    filter_states,
+    kalman_filter,
+    position_std,
+    rauch_tung_striebel,
+    smooth_states,
+)
+from graphtrack.errors import SolveError
+from graphtrack.model import LikelihoodParameters, MotionParameters, Parameters
+from graphtrack.tracks import Track
+
+PARAMETERS = Parameters(
+    motion=MotionParameters(acceleration_density=0.7, initial_speed_std=1.2),
+    likelihood=LikelihoodParameters(position_std=0.08),
+)
+MEASURE = np.eye(2, 4)
+
+
+def discretised(dt: float, density: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transition and process noise by Van Loan's matrix exponential, from the continuous model alone."""
+    drift, diffusion = np.zeros((4, 4)), np.zeros((4, 4))
+    drift[:2, 2:] = np.eye(2)
+    diffusion[2:, 2:] = density * np.eye(2)
+    both = expm(np.block([[-drift, diffusion], [np.zeros((4, 4)), drift.T]]) * dt)
+    transition = both[4:, 4:].T
+    return transition, transition @ both[:4, 4:]
+
+
+def first_state(track: Track, start: int) -> tuple[np.ndarray, np.ndarray]:
+    """What is known at the first observed position: that position, and a broad velocity around 0."""
+    variance = position_std(track, PARAMETERS)[start] ** 2
+    speed = PARAMETERS.motion.initial_speed_std**2
+    return np.array([*track.position[start], 0.0, 0.0]), np.diag([variance, variance, speed, speed])
+
+
+def dense_posterior(track: Track, parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
+    """Means (n, 4) and covariances (n, 4, 4) from the information matrix of the whole track at once."""
+    n = len(track)
+    information, vector = np.zeros((4 * n, 4 * n)), np.zeros(4 * n)
+    seen = np.isfinite(track.position).all(axis=1)
+    start = int(np.flatnonzero(seen)[0])
+    speed = slice(4 * start + 2, 4 * start + 4)
+    information[speed, speed] += np.eye(2) / parameters.motion.initial_speed_std**2
+    for k in range(1, n):
+        transition, noise = discretised(
+            float(track.t[k] - track.t[k - 1]), parameters.motion.acceleration_density
+        )
+        rows = np.zeros((4, 4 * n))
+        rows[:, 4 * k - 4 : 4 * k], rows[:, 4 * k : 4 * k + 4] = -transition, np.eye(4)
+        information += rows.T @ np.linalg.solve(noise, rows)
+    for k in np.flatnonzero(seen):
+        weight = 1.0 / position_std(track, parameters)[k] ** 2
+        place = slice(4 * k, 4 * k + 2)
+        information[place, place] += weight * np.eye(2)
+        vector[place] += weight * track.position[k]
+    # Balanced before it is inverted: metres and metres a second differ in size.
+    scale = 1.0 / np.sqrt(np.diag(information))
+    covariance = np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
+    blocks = np.stack([covariance[4 * k : 4 * k + 4, 4 * k : 4 * k + 4] for k in range(n)])
+    return (covariance @ vector).reshape(n, 4), blocks
+
+
+def track_with(gaps: str, *, uneven: bool, own_std: bool = False) -> Track:
+    track = walk(25, seed=4, uneven=uneven)
+    missing = {
+        "none": np.array([], dtype=int),
+        "inner": np.array([3, 4, 5, 6, 11, 20]),
+        "last": np.arange(19, 25),
+        "first": np.arange(4),
+        "first and last": np.array([0, 1, 2, 9, 10, 22, 23, 24]),
+        "all but one": np.delete(np.arange(25), 7),
+    }[gaps]
+    track = without(track, "position", missing)
+    if own_std:
+        std = np.linspace(0.05, 0.3, 25)
+        std[::4] = np.nan
+        track = replace(track, position_std=std)
+    return track
+
+
+GAPS = ["none", "inner", "last", "first", "first and last", "all but one"]
+
+
+@pytest.mark.parametrize("gaps", GAPS)
+@pytest.mark.parametrize("uneven", [False, True], ids=["even", "uneven"])
+def test_filter_and_smoother_equal_filterpy(gaps: str, uneven: bool) -> None:
+    track = track_with(gaps, uneven=uneven, own_std=True)
+    start = int(np.flatnonzero(np.isfinite(track.position[:, 0]))[0])
+    kalman = filterpy.kalman.KalmanFilter(dim_x=4, dim_z=2)
+    kalman.H = MEASURE
+    state, kalman.P = first_state(track, start)
+    kalman.x = state[:, None]
+    std = position_std(track, PARAMETERS)
+    means, covariances = [kalman.x.copy()], [kalman.P.copy()]
+    transitions, noises = [np.eye(4)], [np.zeros((4, 4))]
+    for k in range(start + 1, len(track)):
+        transition, noise = discretised(float(track.t[k] - track.t[k - 1]), 0.7)
+        kalman.predict(F=transition, Q=noise)
+        seen = bool(np.isfinite(track.position[k]).all())
+        kalman.update(track.position[k][:, None] if seen else None, R=std[k] ** 2 * np.eye(2))
+        means.append(kalman.x.copy())
+        covariances.append(kalman.P.copy())
+        transitions.append(transition)
+        noises.append(noise)
+    filtered, _ = filter_states(track, PARAMETERS)
+    np.testing.assert_allclose(filtered.mean[start:], np.array(means)[:, :, 0], atol=1e-9)
+    np.testing.assert_allclose(filtered.covariance[start:], covariances, atol=1e-9)
+    mean, covariance, _, _ = kalman.rts_smoother(np.array(means), np.array(covariances), transitions, noises)
+    smoothed = smooth_states(track, PARAMETERS)
+    np.testing.assert_allclose(smoothed.mean[start:], mean[:, :, 0], atol=1e-8)
+    np.testing.assert_allclose(smoothed.covariance[start:], covariance, atol=1e-8)
+
+
+@pytest.mark.parametrize("gaps", ["none", "inner", "last"])
+def test_filter_and_smoother_equal_simdkalman(gaps: str) -> None:
+    track = track_with(gaps, uneven=False)
+    transition, noise = discretised(0.1, 0.7)
+    mean, covariance = first_state(track, 0)
+    seen = track.position.copy()
+    seen[0] = np.nan  # the first position stands in the initial state already
+    found = simdkalman.KalmanFilter(transition, noise, MEASURE, 0.08**2 * np.eye(2)).compute(
+        seen[None], 0, mean[:, None], covariance, filtered=True, observations=False
+    )
+    filtered, _ = filter_states(track, PARAMETERS)
+    smoothed = smooth_states(track, PARAMETERS)
+    np.testing.assert_allclose(filtered.mean, found.filtered.states.mean[0], atol=1e-8)
+    np.testing.assert_allclose(filtered.covariance, found.filtered.states.cov[0], atol=1e-8)
+    np.testing.assert_allclose(smoothed.mean, found.smoothed.states.mean[0], atol=1e-8)
+    np.testing.assert_allclose(smoothed.covariance, found.smoothed.states.cov[0], atol=1e-8)
+
+
+@pytest.mark.parametrize("gaps", GAPS)
+def test_filter_and_smoother_equal_stone_soup(gaps: str) -> None:
+    track = track_with(gaps, uneven=True)
+    # Stone Soup counts time in whole microseconds.
+    track = replace(track, t=np.round(track.t, 3))
+    start = int(np.flatnonzero(np.isfinite(track.position[:, 0]))[0])
+    epoch = datetime.datetime(2024, 1, 1)
+    times = [epoch + datetime.timedelta(milliseconds=round(1000 * float(t))) for t in track.t]
+    order = [0, 2, 1, 3]  # Stone Soup's x, vx, y, vy
+    motion = CombinedLinearGaussianTransitionModel([ConstantVelocity(0.7), ConstantVelocity(0.7)])
+    measurement = LinearGaussian(ndim_state=4, mapping=(0, 2), noise_covar=0.08**2 * np.eye(2))
+    predictor, updater = KalmanPredictor(motion), KalmanUpdater(measurement)
+    mean, covariance = first_state(track, start)
+    # Their smoother leaves a first state alone that is neither predicted nor updated.
+    first = GaussianStatePrediction(mean[order], covariance[np.ix_(order, order)], timestamp=times[start])
+    states = [first]
+    for k in range(start + 1, len(track)):
+        prediction = predictor.predict(states[-1], timestamp=times[k])
+        if np.isfinite(track.position[k]).all():
+            detection = Detection(track.position[k], timestamp=times[k], measurement_model=measurement)
+            states.append(updater.update(SingleHypothesis(prediction, detection)))
+        else:
+            # A bare prediction, once smoothed, would count as its own prediction there.
+            states.append(
+                GaussianStateUpdate(
+                    prediction.state_vector,
+                    prediction.covar,
+                    timestamp=times[k],
+                    hypothesis=SingleHypothesis(prediction, None),
+                )
+            )
+    filtered, _ = filter_states(track, PARAMETERS)
+    smoothed = smooth_states(track, PARAMETERS)
+    their_smoothed = KalmanSmoother(motion).smooth(StoneSoupTrack(states))
+    for ours, theirs in ((filtered, states), (smoothed, their_smoothed.states)):
+        their_means = np.array([np.asarray(s.state_vector, dtype=float).ravel()[order] for s in theirs])
+        their_covariances = np.array([np.asarray(s.covar)[np.ix_(order, order)] for s in theirs])
+        np.testing.assert_allclose(ours.mean[start:], their_means, atol=1e-8)
+        np.testing.assert_allclose(ours.covariance[start:], their_covariances, atol=1e-8)
+
+
+@pytest.mark.parametrize("gaps", GAPS)
+@pytest.mark.parametrize("uneven", [False, True], ids=["even", "uneven"])
+@pytest.mark.parametrize("own_std", [False, True], ids=["one std", "own stds"])
+def test_the_smoother_equals_dense_conditioning(gaps: str, uneven: bool, own_std: bool) -> None:
+    track = track_with(gaps, uneven=uneven, own_std=own_std)
+    mean, covariance = dense_posterior(track, PARAMETERS)
+    smoothed = smooth_states(track, PARAMETERS)
+    np.testing.assert_allclose(smoothed.mean, mean, atol=1e-7)
+    np.testing.assert_allclose(smoothed.covariance, covariance, rtol=1e-6, atol=1e-8)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 10_000),
+    seen=st.lists(st.booleans(), min_size=1, max_size=12).filter(any),
+    density=st.floats(0.01, 20.0),
+    std=st.floats(0.01, 2.0),
+)
+def test_the_smoother_equals_dense_conditioning_whatever_is_missing(
+    seed: int, seen: list[bool], density: float, std: float
+) -> None:
+    parameters = Parameters(
+        motion=MotionParameters(acceleration_density=density),
+        likelihood=LikelihoodParameters(position_std=std),
+    )
+    track = without(walk(len(seen), seed=seed, uneven=True), "position", ~np.array(seen))
+    mean, covariance = dense_posterior(track, parameters)
+    smoothed = smooth_states(track, parameters)
+    np.testing.assert_allclose(smoothed.mean, mean, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(smoothed.covariance, covariance, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("gaps", GAPS)
+def test_a_filtered_state_is_the_posterior_of_what_came_before(gaps: str) -> None:
+    track = track_with(gaps, uneven=True)
+    filtered, predicted = filter_states(track, PARAMETERS)
+    start = int(np.flatnonzero(np.isfinite(track.position[:, 0]))[0])
+    for k in range(start, len(track)):
+        mean, covariance = dense_posterior(track[: k + 1], PARAMETERS)
+        np.testing.assert_allclose(filtered.mean[k], mean[k], atol=1e-7)
+        np.testing.assert_allclose(filtered.covariance[k], covariance[k], atol=1e-7)
+        if k > start:
+            mean, covariance = dense_posterior(without(track[: k + 1], "position", [k]), PARAMETERS)
+            np.testing.assert_allclose(predicted.mean[k], mean[k], atol=1e-7)
+            np.testing.assert_allclose(predicted.covariance[k], covariance[k], atol=1e-7)
+
+
+def test_nothing_is_filtered_before_the_first_position_but_it_is_smoothed() -> None:
+    track = track_with("first", uneven=True)
+    online, offline = kalman_filter(track, PARAMETERS), rauch_tung_striebel(track, PARAMETERS)
+    assert np.isnan(online.position[:4]).all()
+    assert np.isfinite(online.position[4:]).all()
+    assert np.isfinite(offline.position).all()
+    spread = offline.std("x")
+    assert spread is not None
+    assert np.all(np.diff(spread[:5]) < 0.0)  # the further back, the less is known
+
+
+def test_the_last_smoothed_state_is_the_filtered_one() -> None:
+    track = track_with("inner", uneven=True)
+    filtered, _ = filter_states(track, PARAMETERS)
+    smoothed = smooth_states(track, PARAMETERS)
+    np.testing.assert_array_equal(smoothed.mean[-1], filtered.mean[-1])
+    np.testing.assert_array_equal(smoothed.covariance[-1], filtered.covariance[-1])
+
+
+def test_a_position_of_which_half_is_missing_does_not_count() -> None:
+    track = track_with("inner", uneven=False)
+    half = track.position.copy()
+    half[3, 0] = 5.0
+    np.testing.assert_array_equal(
+        smooth_states(replace(track, position=half), PARAMETERS).mean, smooth_states(track, PARAMETERS).mean
+    )
+
+
+def test_estimates_hold_no_observations_any_more() -> None:
+    track = replace(track_with("none", uneven=False, own_std=True), body_kappa=np.ones(25))
+    for estimate in (kalman_filter(track), rauch_tung_striebel(track)):
+        assert estimate.covariance is not None
+        assert np.isnan(estimate.covariance[:, 4:]).all()
+        assert estimate.velocity is not None
+        for name in ("position_std", "pixel", "body", "body_kappa", "head", "head_kappa"):
+            assert getattr(estimate, name) is None
+        np.testing.assert_array_equal(estimate.true_position, track.true_position)
+
+
+@pytest.mark.parametrize("estimator", [kalman_filter, rauch_tung_striebel])
+def test_a_track_without_a_position_names_itself(estimator: Callable[[Track], Track]) -> None:
+    track = replace(walk(5, track_id=42), position=np.full((5, 2), np.nan))
+    with pytest.raises(SolveError, match=r"track 42: .*no position") as caught:
+        estimator(track)
+    assert caught.value.track_id == 42
