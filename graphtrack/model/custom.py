@@ -53,10 +53,13 @@ def custom_factor(
     shapes = [(rows, variable_dimension(key)) for key in keys]
 
     def callback(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
+        del this  # a traceback would keep it, and its repr after the factor is gone ends the process
         if jacobians is None:
             value = residual(values)
         elif linearised is None:
             value = residual(values)
+            if value.shape != (rows,):
+                raise FactorShapeError(f"found a residual of shape {value.shape}, expected ({rows},)")
             for i, jacobian in enumerate(numerical_jacobians(residual, values, keys)):
                 jacobians[i] = jacobian
         else:
