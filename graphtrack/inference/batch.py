@@ -187,22 +187,22 @@ def marginal_covariances(
 ) -> FloatArray:
     """Joint covariances (n, 6, 6) of each step's variables; NaN for those that the model does not have."""
     marginals = gtsam.Marginals(graph.linearize(values), values)
-    return bounded(
-        np.array(
-            [
-                joint_covariance(marginals.jointMarginalCovariance(variable_keys(step, model)), model)
-                for step in steps
-            ]
-        )
-    )
+    found = []
+    for step in steps:
+        keys = variable_keys(step, model)
+        found.append(joint_covariance(marginals.jointMarginalCovariance(keys), keys, model))
+    return bounded(np.array(found))
 
 
-def joint_covariance(joint: gtsam.JointMarginal, model: Model) -> FloatArray:
+def joint_covariance(joint: gtsam.JointMarginal, keys: Sequence[int], model: Model) -> FloatArray:
     """A step's joint covariance (6, 6) in the order of the state; NaN for what the model does not have."""
-    # GTSAM orders the blocks by key, that is by letter: b, h, v, x.
-    order = [*([4] if model.has_body else []), *([5] if model.has_head else []), 2, 3, 0, 1]
+    # By key: the order of the blocks in GTSAM's full matrix is not documented and differs between releases.
+    parts = [slice(0, 2), slice(2, 4), *([slice(4, 5)] if model.has_body else []), slice(5, 6)]
     covariance = np.full((6, 6), np.nan)
-    covariance[np.ix_(order, order)] = joint.fullMatrix()
+    for i, (first, rows) in enumerate(zip(keys, parts, strict=False)):
+        for second, columns in zip(keys[i:], parts[i:], strict=False):
+            covariance[rows, columns] = block = joint.at(first, second)
+            covariance[columns, rows] = block.T
     return covariance
 
 

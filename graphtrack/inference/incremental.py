@@ -309,7 +309,7 @@ class OnlineSmoother:
             raise ArithmeticError("the estimate is not finite")
         isam = self._smoother if self.engine == "isam2" else self._smoother.getISAM2()
         keys = variable_keys(step, self.model)
-        covariance = joint_covariance(isam.jointMarginalCovariance(keys), self.model)
+        covariance = joint_covariance(isam.jointMarginalCovariance(keys), keys, self.model)
         return Estimate(
             t=step.observation.t,
             frame=step.observation.frame,

@@ -61,35 +61,39 @@ class VonMisesMixture:
     def __post_init__(self) -> None:
         total = sum(self.weights)
         share = (1.0 - self.uniform) / total if total > 0.0 else 0.0
+        # The density of a component at its mean: 1/(2π·I₀(κ)·e^−κ).
         peak = 1.0 / (2.0 * math.pi * float(special.i0e(self.kappa)))
         uniform = (self.uniform if total > 0.0 else 1.0) / (2.0 * math.pi)
-        components = [(w * share * peak, m) for w, m in zip(self.weights, self.means, strict=True) if w > 0.0]
+        heights = [(w * share * peak, m) for w, m in zip(self.weights, self.means, strict=True) if w > 0.0]
+        components = [(math.log(h), math.cos(m), math.sin(m)) for h, m in heights if h > 0.0]
         object.__setattr__(self, "_components", components)
-        object.__setattr__(self, "_uniform_density", uniform)
+        object.__setattr__(self, "_log_uniform", math.log(uniform) if uniform > 0.0 else -math.inf)
         # −log L − R(1 − cos) ≥ −log(highest density) − 2κ, since the resultant R is at most κ.
-        highest = uniform + sum(height for height, _ in components)
+        highest = uniform + sum(h for h, _ in heights)
         object.__setattr__(self, "_offset", math.log(highest) + 2.0 * self.kappa)
 
     def rows(self, angle: float) -> tuple[FloatArray, FloatArray]:
         """Residual (3,) and Jacobian (3, 1) at an angle in radians."""
-        kappa, density = self.kappa, self._uniform_density  # type: ignore[attr-defined]
-        cos_sum = sin_sum = 0.0
-        for height, mean in self._components:  # type: ignore[attr-defined]
-            value = height * math.exp(kappa * (math.cos(angle - mean) - 1.0))
-            density += value
-            cos_sum += value * math.cos(mean)
-            sin_sum += value * math.sin(mean)
-        if density <= 0.0:
-            # Far from every class and no outliers: the nearest peak, by its logarithm.
-            height, mean = max(self._components, key=lambda c: math.cos(angle - c[1]))  # type: ignore[attr-defined]
-            log_density = math.log(height) + kappa * (math.cos(angle - mean) - 1.0)
-            resultant, direction = kappa, mean
-        else:
-            log_density = math.log(density)
-            resultant = kappa * math.hypot(cos_sum, sin_sum) / density
-            direction = math.atan2(sin_sum, cos_sum)
-        root = math.sqrt(resultant)
+        kappa, log_uniform = self.kappa, self._log_uniform  # type: ignore[attr-defined]
         cos, sin = math.cos(angle), math.sin(angle)
+        logs = [
+            log_height + kappa * (cos * cos_mean + sin * sin_mean - 1.0)
+            for log_height, cos_mean, sin_mean in self._components  # type: ignore[attr-defined]
+        ]
+        # Relative to the greatest, or everything underflows far from sharp classes.
+        greatest = max(logs, default=log_uniform)
+        greatest = max(greatest, log_uniform)
+        density = math.exp(log_uniform - greatest)
+        cos_sum = sin_sum = 0.0
+        for log_value, (_, cos_mean, sin_mean) in zip(logs, self._components, strict=True):  # type: ignore[attr-defined]
+            value = math.exp(log_value - greatest)
+            density += value
+            cos_sum += value * cos_mean
+            sin_sum += value * sin_mean
+        log_density = math.log(density) + greatest
+        resultant = kappa * math.hypot(cos_sum, sin_sum) / density
+        direction = math.atan2(sin_sum, cos_sum)
+        root = math.sqrt(resultant)
         deviation = 1.0 - math.cos(angle - direction)
         remainder = self._offset - log_density - resultant * deviation  # type: ignore[attr-defined]
         residual = np.array(
