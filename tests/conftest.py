@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# The same examples at every run, so that CI fails on a change and not by chance; HYPOTHESIS_PROFILE=default explores.
+# The same examples at every run, so that CI fails on a change and not by chance.
+# HYPOTHESIS_PROFILE=default explores.
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
