@@ -1,0 +1,310 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import filterpy.kalman
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from walks import turned, walk, without
+
+from graphtrack.angles import unit, wrap
+from graphtrack.baselines.intentional import (
+    IntentionalParameters,
+    bin_deviation,
+    intentional_filter,
+    prior_weight,
+)
+from graphtrack.baselines.intentional_continuous import (
+    intentional_states,
+    intentional_tracker,
+    intentional_transition,
+)
+from graphtrack.baselines.isotropic import full_covariance
+from graphtrack.baselines.kalman import kalman_filter
+from graphtrack.errors import InputError, SolveError
+from graphtrack.model import LikelihoodParameters, MotionParameters, Parameters
+
+PARAMETERS = Parameters(
+    motion=MotionParameters(acceleration_density=0.7, initial_speed_std=1.2),
+    likelihood=LikelihoodParameters(position_std=0.08),
+)
+
+
+def noisy_walk(n: int = 60, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and head of somebody who turns, with gaps in both."""
+    rng = np.random.default_rng(seed)
+    course = 0.8 * np.sin(np.arange(n) / 9.0)
+    position = np.cumsum(0.4 * unit(course), axis=0) + rng.normal(0.0, 0.4, (n, 2))
+    head = wrap(course + rng.normal(0.1, 0.4, n))
+    position[[9, 10, 11, 30]] = np.nan
+    head[[10, 20, 21, 50]] = np.nan
+    return position, head
+
+
+def by_the_book(
+    position: np.ndarray, head: np.ndarray, parameters: IntentionalParameters
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """000 §III step by step with full matrices, FilterPy's Kalman filter and eq. 2–6 written out."""
+
+    def bin_of(angle: float) -> int:
+        return math.floor((math.degrees(angle) % 360.0 + 22.5) / 45.0) % 8
+
+    kalman = filterpy.kalman.KalmanFilter(dim_x=4, dim_z=2, dim_u=1)
+    kalman.H = np.eye(2, 4)
+    kalman.x = np.array([[*position[0], 0.0, 0.0]]).T
+    kalman.P = np.diag([parameters.observation_variance] * 2 + [parameters.initial_velocity_variance] * 2)
+    past, deviations = [kalman.x[:2, 0].copy()], []
+    means, covariances, logs = [kalman.x[:, 0].copy()], [kalman.P.copy()], [math.nan]
+    for t in range(1, len(position)):
+        velocity = kalman.x[2:, 0].copy()
+        if parameters.displacement == "smoothed" and len(past) > 1:
+            window = past[-parameters.displacement_steps :]
+            velocity = (window[-1] - window[0]) / (len(window) - 1)
+        d, pose = math.hypot(*velocity), float(head[t - 1])
+        deviation = 0
+        if math.isfinite(pose) and d > 0.0:
+            deviation = bin_of(pose) - bin_of(math.atan2(velocity[1], velocity[0]))
+            deviation += 8 if deviation < -3 else -8 if deviation > 4 else 0
+        deviations.append(deviation)
+        strength = abs(sum(deviations[-parameters.strength_steps :]))
+        alpha = 1.0 / (1.0 + math.exp(-parameters.weight_rate * (strength - parameters.weight_offset)))
+        alpha, pose = (alpha, pose) if math.isfinite(pose) else (0.0, 0.0)
+        gamma = 1.0 - alpha
+        kept = 1.0 if parameters.variant == "printed" else gamma
+        transition = np.array([[1, 0, gamma, 0], [0, 1, 0, gamma], [0, 0, kept, 0], [0, 0, 0, kept]])
+        dx, dy = d * math.cos(pose), d * math.sin(pose)
+        control = alpha * np.array([[dx], [dy], [dx], [dy]])
+        kalman.predict(u=np.ones((1, 1)), B=control, F=transition, Q=parameters.process_variance * np.eye(4))
+        seen = np.isfinite(position[t]).all()
+        kalman.update(position[t][:, None] if seen else None, R=parameters.observation_variance * np.eye(2))
+        logs.append(float(kalman.log_likelihood) if seen else math.nan)
+        means.append(kalman.x[:, 0].copy())
+        covariances.append(kalman.P.copy())
+        past.append(kalman.x[:2, 0].copy())
+    return np.array(means), np.array(covariances), np.array(logs)
+
+
+@pytest.mark.parametrize("variant", ["printed", "consistent"])
+@pytest.mark.parametrize("displacement", ["smoothed", "velocity"])
+def test_the_tracker_equals_the_equations_with_full_matrices(variant: str, displacement: str) -> None:
+    # A low weight: with the paper's the printed variant's velocity overflows within these steps.
+    parameters = IntentionalParameters(
+        variant=variant, displacement=displacement, weight_offset=2.5, displacement_steps=4, strength_steps=6
+    )
+    position, head = noisy_walk()
+    found = intentional_filter(position, head, parameters)
+    mean, covariance, log_likelihood = by_the_book(position, head, parameters)
+    np.testing.assert_allclose(found.mean[0], mean, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(full_covariance(found.spread[0]), covariance, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(found.log_likelihood[0], log_likelihood, rtol=1e-8, atol=1e-8)
+
+
+def test_bins_are_neighbours_around_the_circle() -> None:
+    first, last = np.radians(0.0), np.radians(-45.0)  # the first and the last bin of a count from 0
+    assert bin_deviation(first, last) == 1
+    assert bin_deviation(last, first) == -1
+    head = np.radians(np.arange(-180, 180, 7.0))
+    for turn in np.radians(45.0) * np.arange(1, 8):
+        np.testing.assert_array_equal(
+            bin_deviation(wrap(head + turn), wrap(0.3 + turn)), bin_deviation(head, np.full_like(head, 0.3))
+        )
+    assert set(bin_deviation(head, np.zeros_like(head)).tolist()) == {-3, -2, -1, 0, 1, 2, 3, 4}
+
+
+def test_the_weight_grows_with_the_strength_from_its_base() -> None:
+    weights = prior_weight(np.arange(0.0, 20.0), IntentionalParameters())
+    assert weights[0] == pytest.approx(1.0 / (1.0 + math.exp(-2.25)))  # ρ = 1.5, τ = −1.5
+    assert np.all(np.diff(weights) >= 0.0)
+    assert weights[-1] == pytest.approx(1.0)
+
+
+def test_many_tracks_at_once_are_the_tracks_one_by_one() -> None:
+    walks = [noisy_walk(seed=seed) for seed in range(4)]
+    positions, heads = np.stack([w[0] for w in walks]), np.stack([w[1] for w in walks])
+    positions[2, :15] = np.nan  # one begins later
+    together = intentional_filter(positions, heads)
+    for k in range(4):
+        alone = intentional_filter(positions[k], heads[k])
+        np.testing.assert_allclose(together.mean[k], alone.mean[0], rtol=1e-12)
+        np.testing.assert_allclose(together.log_likelihood[k], alone.log_likelihood[0], rtol=1e-12)
+    assert np.isnan(together.mean[2, :15]).all()
+    assert np.isfinite(together.mean[2, 15:]).all()
+
+
+def test_a_quarter_turn_of_the_world_turns_the_estimates() -> None:
+    position, head = noisy_walk()
+    straight = intentional_filter(position, head)
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+    other = intentional_filter(position @ quarter.T, wrap(head + np.pi / 2.0))
+    np.testing.assert_allclose(other.mean[0, :, :2], straight.mean[0, :, :2] @ quarter.T, atol=1e-9)
+    np.testing.assert_allclose(other.log_likelihood, straight.log_likelihood, atol=1e-9)
+
+
+def test_without_a_head_it_is_the_kalman_filter() -> None:
+    position, _ = noisy_walk()
+    plain = intentional_filter(position, None)
+    np.testing.assert_array_equal(intentional_filter(position, np.full(60, np.nan)).mean, plain.mean)
+    kalman = filterpy.kalman.KalmanFilter(dim_x=4, dim_z=2)
+    kalman.F = np.eye(4) + np.diag([1.0, 1.0], 2)
+    kalman.H, kalman.Q, kalman.R = np.eye(2, 4), 0.1 * np.eye(4), 0.5 * np.eye(2)
+    kalman.x, kalman.P = np.array([[*position[0], 0.0, 0.0]]).T, np.diag([0.5, 0.5, 1.0, 1.0])
+    for seen in position[1:]:
+        kalman.predict()
+        kalman.update(seen[:, None] if np.isfinite(seen).all() else None)
+    np.testing.assert_allclose(plain.mean[0, -1], kalman.x[:, 0], atol=1e-9)
+    np.testing.assert_allclose(full_covariance(plain.spread[0, -1]), kalman.P, atol=1e-9)
+
+
+def test_the_head_carries_the_track_through_a_gap() -> None:
+    # Walks along x, turns to y as soon as nothing is seen: only the head says so.
+    course = np.r_[np.zeros(30), np.full(20, np.pi / 2.0)]
+    position = np.cumsum(0.4 * unit(course), axis=0)
+    seen = position.copy()
+    seen[30:] = np.nan
+    with_head = intentional_filter(seen, course).mean[0, -1, :2]
+    without_head = intentional_filter(seen, None).mean[0, -1, :2]
+    assert np.linalg.norm(with_head - position[-1]) < 0.35 * np.linalg.norm(without_head - position[-1])
+
+
+@pytest.mark.parametrize("seen", [0, 1])
+def test_none_or_one_position(seen: int) -> None:
+    position = np.full((8, 2), np.nan)
+    position[:seen] = 2.0
+    found = intentional_filter(position, np.zeros(8))
+    assert np.isnan(found.log_likelihood).all()
+    assert np.isfinite(found.mean).all() == (seen == 1)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"variant": "other"},
+        {"displacement": "none"},
+        {"displacement_steps": 1},
+        {"strength_steps": 0},
+        {"process_variance": 0.0},
+        {"observation_variance": math.nan},
+        {"weight_rate": math.inf},
+    ],
+)
+def test_parameters_out_of_range(wrong: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        IntentionalParameters(**wrong)
+
+
+def test_shapes_that_do_not_fit() -> None:
+    with pytest.raises(InputError, match="heads of shape"):
+        intentional_filter(np.zeros((5, 2)), np.zeros(4))
+    with pytest.raises(InputError, match="positions of shape"):
+        intentional_filter(np.zeros((5, 3)), np.zeros(5))
+
+
+# -- in continuous time ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-5, 1e-2, 0.5, 2.0, 8.0])
+@pytest.mark.parametrize("dt", [0.033, 0.4, 1.0])
+def test_a_step_is_the_matrix_exponential_of_the_drift(rate: float, dt: float) -> None:
+    drift = np.array([[0.0, 1.0], [0.0, -rate]])
+    both = expm(np.block([[-drift, np.diag([0.0, 0.7])], [np.zeros((2, 2)), drift.T]]) * dt)
+    transition = both[2:, 2:].T
+    noise = transition @ both[:2, 2:]
+    velocity, head = np.array([[0.6, 0.8]]), np.array([2.1])
+    found = intentional_transition(dt, np.array([rate]), velocity, head, 0.7)
+    np.testing.assert_allclose([found.reach[0], found.keep[0]], transition[:, 1], rtol=1e-7)
+    np.testing.assert_allclose(
+        [found.noise[0][0], found.noise[1][0], found.noise[2][0]],
+        [noise[0, 0], noise[0, 1], noise[1, 1]],
+        rtol=1e-6,
+    )
+    # ∫ exp(A·s) ds · (0, λ·s·u): what the steering adds, by one more exponential.
+    steering = expm(np.block([[drift, np.array([[0.0], [rate]])], [np.zeros((1, 3))]]) * dt)[:2, 2]
+    np.testing.assert_allclose(found.position_shift[0], steering[0] * unit(2.1), atol=1e-7)
+    np.testing.assert_allclose(found.velocity_shift[0], steering[1] * unit(2.1), atol=1e-7)
+
+
+def test_two_half_steps_are_one_step_while_the_head_is_in_line() -> None:
+    track = replace(walk(5, dt=0.8), head=np.zeros(5), body=None)
+    position = np.full((5, 2), np.nan)
+    position[0], position[1] = (0.0, 0.0), (1.0, 0.0)
+    track = replace(track, position=position)
+    fine = replace(
+        track,
+        frame=np.arange(9),
+        t=np.linspace(track.t[0], track.t[-1], 9),
+        position=np.repeat(position, 2, axis=0)[:9],
+        head=np.zeros(9),
+        true_position=None,
+        true_body=None,
+        true_head=None,
+    )
+    fine = without(fine, "position", [1, 3])
+    coarse_states, fine_states = intentional_states(track, PARAMETERS), intentional_states(fine, PARAMETERS)
+    np.testing.assert_allclose(fine_states.mean[0, ::2], coarse_states.mean[0], atol=1e-9)
+    np.testing.assert_allclose(fine_states.spread[0, ::2], coarse_states.spread[0], rtol=1e-9)
+
+
+def test_the_frame_rate_matters_little_while_it_turns() -> None:
+    head = np.full(81, np.pi / 3.0)
+    t = np.linspace(0.0, 4.0, 81)
+    position = np.full((81, 2), np.nan)
+    position[::20] = np.stack([0.05 * np.arange(0, 81, 20) * 1.2, np.zeros(5)], axis=1)
+    position[41:] = np.nan
+    ends = []
+    for step in (1, 2, 4):
+        track = replace(
+            walk(81)[::step],
+            frame=np.arange(len(t[::step])),
+            t=t[::step],
+            position=position[::step],
+            head=head[::step],
+        )
+        ends.append(intentional_states(track, PARAMETERS, 1.0).mean[0, -1, :2])
+    moved = np.linalg.norm(ends[0])
+    assert np.linalg.norm(ends[1] - ends[0]) < 0.02 * moved
+    assert np.linalg.norm(ends[2] - ends[1]) < 0.04 * moved
+
+
+@pytest.mark.parametrize("missing", ["none", "positions", "heads", "both"])
+def test_without_a_rate_it_is_the_kalman_filter_of_the_model(missing: str) -> None:
+    track = walk(30, uneven=True)
+    if missing in ("positions", "both"):
+        track = without(track, "position", [0, 1, 7, 8, 29])
+    if missing in ("heads", "both"):
+        track = without(track, "head", [3, 8, 20])
+    found, expected = intentional_tracker(track, PARAMETERS, 0.0), kalman_filter(track, PARAMETERS)
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
+    np.testing.assert_allclose(found.velocity, expected.velocity, atol=1e-9)
+    np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-9)
+
+
+def test_the_world_may_be_turned() -> None:
+    track = walk(30, uneven=True)
+    for angle in (0.4, 2.0):
+        other = turned(track, angle, (3.0, -1.0))
+        found, expected = (
+            intentional_tracker(other, PARAMETERS),
+            turned(intentional_tracker(track, PARAMETERS), angle, (3.0, -1.0)),
+        )
+        np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
+
+
+def test_class_likelihoods_of_the_head_are_used() -> None:
+    track = walk(30, classes=True)
+    blind = replace(track, head_likelihood=None)
+    assert not np.allclose(intentional_tracker(track).position, intentional_tracker(blind).position)
+    np.testing.assert_allclose(intentional_tracker(blind).position, kalman_filter(blind).position, atol=1e-12)
+
+
+def test_a_head_without_any_position_is_refused() -> None:
+    track = replace(walk(6, track_id=42), position=np.full((6, 2), np.nan))
+    with pytest.raises(SolveError, match=r"track 42: .*no position"):
+        intentional_tracker(track)
+
+
+@pytest.mark.parametrize("rate", [-1.0, math.nan])
+def test_a_rate_out_of_range(rate: float) -> None:
+    with pytest.raises(InputError, match="rate"):
+        intentional_tracker(walk(6), rate=rate)
