@@ -1,12 +1,35 @@
 """Where pedestrians are, how they move and where their bodies and heads point."""
 
-from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
-from graphtrack.inference import OnlineSmoother, smooth, solve, track_online
-from graphtrack.io import read, write
-from graphtrack.model import Model, Observation, Parameters, Term, presets
-from graphtrack.tracks import ReadSummary, Track, TrackSet
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from graphtrack.degrade import add_noise
+    from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
+    from graphtrack.evaluation.compare import Comparison, compare
+    from graphtrack.inference import (
+        Estimate,
+        Failure,
+        OnlineSmoother,
+        Solution,
+        SolverOptions,
+        smooth,
+        solve,
+        track_online,
+    )
+    from graphtrack.io import read, write
+    from graphtrack.model import Model, Observation, Parameters, Term, presets
+    from graphtrack.simulation import simulate
+    from graphtrack.tracks import ReadSummary, Track, TrackSet
+
+    __version__: str
 
 __all__ = [
+    "Comparison",
+    "Estimate",
+    "Failure",
     "GraphtrackError",
     "InputError",
     "InputWarning",
@@ -15,14 +38,57 @@ __all__ = [
     "OnlineSmoother",
     "Parameters",
     "ReadSummary",
+    "Solution",
     "SolveError",
+    "SolverOptions",
     "Term",
     "Track",
     "TrackSet",
+    "add_noise",
+    "compare",
     "presets",
     "read",
+    "simulate",
     "smooth",
     "solve",
     "track_online",
     "write",
 ]
+
+_HOMES = {
+    "degrade": ("add_noise",),
+    "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
+    "evaluation.compare": ("Comparison", "compare"),
+    "inference": (
+        "Estimate",
+        "Failure",
+        "OnlineSmoother",
+        "Solution",
+        "SolverOptions",
+        "smooth",
+        "solve",
+        "track_online",
+    ),
+    "io": ("read", "write"),
+    "model": ("Model", "Observation", "Parameters", "Term", "presets"),
+    "simulation": ("simulate",),
+    "tracks": ("ReadSummary", "Track", "TrackSet"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562), so that reading a file loads no solver."""
+    value: object
+    if name == "__version__":
+        value = import_module("importlib.metadata").version(__name__)
+    elif name in _HOME_OF:
+        value = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

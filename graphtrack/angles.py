@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
 
 FloatArray = NDArray[np.float64]
 
@@ -61,6 +60,8 @@ def von_mises_log_density(angle: ArrayLike, mean: ArrayLike, concentration: Arra
 
     Stable for any concentration ≥ 0 (``i0e`` is the exponentially scaled Bessel function).
     """
+    from scipy import special  # here, for importing it takes longer than all that reading a file needs
+
     concentration = np.asarray(concentration, dtype=float)
     deviation = np.asarray(angle, dtype=float) - np.asarray(mean, dtype=float)
     return concentration * (np.cos(deviation) - 1.0) - np.log(2.0 * np.pi * special.i0e(concentration))
@@ -68,6 +69,8 @@ def von_mises_log_density(angle: ArrayLike, mean: ArrayLike, concentration: Arra
 
 def mean_resultant_length(concentration: ArrayLike) -> FloatArray:
     """I₁(κ)/I₀(κ), the mean of cos(deviation) under a von Mises of concentration κ."""
+    from scipy import special
+
     concentration = np.asarray(concentration, dtype=float)
     return special.i1e(concentration) / special.i0e(concentration)
 

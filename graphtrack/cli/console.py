@@ -6,14 +6,16 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from graphtrack.errors import InputWarning
-from graphtrack.tracks import TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.tracks import TrackSet
 
 console = Console(stderr=True, highlight=False, soft_wrap=True)
 """Messages go to standard error, so that standard output stays free for data."""

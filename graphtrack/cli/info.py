@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from graphtrack.cli import options
 from graphtrack.cli.console import print_table
-from graphtrack.tracks import Track
+
+if TYPE_CHECKING:
+    from graphtrack.tracks import Track
 
 
 def info(
@@ -53,6 +53,8 @@ def info(
 
 def describe(track: Track) -> dict[str, Any]:
     """One line about a track: extent, rate, gaps, what was observed, median speed."""
+    import numpy as np
+
     seen = np.isfinite(track.position).all(axis=1)
     steps = np.diff(track.t)
     usual = float(np.median(steps)) if len(steps) else float("nan")

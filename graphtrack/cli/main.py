@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import Annotated
 
 import typer
 
@@ -12,11 +13,31 @@ from graphtrack.errors import GraphtrackError
 
 app = typer.Typer(
     name="graphtrack",
-    help="Where pedestrians are, how they move and where their bodies and heads point.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+def show_version(wanted: bool) -> None:
+    """Print the version and end."""
+    if wanted:
+        import graphtrack
+
+        print(graphtrack.__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def start(
+    version: Annotated[
+        bool,
+        typer.Option("--version", is_eager=True, callback=show_version, help="Print the version and end."),
+    ] = False,
+) -> None:
+    """Where pedestrians are, how they move and where their bodies and heads point."""
+
+
 app.command("smooth")(smooth.smooth)
 app.command("track")(track.track)
 app.command("compare")(compare.compare)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from graphtrack.errors import InputError
-from graphtrack.tracks import TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.tracks import TrackSet
 
 Inputs = Annotated[
     list[Path], typer.Argument(help="Files with tracks; the format is recognised.", show_default=False)

@@ -38,7 +38,7 @@ def simulate(
     from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.scenario import scenario as scripted
-    from graphtrack.simulate import simulate as sample
+    from graphtrack.simulation import simulate as sample
 
     rng = np.random.default_rng(seed)
     if scenario:

@@ -16,7 +16,7 @@ from graphtrack.evaluation.scoring import scored_frames
 from graphtrack.model import Model
 from graphtrack.report.build import tracking_report
 from graphtrack.report.rows import nees_rows
-from graphtrack.simulate import scenario, simulate
+from graphtrack.simulation import scenario, simulate
 
 
 @dataclass(frozen=True)

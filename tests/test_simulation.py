@@ -10,7 +10,7 @@ from graphtrack import InputError
 from graphtrack.angles import difference, direction, mean_resultant_length, von_mises_log_density
 from graphtrack.model import CouplingParameters, Model, MotionParameters, Parameters
 from graphtrack.model.motion import process_noise, transition_matrix
-from graphtrack.simulate import (
+from graphtrack.simulation import (
     sample_motion,
     sample_orientations,
     scenario,

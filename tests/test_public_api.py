@@ -1,0 +1,56 @@
+"""What ``import graphtrack as gt`` offers, and what it costs to start."""
+
+import subprocess
+import sys
+
+import pytest
+
+import graphtrack as gt
+from graphtrack.evaluation.compare import compare
+from graphtrack.simulation import simulate
+
+HEAVY = ("gtsam", "matplotlib", "plotly", "pandas", "scipy")
+
+
+def modules_after(code, *arguments):
+    """The heavy modules that are loaded when a program ends."""
+    tell = f"print('LOADED', *(m for m in {HEAVY!r} if m in sys.modules), file=sys.stderr)"
+    program = f"import atexit, sys\natexit.register(lambda: {tell})\n{code}"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments)], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stderr.split("LOADED")[-1].split()
+
+
+def test_every_public_name_is_there_and_listed():
+    for name in gt.__all__:
+        assert getattr(gt, name) is not None, name
+    assert set(gt.__all__) <= set(dir(gt))
+    assert gt.compare is compare and gt.simulate is simulate
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = gt.nonsense
+
+
+def test_public_functions_stay_functions_whatever_was_imported_first():
+    code = "import graphtrack.evaluation.compare, graphtrack.simulation, graphtrack as gt\n"
+    code += "assert all(callable(getattr(gt, name)) for name in ('compare', 'simulate', 'smooth', 'read'))"
+    assert "gtsam" in modules_after(code)
+
+
+@pytest.mark.parametrize("arguments", [("--version",), ("--help",), ("smooth", "--help"), ("formats",)])
+def test_commands_that_need_no_solver_load_none(arguments):
+    assert modules_after("from graphtrack.cli import main; main()", *arguments) == []
+
+
+def test_info_loads_no_solver(tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text("track_id,frame,t,x,y\n1,0,0,0,0\n1,1,0.1,,\n1,2,0.2,0.2,0\n")
+    assert modules_after("from graphtrack.cli import main; main()", "info", path) == []
+
+
+def test_the_package_itself_loads_none():
+    assert modules_after("import graphtrack; graphtrack.read") == []
