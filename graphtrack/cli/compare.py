@@ -46,6 +46,9 @@ def compare(
     from graphtrack.evaluation.compare import compare as compare_methods
     from graphtrack.io import atomic_path
 
+    options.check_outputs(json_path)
+    if figures is not None:
+        options.make_folder(figures)
     tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
     if any(noise is not None for noise in (position_noise, body_kappa, head_kappa)):
         rng = np.random.default_rng(seed)
@@ -53,7 +56,7 @@ def compare(
             tracks, position_std=position_noise, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng
         )
     names = [name.strip() for name in methods.split(",") if name.strip()]
-    with progress_bar(len(names) * len(tracks), "tracks × methods") as advance:
+    with progress_bar(tracks.n_frames) as advance:
         found = compare_methods(tracks, names, model=model, occlude_seconds=occlude, progress=advance)
     print_comparison(found)
     if json_path is not None:
@@ -65,14 +68,28 @@ def compare(
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """The comparison as tables on standard output."""
-    for metric in dict.fromkeys(str(row["metric"]) for row in comparison.rows):
-        rows = [row for row in comparison.rows if row["metric"] == metric]
-        print_table(
-            f"{metric} ({rows[0]['unit']})",
-            [{k: row[k] for k in ("method", "median", "low", "high", "mean", "n")} for row in rows],
-        )
-    print_table("NEES", comparison.nees)
+    """The comparison as tables on standard output: medians over the tracks, and the NEES with its band."""
+    values = {(row["method"], row["metric"]): row["median"] for row in comparison.rows}
+    columns = {row["metric"]: f"{row['metric']}\n({row['unit']})" for row in comparison.rows}
+    groups = {row["method"]: row["group"] for row in comparison.rows}
+    errors = [
+        {"method": method, "": group}
+        | {heading: values.get((method, metric)) for metric, heading in columns.items()}
+        for method, group in groups.items()
+    ]
+    print_table("Medians over the tracks", errors)
+    consistency = [
+        {
+            "method": row["method"],
+            "of": row["quantity"],
+            "NEES": row["nees"],
+            "should be": row["dof"],
+            "95 % band": f"{row['low']:.2f} – {row['high']:.2f}",
+            "": "inside" if row["inside"] else "outside",
+        }
+        for row in comparison.nees
+    ]
+    print_table("Consistency: are the uncertainties honest?", consistency)
     console.print(comparison.caption, markup=False)
 
 
@@ -81,7 +98,7 @@ def write_figures(comparison: Comparison, folder: Path) -> None:
     from graphtrack.io import atomic_path
     from graphtrack.report.plots import plot_errors, plot_nees
 
-    folder.mkdir(parents=True, exist_ok=True)
+    options.make_folder(folder)
     made = {"errors.png": plot_errors(comparison.rows)}
     if comparison.nees:
         made["nees.png"] = plot_nees(comparison.nees)

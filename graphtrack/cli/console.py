@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -22,6 +23,9 @@ console = Console(stderr=True, highlight=False, soft_wrap=True)
 
 BAD_INPUT = 2
 
+WIDE = 160
+"""Columns of a table that goes into a file or a pipe, where no terminal says how many there are."""
+
 
 def fail(message: str) -> None:
     """Print one line of error and end with status 2."""
@@ -30,16 +34,18 @@ def fail(message: str) -> None:
 
 
 @contextmanager
-def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[int], None]]:
+def progress_bar(total: int) -> Iterator[Callable[[int], None]]:
     """A progress bar on standard error; yields the function that advances it."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn(unit),
+        TextColumn("person-frames"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True) as progress:
+    # Where nobody watches, nothing is drawn, not even the empty line that a bar leaves behind.
+    hidden = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
         task = progress.add_task("", total=total)
         yield lambda count: progress.advance(task, count)
 
@@ -57,7 +63,7 @@ def print_summary(tracks: TrackSet, name: str) -> None:
     summary = tracks.summary
     console.print(
         f"{name}: {summary.format}, rows read {summary.rows_read}, used {summary.rows_used}, "
-        f"refused {summary.rows_refused}; {len(tracks)} tracks",
+        f"refused {summary.rows_refused}; {counted(len(tracks), 'track')}",
         markup=False,
     )
     for reason, count in summary.refused.items():
@@ -66,19 +72,30 @@ def print_summary(tracks: TrackSet, name: str) -> None:
         console.print(f"  note: {note}", markup=False)
 
 
-def print_table(title: str, rows: Sequence[Mapping[str, Any]], *, to: Console | None = None) -> None:
-    """Rows as a table; the columns are the keys of the first row."""
+def counted(count: int, noun: str) -> str:
+    """A number and its noun, with an s where there are several."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Rows as a table on standard output; the columns are the keys of the first row."""
     if not rows:
         return
-    table = Table(title=title, title_justify="left")
-    for column in rows[0]:
-        table.add_column(column, justify="left" if isinstance(rows[0][column], str) else "right")
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0, show_edge=False)
+    for column, first in rows[0].items():
+        # Phrases may be folded where the terminal is narrow, numbers and single words never.
+        phrases = any(" " in str(row[column]) for row in rows)
+        table.add_column(column, justify="left" if isinstance(first, str) else "right", no_wrap=not phrases)
     for row in rows:
         table.add_row(*(_cell(value) for value in row.values()))
-    (Console(highlight=False) if to is None else to).print(table)
+    to = Console(highlight=False)
+    if not to.is_terminal:
+        to = Console(highlight=False, width=WIDE)
+    to.print(table)
+    to.print()
 
 
 def _cell(value: Any) -> str:
     if value is None or value != value:
         return "–"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

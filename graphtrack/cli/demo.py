@@ -31,7 +31,7 @@ def demo(
     from graphtrack.scenario import scenario
 
     chosen = Model.named(model)
-    out.mkdir(parents=True, exist_ok=True)
+    options.make_folder(out)
     observed = scenario(np.random.default_rng(seed), seconds=seconds)
     console.print(f"{len(observed)} people, {observed.n_frames} person-frames, simulated", markup=False)
     write(observed, out / "observations.csv")
@@ -39,7 +39,7 @@ def demo(
         estimates = smooth(observed, chosen, progress=advance)
     write(estimates, out / "estimates.csv")
     methods = ["kf", "fixed-lag", "isam2", "rts", "smoother"]
-    with progress_bar(len(methods) * len(observed), "tracks × methods") as advance:
+    with progress_bar(observed.n_frames) as advance:
         comparison = compare(observed, methods, model=chosen, progress=advance)
     print_comparison(comparison)
     write_figures(comparison, out)

@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from graphtrack.cli import options
-from graphtrack.cli.console import print_table
+from graphtrack.cli.console import counted, print_table
 
 if TYPE_CHECKING:
     from graphtrack.tracks import Track
@@ -28,6 +28,7 @@ def info(
     json_path: options.Json = None,
 ) -> None:
     """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows."""
+    options.check_outputs(json_path)
     tracks = options.read_tracks(
         inputs,
         format=format,
@@ -43,12 +44,22 @@ def info(
         image_scale=image_scale,
     )
     rows = [describe(track) for track in tracks]
-    print_table(f"{len(tracks)} tracks, {tracks.n_frames} person-frames", rows)
+    optional = [name for name in ("label", "truth") if not any(row[name] for row in rows)]
+    headings = {name: _HEADINGS.get(name, name) for name in rows[0] if name not in optional} if rows else {}
+    shown = [{heading: _shown(row[name]) for name, heading in headings.items()} for row in rows]
+    print_table(f"{counted(len(tracks), 'track')}, {tracks.n_frames} person-frames", shown)
     if json_path is not None:
         from graphtrack.io import atomic_path
 
         with atomic_path(json_path) as temporary:
             temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+
+_HEADINGS = {"rate_hz": "Hz", "speed_m_s": "m/s"}
+
+
+def _shown(value: Any) -> Any:
+    return ("yes" if value else "no") if isinstance(value, bool) else value
 
 
 def describe(track: Track) -> dict[str, Any]:
@@ -74,13 +85,13 @@ def describe(track: Track) -> dict[str, Any]:
         "rows": len(track),
         "frames": f"{track.frame[0]}–{track.frame[-1]}",
         "seconds": float(track.t[-1] - track.t[0]),
-        "rate Hz": 1.0 / usual if usual > 0 else None,
+        "rate_hz": 1.0 / usual if usual > 0 else None,
         "gaps": int(np.sum(step_frames > frames)),
         "positions": int(seen.sum()),
         "body": count("body"),
         "head": count("head"),
-        "speed m/s": float(np.median(speeds)) if len(speeds) else None,
-        "truth": "yes" if track.has_truth else "no",
+        "speed_m_s": float(np.median(speeds)) if len(speeds) else None,
+        "truth": track.has_truth,
     }
 
 
@@ -89,7 +100,7 @@ def formats() -> None:
     from graphtrack.io import formats as all_formats
 
     rows = [
-        {"format": one.name, "writes": "yes" if one.write else "no", "what": one.description}
+        {"format": one.name, "written": "yes" if one.write else "", "what": one.description}
         for one in all_formats()
     ]
     print_table("Formats", rows)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from graphtrack.cli import compare, demo, info, simulate, smooth, track
-from graphtrack.cli.console import fail
+from graphtrack.cli.console import BAD_INPUT, fail
 from graphtrack.errors import GraphtrackError
+
+UsageError: Any = typer.BadParameter.__base__
+"""Click's error of that name, which typer brings along or imports, depending on its version."""
 
 app = typer.Typer(
     name="graphtrack",
@@ -48,16 +51,31 @@ app.command("info")(info.info)
 app.command("formats")(info.formats)
 
 
+def fail_usage(error: Any) -> None:
+    """Say in one line what is wrong with the arguments, and end with status 2."""
+    message = " ".join(error.format_message().split()).rstrip(".")
+    if not message:  # no arguments at all: the help has been printed
+        raise SystemExit(BAD_INPUT)
+    command = getattr(error.ctx, "command_path", "graphtrack")
+    fail(f"{message}; see '{command} --help'")
+
+
 def main() -> None:
     """Entry point of the command line."""
     try:
-        app()
+        code = app(prog_name="graphtrack", standalone_mode=False)
+        raise SystemExit(code or 0)
+    except UsageError as error:
+        fail_usage(error)
     except GraphtrackError as error:
         fail(str(error))
     except BrokenPipeError:
         # The reader of our output has gone, as with `| head`.
         sys.stderr.close()
         raise SystemExit(0) from None
-    except KeyboardInterrupt:
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        fail(f"{place}{error.strerror or error}")
+    except (KeyboardInterrupt, typer.Abort):
         print("interrupted", file=sys.stderr)
         raise SystemExit(130) from None

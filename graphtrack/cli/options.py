@@ -12,11 +12,15 @@ from graphtrack.errors import InputError
 if TYPE_CHECKING:
     from graphtrack.tracks import TrackSet
 
+_CAMERA = ("homography", "point_pairs", "calibration", "metres_per_pixel")
+_READING = "Reading the input"
+_FILE = {"exists": True, "dir_okay": False}
+
 Inputs = Annotated[
-    list[Path], typer.Argument(help="Files with tracks; the format is recognised.", show_default=False)
-]
-Input = Annotated[
-    Path, typer.Argument(help="File with tracks; the format is recognised.", show_default=False)
+    list[Path],
+    typer.Argument(
+        help="Files with tracks; the format is recognised.", metavar="FILE...", show_default=False
+    ),
 ]
 Output = Annotated[
     Path, typer.Option("--output", "-o", help="File to write: .csv, .csv.gz, .parquet or .txt (MOT).")
@@ -25,35 +29,85 @@ ModelName = Annotated[
     str, typer.Option("--model", help="position, separate, joint, or a model file (.toml).")
 ]
 Format = Annotated[
-    str | None, typer.Option("--format", help="Force the input's format; see 'graphtrack formats'.")
+    str | None,
+    typer.Option(
+        "--format", help="Force the input's format; see 'graphtrack formats'.", rich_help_panel=_READING
+    ),
 ]
-Fps = Annotated[float | None, typer.Option("--fps", help="Frames a second, where the file has no times.")]
+Fps = Annotated[
+    float | None,
+    typer.Option("--fps", help="Frames a second, where the file has no times.", rich_help_panel=_READING),
+]
 Homography = Annotated[
-    Path | None, typer.Option("--homography", help="File with 3×3 numbers: image → ground in metres.")
+    Path | None,
+    typer.Option(
+        "--homography",
+        help="File with 3×3 numbers: image → ground in metres.",
+        rich_help_panel=_READING,
+        **_FILE,
+    ),
 ]
 PointPairs = Annotated[
-    Path | None, typer.Option("--point-pairs", help="File with rows 'u v X Y'; a homography is fitted (DLT).")
+    Path | None,
+    typer.Option(
+        "--point-pairs",
+        help="File with rows 'u v X Y'; a homography is fitted (DLT).",
+        rich_help_panel=_READING,
+        **_FILE,
+    ),
 ]
-PointPairsUnit = Annotated[str, typer.Option("--point-pairs-unit", help="Unit of X and Y there: m or cm.")]
+PointPairsUnit = Annotated[
+    str,
+    typer.Option("--point-pairs-unit", help="Unit of X and Y there: m or cm.", rich_help_panel=_READING),
+]
 PointPairsRows = Annotated[
-    str | None, typer.Option("--point-pairs-rows", help="Rows of that file to use, from 1, such as 5-8.")
+    str | None,
+    typer.Option(
+        "--point-pairs-rows",
+        help="Rows of that file to use, from 1, such as 5-8.",
+        rich_help_panel=_READING,
+    ),
 ]
-Calibration = Annotated[Path | None, typer.Option("--calibration", help="Camera calibration (.ci).")]
+Calibration = Annotated[
+    Path | None,
+    typer.Option("--calibration", help="Camera calibration (.ci).", rich_help_panel=_READING, **_FILE),
+]
 MetresPerPixel = Annotated[
-    float | None, typer.Option("--metres-per-pixel", help="Scale of a view from above, without a homography.")
+    float | None,
+    typer.Option(
+        "--metres-per-pixel",
+        help="Scale of a view from above, without a homography.",
+        rich_help_panel=_READING,
+    ),
 ]
 ImageScale = Annotated[
-    float | None, typer.Option("--image-scale", help="Factor from the file's pixels to the calibrated image.")
+    float | None,
+    typer.Option(
+        "--image-scale",
+        help="Factor from the file's pixels to the calibrated image.",
+        rich_help_panel=_READING,
+    ),
 ]
 Classes = Annotated[
-    list[str] | None, typer.Option("--class", help="Class of object to read (KITTI); repeat for more.")
+    list[str] | None,
+    typer.Option(
+        "--class",
+        help="Class of object to read (KITTI, MOT); repeat for more.",
+        metavar="NAME",
+        rich_help_panel=_READING,
+    ),
 ]
 Select = Annotated[
     list[str] | None,
-    typer.Option("--select", help="Only tracks whose label or id matches this pattern; repeat for more."),
+    typer.Option(
+        "--select",
+        help="Only tracks whose label or id matches this pattern, such as '*walk*'; repeat for more.",
+        metavar="PATTERN",
+        rich_help_panel=_READING,
+    ),
 ]
-Json = Annotated[Path | None, typer.Option("--json", help="Write the figures as JSON too.")]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of the random numbers.")]
+Json = Annotated[Path | None, typer.Option("--json", help="Write the numbers as JSON too.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")]
 
 
 def read_tracks(
@@ -71,7 +125,7 @@ def read_tracks(
     InputError
         If nothing can be read or nothing matches the selection.
     """
-    from graphtrack.cli.console import print_summary, quiet_input_warnings
+    from graphtrack.cli.console import console, print_summary, quiet_input_warnings
     from graphtrack.io import read
 
     if classes:
@@ -79,8 +133,55 @@ def read_tracks(
     with quiet_input_warnings():
         tracks = read(paths if len(paths) != 1 else paths[0], format=format, **options)
     print_summary(tracks, ", ".join(str(path) for path in paths))
+    unused = [f"--{name.replace('_', '-')}" for name in _CAMERA if options.get(name) is not None]
+    if unused and tracks.camera is None:
+        console.print(f"  note: {', '.join(unused)} not used: the input has no pixels", markup=False)
     if select:
-        tracks = tracks.select(*select)
-        if not len(tracks):
+        chosen = tracks.select(*select)
+        if not len(chosen):
             raise InputError(f"no track that matches {' or '.join(select)}", "a label or id that is there")
+        console.print(f"  selected {len(chosen)} of {len(tracks)} tracks", markup=False)
+        tracks = chosen
     return tracks
+
+
+def check_outputs(*paths: Path | None, table: Path | None = None) -> None:
+    """Refuse, before any work is done, what could not be written at its end.
+
+    Parameters
+    ----------
+    paths : files to write; None is skipped
+    table : a file with tracks to write, whose format is chosen by its name
+
+    Raises
+    ------
+    InputError
+        For a name without a known format, a folder that does not exist, or one where a file should be.
+    """
+    if table is not None:
+        from graphtrack.io.registry import format_for_writing
+
+        format_for_writing(table)
+    for path in (table, *paths):
+        if path is None:
+            continue
+        if path.is_dir():
+            raise InputError("a folder", "the path of a file to write", path=path)
+        if not path.absolute().parent.is_dir():
+            raise InputError(f"no folder {path.parent}", "a folder that exists", path=path)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder for results, unless it is there.
+
+    Raises
+    ------
+    InputError
+        If that cannot be done.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{error.strerror or error} when making the folder", "a place that can be written to", path=path
+        ) from error

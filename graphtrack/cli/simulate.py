@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console
+from graphtrack.cli.console import console, counted
+from graphtrack.errors import InputError
 
 PositionNoise = Annotated[
     float | None, typer.Option("--position-noise", help="1-σ of the noise on each axis, metres.")
@@ -29,7 +30,9 @@ def simulate(
     missing: Annotated[
         float, typer.Option("--missing", min=0.0, max=1.0, help="Share of frames unseen.")
     ] = 0.0,
-    scenario: Annotated[bool, typer.Option("--scenario", help="The demo's scripted people instead.")] = False,
+    scenario: Annotated[
+        bool, typer.Option("--scenario", help="The demo's six scripted people instead, who need no model.")
+    ] = False,
     seed: options.Seed = 0,
 ) -> None:
     """Simulate people from the model, with their truth, and write the table."""
@@ -40,13 +43,16 @@ def simulate(
     from graphtrack.scenario import scenario as scripted
     from graphtrack.simulation import simulate as sample
 
+    options.check_outputs(table=output)
     rng = np.random.default_rng(seed)
     if scenario:
         found = scripted(rng, fps=fps, seconds=steps / fps)
     else:
         found = sample(Model.named(model), n_tracks=tracks, n_steps=steps, fps=fps, missing=missing, rng=rng)
     write(found, output)
-    console.print(f"wrote {output}: {len(found)} tracks, {found.n_frames} person-frames", markup=False)
+    console.print(
+        f"wrote {output}: {counted(len(found), 'track')}, {found.n_frames} person-frames", markup=False
+    )
 
 
 def add_noise(
@@ -66,6 +72,9 @@ def add_noise(
     from graphtrack.degrade import add_noise as noisy
     from graphtrack.io import write
 
+    if position_noise is None and body_kappa is None and head_kappa is None:
+        raise InputError("no noise", "at least one of --position-noise, --body-kappa, --head-kappa")
+    options.check_outputs(table=output)
     tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
     found = noisy(
         tracks,
@@ -75,4 +84,6 @@ def add_noise(
         rng=np.random.default_rng(seed),
     )
     write(found, output)
-    console.print(f"wrote {output}: {len(found)} tracks, {found.n_frames} person-frames", markup=False)
+    console.print(
+        f"wrote {output}: {counted(len(found), 'track')}, {found.n_frames} person-frames", markup=False
+    )

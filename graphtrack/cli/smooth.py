@@ -27,15 +27,23 @@ def smooth(
     classes: options.Classes = None,
     format: options.Format = None,
     select: options.Select = None,
-    jobs: Annotated[int, typer.Option("--jobs", min=1, help="Processes across tracks.")] = 1,
+    engine: Annotated[
+        str, typer.Option("--engine", help="auto, chain (compiled) or gtsam; both find the same optimum.")
+    ] = "auto",
+    jobs: Annotated[
+        int, typer.Option("--jobs", min=1, help="Tracks at a time: threads (chain) or processes (gtsam).")
+    ] = 1,
     report: Annotated[Path | None, typer.Option("--report", help="Write an HTML report here too.")] = None,
 ) -> None:
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
     from graphtrack.inference import Failure, Solution, solve
+    from graphtrack.inference.offline import engine_of
     from graphtrack.io import write
     from graphtrack.model import Model
 
     chosen = Model.named(model)
+    solver = engine_of(chosen, engine)  # type: ignore[arg-type]
+    options.check_outputs(report, table=output)
     tracks = options.read_tracks(
         inputs,
         format=format,
@@ -52,7 +60,7 @@ def smooth(
     )
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        found = solve(tracks, chosen, jobs=jobs, progress=advance)
+        found = solve(tracks, chosen, engine=solver, jobs=jobs, progress=advance)
     seconds = time.perf_counter() - start
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]
@@ -62,7 +70,7 @@ def smooth(
     unconverged = [result for result in good if not result.converged]
     console.print(
         f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in {seconds:.1f} s"
-        f"; model {chosen.preset}, {len(good) - len(unconverged)} converged",
+        f"; model {chosen.preset}, engine {solver}, {len(good) - len(unconverged)} converged",
         markup=False,
     )
     for result in unconverged:

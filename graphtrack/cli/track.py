@@ -22,7 +22,11 @@ def track(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File to write; with -, NDJSON goes to standard output."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="File to write: .csv, .csv.gz, .parquet or .txt (MOT); with -, rows go to standard output.",
+        ),
     ] = None,
     model: options.ModelName = "joint",
     engine: Annotated[str, typer.Option("--engine", help="fixed-lag or isam2.")] = "fixed-lag",
@@ -55,10 +59,24 @@ def track(
     chosen = Model.named(model)
     OnlineSmoother(chosen, engine=engine, lag=lag)  # type: ignore[arg-type]  # refuses a bad engine or lag
     if input == "-":
+        _refuse_with_stream(
+            output=output,
+            point_pairs=point_pairs,
+            point_pairs_rows=point_pairs_rows,
+            calibration=calibration,
+            metres_per_pixel=metres_per_pixel,
+            image_scale=image_scale,
+            format=format,
+            select=select,
+            **{"class": classes},
+        )
         _stream(chosen, engine, lag, fps, homography, state, save_every)
         return
     if output is None:
         raise InputError("no output", "a file to write (--output)")
+    if state is not None:
+        raise InputError("--state with a file", "- as the input: only a stream can be gone on with")
+    options.check_outputs(table=output)
     tracks = options.read_tracks(
         [Path(input)],
         format=format,
@@ -100,6 +118,12 @@ def track(
         )
     if unseen:
         raise typer.Exit(BAD_INPUT)
+
+
+def _refuse_with_stream(**given: object) -> None:
+    names = [f"--{name.replace('_', '-')}" for name, value in given.items() if value]
+    if names:
+        raise InputError(f"{', '.join(names)} with -", "these options with a file only")
 
 
 def _stream(

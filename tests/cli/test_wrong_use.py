@@ -1,0 +1,109 @@
+"""Whatever is wrong with the arguments: one line, status 2, nothing written, no traceback."""
+
+import sys
+
+import pytest
+
+from graphtrack.cli import main
+
+ROWS = "track_id,frame,t,x,y\n" + "".join(f"1,{k},{k / 10},{k / 10},0\n" for k in range(20))
+
+WRONG = {
+    "no command of that name": "nonsense",
+    "no input": "smooth",
+    "no output": "smooth tracks.csv",
+    "an option of no such name": "smooth tracks.csv -o out.csv --nonsense 1",
+    "text for a number": "smooth tracks.csv -o out.csv --fps ten",
+    "a rate of zero": "smooth tracks.csv -o out.csv --fps 0",
+    "a missing input": "smooth missing.csv -o out.csv",
+    "a folder for input": "info .",
+    "an ending of no format": "smooth tracks.csv -o out.xyz",
+    "a folder that is not there": "smooth tracks.csv -o missing/out.csv",
+    "a report in no folder": "smooth tracks.csv -o out.csv --report missing/report.html",
+    "no such preset": "smooth tracks.csv -o out.csv --model joynt",
+    "no such model file": "smooth tracks.csv -o out.csv --model missing.toml",
+    "no such format": "info tracks.csv --format docx",
+    "another format": "info tracks.csv --format kitti",
+    "a selection of nobody": "info tracks.csv --select nobody",
+    "a missing homography": "info tracks.csv --homography missing.txt",
+    "no jobs": "smooth tracks.csv -o out.csv --jobs 0",
+    "track without output": "track tracks.csv",
+    "no such engine": "track tracks.csv -o out.csv --engine steam",
+    "a negative lag": "track tracks.csv -o out.csv --lag -1",
+    "a state for a file": "track tracks.csv -o out.csv --state state.json",
+    "an output for a stream": "track - -o out.csv",
+    "a state that is none": "track - --state tracks.csv",
+    "a state in no folder": "track - --state missing/state.json",
+    "no such method": "compare tracks.csv --methods magic --position-noise 0.1",
+    "no truth": "compare tracks.csv --methods kf",
+    "negative noise": "compare tracks.csv --methods kf --position-noise -1",
+    "a window longer than the track": "compare tracks.csv --methods kf --position-noise 0.1 --occlude 100",
+    "JSON in no folder": "compare tracks.csv --methods kf --position-noise 0.1 --json missing/found.json",
+    "figures in a file": "compare tracks.csv --methods kf --position-noise 0.1 --figures tracks.csv/figures",
+    "a negative seed": "simulate -o out.csv --seed -1",
+    "nobody to simulate": "simulate -o out.csv --tracks 0",
+    "a rate below zero": "simulate -o out.csv --fps -5",
+    "a scene too short": "simulate -o out.csv --scenario --steps 10",
+    "no noise": "add-noise tracks.csv -o out.csv",
+    "arguments too many": "formats extra",
+    "a demo in a file": "demo --out tracks.csv/demo",
+    "a demo too short": "demo --seconds 1",
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tracks.csv").write_text(ROWS)
+    return tmp_path
+
+
+def run(monkeypatch, arguments):
+    monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code
+
+
+@pytest.mark.parametrize("arguments", WRONG.values(), ids=WRONG)
+def test_wrong_use_is_one_line_with_status_2(arguments, here, monkeypatch, capsys):
+    assert run(monkeypatch, arguments.split()) == 2
+    output = capsys.readouterr()
+    errors = [line for line in output.err.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1 and len(errors[0]) > len("error: ")
+    # Beside the error there is at most what was read.
+    others = [line for line in output.err.splitlines() if line not in errors]
+    assert all(line.startswith(("tracks.csv: ", "  ")) for line in others)
+    assert "Traceback" not in output.err + output.out
+    assert {path.name for path in here.iterdir()} <= {"tracks.csv", "demo"}
+
+
+def test_without_arguments_the_help_is_shown_and_the_status_is_2(here, monkeypatch, capsys):
+    assert run(monkeypatch, []) == 2
+    assert "smooth" in capsys.readouterr().out
+
+
+def test_a_full_disk_is_one_line(here, monkeypatch, capsys):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device", "out.csv")
+
+    monkeypatch.setattr("graphtrack.io.write", full)
+    assert run(monkeypatch, ["simulate", "-o", "out.csv", "--tracks", "1", "--steps", "5"]) == 2
+    assert capsys.readouterr().err.strip() == "error: out.csv: No space left on device"
+
+
+def test_a_selection_and_an_unused_camera_are_told(here, monkeypatch, capsys):
+    (here / "plane.txt").write_text("1 0 0\n0 1 0\n0 0 1\n")
+    arguments = ["info", "tracks.csv", "--select", "1", "--homography", "plane.txt"]
+    assert run(monkeypatch, arguments) == 0
+    told = capsys.readouterr().err
+    assert "selected 1 of 1 track" in told and "--homography not used" in told
+
+
+def test_tables_for_a_pipe_are_not_cut(here, monkeypatch, capsys):
+    label = "a label of some length that a narrow table would have to fold or to cut"
+    (here / "named.csv").write_text(
+        "track_id,frame,t,x,y,label\n" + "".join(f"1,{k},{k / 10},0,0,{label}\n" for k in range(3))
+    )
+    assert run(monkeypatch, ["info", "named.csv"]) == 0
+    assert label in capsys.readouterr().out
