@@ -12,6 +12,7 @@ from matplotlib.quiver import Quiver
 from graphtrack.angles import wrap
 from graphtrack.errors import InputError
 from graphtrack.report.plots import plot_angles, plot_errors, plot_nees, plot_tracks
+from graphtrack.report.plots.scene import CROWD
 from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
 from graphtrack.tracks import Track, TrackSet
 
@@ -184,3 +185,17 @@ def test_pyplot_stays_untouched():
     code = "from graphtrack.report import plots, build; import sys; print('matplotlib.pyplot' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "False"
+
+
+def test_of_a_crowd_only_the_paths_are_drawn():
+    t = np.arange(5.0)
+
+    def people(count):
+        walks = (np.stack([t, np.full(5, float(i))], axis=1) for i in range(count))
+        return TrackSet(
+            tuple(Track(i, np.arange(5), t, walk, body=np.zeros(5)) for i, walk in enumerate(walks))
+        )
+
+    few, crowd = (plot_tracks(people(count)).axes[0] for count in (CROWD, CROWD + 1))
+    assert len(crowd.lines) == CROWD + 1 and not crowd.texts and not crowd.collections
+    assert len(few.texts) == CROWD and few.collections

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,9 @@ MARKED_GAP = 3
 NAMED_PEOPLE = 10
 """Up to this many people are named in the legend; with more, the ids beside the paths must do."""
 
+CROWD = 40
+"""With more people than this only the paths are drawn: arrows, ellipses and ids would hide them."""
+
 
 def plot_tracks(
     estimates: TrackSet,
@@ -44,7 +48,8 @@ def plot_tracks(
     """Draw everybody's path from above, in metres with equal axes.
 
     Body and head arrows and the 95 % ellipses of the position stand at regular intervals of time. Where the
-    person was not observed the path is dotted, and longer gaps end in hollow circles.
+    person was not observed the path is dotted, and longer gaps end in hollow circles. Of a `CROWD` only the
+    paths are drawn.
 
     Parameters
     ----------
@@ -80,6 +85,9 @@ def plot_tracks(
     interval = _nice_interval(pairs) if arrow_interval is None else arrow_interval
     for index, pair in enumerate(pairs):
         colour = person_colour(index)
+        if len(pairs) > CROWD:
+            axes.plot(*pair.estimate.position.T, color=colour, linewidth=0.8, alpha=0.6)
+            continue
         _draw_observations(axes, pair, colour)
         if show_truth:
             axes.plot(*pair.true_position.T, color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5), zorder=2.5)
@@ -242,6 +250,8 @@ def _legend(pairs: tuple[Pair, ...], show_truth: bool, show_velocity: bool) -> l
     grey = {"color": NEUTRAL_COLOUR}
     arrow = {"linewidth": 0, "marker": r"$\rightarrow$", "markersize": 13}
     handles: list[Line2D | Patch] = [_key("path", linewidth=1.8, **grey)]
+    if len(pairs) > CROWD:
+        return handles
     if any(pair.seen is not None and not pair.seen.all() for pair in pairs):
         handles.append(_key("not observed", linestyle=":", marker="o", markerfacecolor="white", **grey))
     if any(pair.observation is not None for pair in pairs):
@@ -265,7 +275,7 @@ def _key(label: str, **style: Any) -> Line2D:
     return Line2D([], [], label=label, **style)
 
 
-def _short(name: str, limit: int = 28) -> str:
+def _short(name: str, width: int = 28) -> str:
+    """A name on at most two lines of a legend."""
     # A dollar would start mathematics in matplotlib.
-    name = name if len(name) <= limit else name[: limit - 1] + "…"
-    return name.replace("$", r"\$")
+    return textwrap.fill(name, width, max_lines=2, placeholder=" …").replace("$", r"\$")
