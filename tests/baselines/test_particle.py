@@ -1,0 +1,468 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import special, stats
+from walks import walk, without
+
+from graphtrack.angles import difference, von_mises_log_density, wrap
+from graphtrack.baselines.kalman import filter_states, rauch_tung_striebel
+from graphtrack.baselines.particle import ParticleOptions, particle_filter, particle_smoother
+from graphtrack.baselines.particle_data import prepare
+from graphtrack.baselines.particle_densities import (
+    add_pose_log_density,
+    add_position_log_density,
+    log_i0e,
+    sample_von_mises,
+)
+from graphtrack.baselines.particle_kernels import draw_angles, summarise
+from graphtrack.baselines.resampling import (
+    effective_sample_size,
+    generator,
+    normalise,
+    systematic_ancestors,
+)
+from graphtrack.errors import InputError, InputWarning, SolveError
+from graphtrack.geometry import GroundCamera
+from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters, States, Step, Term
+from graphtrack.model.pose import VonMisesMixture, class_centres, class_kappa
+from graphtrack.simulation import von_mises_product
+from graphtrack.tracks import Track
+
+PARAMETERS = Parameters(
+    motion=MotionParameters(acceleration_density=0.7, initial_speed_std=1.2),
+    likelihood=LikelihoodParameters(position_std=0.1),
+)
+LINEAR = Model("position", PARAMETERS)
+
+
+def options(particles: int, **others: object) -> ParticleOptions:
+    return ParticleOptions(particles=particles, **others)
+
+
+# -- resampling --------------------------------------------------------------------------------------------
+
+
+@settings(deadline=None)
+@given(
+    raw=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=40).filter(lambda w: sum(w) > 1e-3),
+    offset=st.floats(0.0, 1.0, exclude_max=True),
+    count=st.integers(1, 60),
+)
+def test_descendants_are_the_expected_number_rounded(raw: list[float], offset: float, count: int) -> None:
+    weights = np.array(raw) / sum(raw)
+    ancestors = np.empty(count, dtype=np.int64)
+    systematic_ancestors(weights, offset, ancestors)
+    descendants = np.bincount(ancestors, minlength=len(weights))
+    assert np.all(np.diff(ancestors) >= 0)
+    assert np.all(np.abs(descendants - count * weights) < 1.0 + 1e-9)
+    assert np.all(descendants[weights == 0.0] == 0)
+
+
+def test_descendants_are_the_expected_number_on_average() -> None:
+    weights = np.array([0.05, 0.5, 0.15, 0.3])
+    ancestors, total = np.empty(7, dtype=np.int64), np.zeros(4)
+    offsets = (np.arange(2000) + 0.5) / 2000
+    for offset in offsets:
+        systematic_ancestors(weights, offset, ancestors)
+        total += np.bincount(ancestors, minlength=4)
+    np.testing.assert_allclose(total / len(offsets), 7 * weights, atol=5e-3)
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-2000.0, 500.0) | st.just(-math.inf), min_size=1, max_size=30))
+def test_log_weights_are_normalised(raw: list[float]) -> None:
+    log_weights, weights = np.array(raw), np.empty(len(raw))
+    found = normalise(log_weights, weights)
+    assert weights.sum() == pytest.approx(1.0)
+    if max(raw) == -math.inf:
+        assert found == -math.inf
+        np.testing.assert_allclose(weights, 1.0 / len(raw))
+    else:
+        assert found == pytest.approx(special.logsumexp(raw))
+        np.testing.assert_allclose(weights, special.softmax(raw), atol=1e-12)
+    assert 1.0 - 1e-9 <= effective_sample_size(weights) <= len(raw) + 1e-9
+
+
+def test_seeds() -> None:
+    assert generator(3).random() == np.random.default_rng(3).random()
+    rng = np.random.default_rng(0)
+    assert generator(rng) is rng
+    for wrong in (-1, 1.5, "x", True):
+        with pytest.raises(InputError, match="seed"):
+            generator(wrong)  # type: ignore[arg-type]
+
+
+# -- densities ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kappa", [0.0, 1e-6, 0.3, 3.0, 60.0, 1e4, 1e7])
+def test_von_mises_variates_follow_the_distribution(kappa: float) -> None:
+    rng = np.random.default_rng(5)
+    drawn = np.array([sample_von_mises(rng, 2.9, kappa) for _ in range(4000)])
+    assert np.all((drawn > -np.pi) & (drawn <= np.pi))
+    # Beyond SciPy's reach the limit is normal.
+    law = stats.vonmises(kappa) if 1e-3 < kappa < 1e6 else stats.norm(0.0, 1.0 / math.sqrt(max(kappa, 1e-9)))
+    if kappa < 1e-3:
+        law = stats.uniform(-np.pi, 2.0 * np.pi)
+    assert stats.kstest(difference(drawn, 2.9), law.cdf).pvalue > 0.01
+
+
+def test_the_bessel_function_is_scipys() -> None:
+    x = np.r_[0.0, np.geomspace(1e-4, 1e7, 400)]
+    np.testing.assert_allclose([log_i0e(v) for v in x], np.log(special.i0e(x)), atol=3e-7)
+
+
+def camera(mirrored: bool = False) -> GroundCamera:
+    """Two and a half metres up, looking down by 30° along +y."""
+    tilt = np.radians(30.0)
+    right, forward = np.array([1.0, 0.0, 0.0]), np.array([0.0, np.cos(tilt), -np.sin(tilt)])
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    intrinsics = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
+    found = GroundCamera.from_calibration(rotation, -rotation @ np.array([0.0, -3.0, 2.5]), intrinsics)
+    return GroundCamera(np.diag([-1.0, 1.0, 1.0]) @ found.homography) if mirrored else found
+
+
+@pytest.mark.parametrize("robust", ["none", "huber", "cauchy"])
+@pytest.mark.parametrize("pixels", [False, True])
+def test_the_position_likelihood_is_the_models(robust: str, pixels: bool) -> None:
+    parameters = Parameters(likelihood=LikelihoodParameters(position_std=0.2, robust=robust, pixel_std=4.0))
+    model, view = Model("position", parameters), camera()
+    rng = np.random.default_rng(0)
+    position = rng.uniform(-1.0, 1.0, (4, 2))
+    track = Track(1, np.arange(4), np.arange(4.0), position, pixel=view.ground_to_image(position))
+    job = prepare(track, model, view if pixels else None, "smooth", False)
+    particles = np.zeros((50, 6))
+    particles[:, :2] = rng.uniform(-1.5, 1.5, (50, 2))
+    found = np.zeros(50)
+    add_position_log_density(particles, 2, job.position, job.camera, found)
+    term = next(t for t in model.terms if type(t).__name__ == "PositionLikelihood")
+    alone = replace(track, position=np.where(np.arange(4)[:, None] == 2, position, np.nan))
+    alone = replace(alone, pixel=np.where(np.arange(4)[:, None] == 2, track.pixel, np.nan))
+    peak = math.log(2.0 * math.pi * (4.0 if pixels else 0.2) ** 2)
+    for row, value in zip(particles, found, strict=True):
+        states = States(np.tile(row[:2], (4, 1)), np.zeros((4, 2)), np.zeros(4), np.zeros(4))
+        assert -value == pytest.approx(term.cost(states, alone, view if pixels else None) + peak)
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.1])
+@pytest.mark.parametrize("classes", [False, True])
+def test_the_pose_likelihood_is_the_models(outliers: float, classes: bool) -> None:
+    likelihood = LikelihoodParameters(
+        outlier_probability=outliers, class_outlier_probability=outliers, head_kappa=6.0
+    )
+    track = walk(5, classes=classes)
+    job = prepare(track, Model("joint", Parameters(likelihood=likelihood)), None, "smooth", False)
+    particles = np.zeros((60, 6))
+    particles[:, 5] = np.linspace(-np.pi, np.pi, 60)
+    found = np.zeros(60)
+    add_pose_log_density(particles, 5, 3, job.head, job.camera, found)
+    if classes:
+        assert track.head_likelihood is not None
+        scores = tuple(track.head_likelihood[3])
+        mixture = VonMisesMixture(tuple(class_centres(12)), scores, class_kappa(12), outliers)
+    else:
+        assert track.head is not None
+        mixture = VonMisesMixture((float(track.head[3]),), (1.0,), 6.0, outliers)
+    expected = [-mixture.negative_log_density(angle) for angle in particles[:, 5]]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert np.trapezoid(np.exp(found), particles[:, 5]) == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("view", [camera(), camera(mirrored=True), GroundCamera(camera().homography)])
+def test_poses_in_the_image_are_judged_at_the_particles_position(view: GroundCamera) -> None:
+    track = walk(5, classes=True)
+    job = prepare(track, Model("joint"), view, "closest", True)
+    rng = np.random.default_rng(1)
+    particles = np.zeros((300, 6))
+    particles[:, :2] = rng.uniform(-2.0, 2.0, (300, 2))
+    particles[:, 4] = rng.uniform(-np.pi, np.pi, 300)
+    found = np.zeros(300)
+    add_pose_log_density(particles, 4, 2, job.body, job.camera, found)
+    in_image = view.image_angle(particles[:, 4], particles[:, :2])
+    nearest = np.argmin(np.abs(difference(in_image[:, None], class_centres(8))), axis=1)
+    assert track.body_likelihood is not None
+    scores = track.body_likelihood[2] / track.body_likelihood[2].sum()
+    expected = np.log((0.05 + 0.95 * 8 * scores) / (2.0 * np.pi))[nearest]
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert len(np.unique(nearest)) == 8
+
+
+@pytest.mark.parametrize("speed", [0.1, 1.5])
+def test_angles_are_drawn_from_the_normalised_product(speed: float) -> None:
+    model = Model("joint")
+    job = prepare(walk(3, dt=0.3), model, None, "smooth", False)
+    rng = np.random.default_rng(2)
+    before, after = np.array([0.0, 0.0, 0.0, 0.0, 1.0, -2.0]), np.zeros((3000, 6))
+    after[:, 2:4] = speed * np.array([math.cos(2.0), math.sin(2.0)])
+    for row in after:
+        draw_angles(rng, 1, False, before, row, job.motion)
+    turning, coupling = model.parameters.orientation, model.parameters.coupling
+    pull = coupling.motion_body_kappa * max(speed - coupling.speed_threshold, 0.0) ** 2
+    mean, kappa = von_mises_product(1.0, 1.0 / (turning.body_diffusion * 0.3), 2.0, pull)
+    assert stats.kstest(difference(after[:, 4], mean), stats.vonmises(kappa).cdf).pvalue > 0.01
+    mean, kappa = von_mises_product(
+        -2.0, 1.0 / (turning.head_diffusion * 0.3), after[:, 4], coupling.head_body_kappa
+    )
+    # Each head has its own law, given its body: their probabilities must be uniform.
+    levels = [stats.vonmises(c).cdf(d) for c, d in zip(kappa, difference(after[:, 5], mean), strict=True)]
+    assert stats.kstest(levels, stats.uniform().cdf).pvalue > 0.01
+
+
+def test_mean_and_covariance_of_particles() -> None:
+    rng = np.random.default_rng(0)
+    particles, weights = rng.normal(0.0, 1.0, (400, 6)), rng.dirichlet(np.ones(400))
+    particles[:, 4:] = wrap(3.0 + 0.3 * particles[:, 4:])
+    job = prepare(walk(3), Model("joint"), None, "smooth", False)
+    mean, covariance = np.full(6, np.nan), np.full((6, 6), np.nan)
+    summarise(particles, weights, job.motion, mean, covariance)
+    expected = np.append(weights @ particles[:, :4], np.angle(weights @ np.exp(1j * particles[:, 4:])))
+    np.testing.assert_allclose(mean, expected, atol=1e-12)
+    deviation = particles - mean
+    deviation[:, 4:] = wrap(deviation[:, 4:])
+    np.testing.assert_allclose(covariance, np.einsum("n,ni,nj", weights, deviation, deviation), atol=1e-12)
+
+
+# -- the filter against exact ones -------------------------------------------------------------------------
+
+
+def kalman_log_evidence(track: Track) -> np.ndarray:
+    _, predicted = filter_states(track, PARAMETERS)
+    found = np.full(len(track), np.nan)
+    for k in range(1, len(track)):
+        if np.isfinite(track.position[k]).all():
+            spread = predicted.covariance[k][:2, :2] + 0.1**2 * np.eye(2)
+            found[k] = stats.multivariate_normal(predicted.mean[k][:2], spread).logpdf(track.position[k])
+    return found
+
+
+def test_the_mean_tends_to_the_kalman_filters_at_the_rate_of_monte_carlo() -> None:
+    track = without(walk(25, noise=0.1, uneven=True), "position", [8, 9, 17])
+    exact = filter_states(track, PARAMETERS)[0].mean[:, :2]
+    errors = []
+    for count in (1000, 16_000):
+        runs = [particle_filter(track, LINEAR, options=options(count), seed=s) for s in range(12)]
+        errors.append(np.sqrt(np.mean([(r.track.position - exact) ** 2 for r in runs])))
+    # Sixteen times the particles: a quarter of the error.
+    assert 2.8 < errors[0] / errors[1] < 5.6
+    assert errors[1] < 0.01
+
+
+def test_the_covariance_is_the_kalman_filters() -> None:
+    track = walk(20, noise=0.1)
+    found = particle_filter(track, LINEAR, options=options(20_000)).track.covariance
+    assert found is not None
+    exact = filter_states(track, PARAMETERS)[0].covariance
+    ratio = np.trace(found[:, :4, :4], axis1=1, axis2=2) / np.trace(exact, axis1=1, axis2=2)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.1)
+    assert np.isnan(found[:, 4:]).all()
+
+
+def test_the_evidence_is_the_kalman_filters_within_its_standard_error() -> None:
+    track = walk(12, noise=0.1)
+    exact = np.nansum(kalman_log_evidence(track))
+    # The estimate of the evidence itself, not of its logarithm, is unbiased.
+    ratios = [
+        math.exp(
+            np.nansum(particle_filter(track, LINEAR, options=options(2000), seed=s).log_evidence) - exact
+        )
+        for s in range(80)
+    ]
+    error = np.std(ratios, ddof=1) / math.sqrt(len(ratios))
+    assert error < 0.1
+    assert abs(np.mean(ratios) - 1.0) < 3.0 * error
+
+
+def angle_on_a_grid(track: Track, model: Model, size: int = 720) -> tuple[np.ndarray, np.ndarray, float]:
+    """Filtered and smoothed densities (n, size) of the body alone, and the log evidence, by quadrature."""
+    grid = wrap(2.0 * np.pi * np.arange(size) / size)
+    width = 2.0 * np.pi / size
+    diffusion = model.parameters.orientation.body_diffusion
+    ahead, steps, logs = np.full(size, 1.0 / (2.0 * np.pi)), [], []
+    filtered, likelihoods = [], []
+    for k in range(len(track)):
+        if k:
+            kappa = 1.0 / (diffusion * (track.t[k] - track.t[k - 1]))
+            step = np.exp(von_mises_log_density(grid[:, None], grid, kappa)) * width
+            steps.append(step)
+            ahead = step @ filtered[-1]
+        assert track.body_likelihood is not None
+        likelihood = np.ones(size)
+        if np.isfinite(track.body_likelihood[k]).all():
+            scores = tuple(track.body_likelihood[k])
+            mixture = VonMisesMixture(tuple(class_centres(8)), scores, class_kappa(8), 0.05)
+            likelihood = np.exp([-mixture.negative_log_density(angle) for angle in grid])
+        logs.append(math.log(np.sum(ahead * likelihood) * width))
+        filtered.append(ahead * likelihood / math.exp(logs[-1]))
+        likelihoods.append(likelihood)
+    backward, smoothed = np.ones(size), [filtered[-1]]
+    for k in range(len(track) - 1, 0, -1):
+        backward = steps[k - 1].T @ (backward * likelihoods[k])
+        backward /= backward.max()
+        density = filtered[k - 1] * backward
+        smoothed.append(density / (density.sum() * width))
+    return np.array(filtered), np.array(smoothed[::-1]), sum(logs)
+
+
+def resultants(densities: np.ndarray) -> np.ndarray:
+    size = densities.shape[1]
+    return densities @ np.exp(2j * np.pi * np.arange(size) / size) * 2.0 * np.pi / size
+
+
+def one_angle() -> tuple[Track, Model]:
+    track = replace(walk(15, classes=True, uneven=True, angle_kappa=3.0, dt=0.4), head_likelihood=None)
+    return without(track, "body_likelihood", [4, 5, 10]), Model("separate")
+
+
+def test_one_angle_agrees_with_a_grid() -> None:
+    track, model = one_angle()
+    filtered, _, log_evidence = angle_on_a_grid(track, model)
+    alone = replace(track, position=np.where(np.arange(15)[:, None] == 0, track.position, np.nan))
+    found = particle_filter(alone, model, options=options(60_000))
+    exact = resultants(filtered)
+    assert found.track.body is not None
+    np.testing.assert_allclose(difference(found.track.body, np.angle(exact)), 0.0, atol=np.radians(1.5))
+    assert np.nansum(found.log_evidence) == pytest.approx(log_evidence, abs=0.1)
+    assert found.track.covariance is not None
+    grid = 2.0 * np.pi * np.arange(filtered.shape[1]) / filtered.shape[1]
+    squared = difference(grid, np.angle(exact)[:, None]) ** 2
+    variance = np.sum(filtered * squared, axis=1) * (grid[1] - grid[0])
+    np.testing.assert_allclose(found.track.covariance[:, 4, 4], variance, rtol=0.05)
+
+
+def test_backward_simulation_of_one_angle_agrees_with_a_grid() -> None:
+    track, model = one_angle()
+    _, smoothed, _ = angle_on_a_grid(track, model)
+    alone = replace(track, position=np.where(np.arange(15)[:, None] == 0, track.position, np.nan))
+    runs = [
+        particle_smoother(alone, model, options=options(3000, paths=300), seed=s).track.body for s in range(4)
+    ]
+    mean = np.angle(np.mean(np.exp(1j * np.array(runs)), axis=0))
+    exact = resultants(smoothed)
+    firm = np.abs(exact) > 0.5
+    assert firm.sum() > 8
+    np.testing.assert_allclose(difference(mean, np.angle(exact))[firm], 0.0, atol=np.radians(5.0))
+
+
+def test_backward_simulation_is_rauch_tung_striebel_on_the_linear_model() -> None:
+    track = without(walk(20, noise=0.1, dt=0.3), "position", [6, 7, 8, 9])
+    exact = rauch_tung_striebel(track, PARAMETERS)
+    runs = [
+        particle_smoother(track, LINEAR, options=options(4000, paths=200), seed=s).track for s in range(6)
+    ]
+    mean = np.mean([r.position for r in runs], axis=0)
+    online = np.mean(
+        [particle_filter(track, LINEAR, options=options(4000), seed=s).track.position for s in range(6)],
+        axis=0,
+    )
+    off = np.linalg.norm(mean - exact.position, axis=1)
+    assert np.sqrt(np.mean(off**2)) < 0.03
+    assert np.linalg.norm(online - exact.position, axis=1)[6:10].max() > 5.0 * off[6:10].max()
+    variance = np.mean([r.covariance[:, 0, 0] for r in runs], axis=0)  # type: ignore[index]
+    assert exact.covariance is not None
+    np.testing.assert_allclose(variance, exact.covariance[:, 0, 0], rtol=0.5)
+
+
+# -- behaviour ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("estimator", [particle_filter, particle_smoother])
+def test_a_seed_decides_everything(estimator: object) -> None:
+    track = walk(15)
+
+    def run(seed: int | np.random.Generator) -> np.ndarray:
+        return estimator(track, "joint", options=options(50, paths=9), seed=seed).track.position  # type: ignore[operator]
+
+    np.testing.assert_array_equal(run(1), run(1))
+    np.testing.assert_array_equal(run(1), run(np.random.default_rng(1)))
+    assert not np.array_equal(run(1), run(2))
+
+
+def test_a_jump_out_of_reach_is_recovered_from_and_said() -> None:
+    track = walk(20)
+    position = track.position.copy()
+    position[12:] += 500.0
+    track = replace(track, position=position)
+    with pytest.warns(InputWarning, match=r"track 1: .*frame 22"):
+        found = particle_filter(track, "joint", options=options(300))
+    assert found.recovered == (12,)
+    assert np.linalg.norm(found.track.position[12:] - position[12:], axis=1).max() < 0.5
+    assert found.log_evidence[12] < -700.0
+    with pytest.warns(InputWarning):
+        smoothed = particle_smoother(track, "joint", options=options(300))
+    assert np.linalg.norm(smoothed.track.position - position, axis=1).max() < 0.5
+
+
+def test_before_the_first_position_nothing_is_known() -> None:
+    track = without(walk(12), "position", slice(0, 4))
+    for estimator in (particle_filter, particle_smoother):
+        found = estimator(track, "joint", options=options(100, paths=20))
+        assert np.isnan(found.track.position[:4]).all()
+        assert np.isfinite(found.track.position[4:]).all()
+        assert found.track.body is not None
+        assert np.isfinite(found.track.body[4:]).all()
+        assert np.isnan(found.log_evidence[:4]).all()
+
+
+def test_one_frame_and_one_position() -> None:
+    single = walk(1)
+    found = particle_filter(single, "joint", options=options(4000)).track
+    np.testing.assert_allclose(found.position, single.position, atol=0.02)
+    gap = without(walk(8), "position", slice(1, 8))
+    found = particle_filter(gap, "joint", options=options(500)).track
+    spread = found.std("x")
+    assert spread is not None
+    assert np.all(np.diff(spread) > 0.0)
+
+
+def test_pixels_alone_locate_a_person() -> None:
+    track, view = walk(15), camera()
+    inside = 0.2 * (track.true_position - np.mean(track.true_position, axis=0))
+    rng = np.random.default_rng(0)
+    pixel = view.ground_to_image(inside) + rng.normal(0.0, 2.0, (15, 2))
+    track = replace(
+        track, position=np.full((15, 2), np.nan), pixel=pixel, true_position=inside, body=None, head=None
+    )
+    found = particle_filter(track, "joint", camera=view, options=options(2000)).track
+    assert np.linalg.norm(found.position - inside, axis=1).mean() < 0.1
+
+
+def test_no_position_at_all() -> None:
+    track = replace(walk(6, track_id=42), position=np.full((6, 2), np.nan))
+    for estimator in (particle_filter, particle_smoother):
+        with pytest.raises(SolveError, match=r"track 42: .*no position"):
+            estimator(track, "joint")
+
+
+class _Other(Term):
+    uses: ClassVar[frozenset[str]] = frozenset()  # type: ignore[assignment]
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        return []
+
+    def cost(self, states: object, track: Track, camera: GroundCamera | None = None) -> float:
+        return 0.0
+
+
+def test_what_cannot_be_run_is_refused() -> None:
+    with pytest.raises(InputError, match="_Other"):
+        particle_filter(walk(5), Model("joint", terms=[_Other]))
+    with pytest.raises(InputError, match="camera"):
+        particle_filter(walk(5), "joint", options=options(10, image_pose=True))
+    for wrong in (
+        {"particles": 0},
+        {"particles": 2.5},
+        {"paths": 0},
+        {"resample_below": 1.5},
+        {"pose": "nearest"},
+    ):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            ParticleOptions(**wrong)  # type: ignore[arg-type]
