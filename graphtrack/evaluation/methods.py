@@ -11,8 +11,8 @@ from typing import Protocol
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
-from graphtrack.inference.batch import smooth_track
 from graphtrack.inference.incremental import Engine, track_online
+from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
 from graphtrack.tracks import Track
 

@@ -1,7 +1,8 @@
 """Engines that interpret a model: batch and incremental."""
 
-from graphtrack.inference.batch import Failure, Solution, SolverOptions, smooth, smooth_track, solve
 from graphtrack.inference.incremental import Estimate, OnlineSmoother, track_online
+from graphtrack.inference.offline import smooth, smooth_track, solve
+from graphtrack.inference.solution import Failure, Solution, SolverOptions
 
 __all__ = [
     "Estimate",

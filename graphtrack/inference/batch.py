@@ -1,71 +1,22 @@
-"""The batch smoother: maximum a posteriori over whole tracks with GTSAM, and its covariances."""
+"""The GTSAM engine: maximum a posteriori over whole tracks on a factor graph, for any list of terms."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
+import math
+from collections.abc import Iterator, Sequence
 
 import gtsam
 import numpy as np
 
-from graphtrack.angles import UNIFORM_STD, FloatArray, wrap
+from graphtrack.angles import FloatArray
 from graphtrack.errors import SolveError
 from graphtrack.geometry import GroundCamera
-from graphtrack.inference.initial import initial_states
+from graphtrack.inference.initial import ANCHOR_KAPPA, initial_states
+from graphtrack.inference.solution import Solution, SolverOptions, bounded, estimated_track
 from graphtrack.model import Model, States, Step
 from graphtrack.model.orientation import von_mises_prior
 from graphtrack.model.steps import chain
-from graphtrack.tracks import Track, TrackSet
-
-ANCHOR_KAPPA = 1e-6
-"""Concentration at which a first orientation is held to its initial value: it says next to nothing, but an
-orientation that nothing else determines has a solution."""
-
-
-@dataclass(frozen=True)
-class SolverOptions:
-    """When the iterations end.
-
-    Attributes
-    ----------
-    max_iterations : Gauss–Newton steps
-    relative_tolerance : of the cost
-    step_tolerance : norm of the whole step (metres, m/s, radians)
-    """
-
-    max_iterations: int = 100
-    relative_tolerance: float = 1e-9
-    step_tolerance: float = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """What the smoother found for one track.
-
-    Attributes
-    ----------
-    track : the estimates, with ``velocity`` and ``covariance``
-    initial_cost, cost : negative log density at the start and at the end
-    iterations : steps taken
-    converged : whether a tolerance was met
-    """
-
-    track: Track
-    initial_cost: float
-    cost: float
-    iterations: int
-    converged: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Failure:
-    """A track that could not be smoothed, and why."""
-
-    track_id: int
-    reason: str
+from graphtrack.tracks import Track
 
 
 def variable_keys(step: Step, model: Model) -> list[int]:
@@ -147,13 +98,13 @@ def optimize(
     return values, costs, False
 
 
-def smooth_track(
+def smooth_graph(
     track: Track,
     model: Model,
     camera: GroundCamera | None = None,
     options: SolverOptions | None = None,
 ) -> Solution:
-    """Smooth one track.
+    """Smooth one track; the covariances are those of the Gauss–Newton curvature.
 
     Raises
     ------
@@ -173,13 +124,22 @@ def smooth_track(
         covariance = marginal_covariances(graph, values, steps, model)
     except (RuntimeError, ArithmeticError) as error:
         raise SolveError(track.track_id, " ".join(str(error).split())[:200]) from error
-    estimate = _estimate(track, values, steps, model, covariance)
-    numbers = [estimate.position, estimate.velocity, estimate.body, estimate.head]
-    if not np.isfinite(costs[-1]) or any(n is not None and not np.isfinite(n).all() for n in numbers):
+    states = np.array([_state(values, step, model) for step in steps])
+    if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, "the estimate is not finite")
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
-    return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged)
+    estimate = estimated_track(track, states, covariance)
+    return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
+
+
+def _state(values: gtsam.Values, step: Step, model: Model) -> tuple[float, ...]:
+    return (
+        *values.atPoint2(step.position_key).tolist(),
+        *values.atVector(step.velocity_key).tolist(),
+        values.atRot2(step.body_key).theta() if model.has_body else math.nan,
+        values.atRot2(step.head_key).theta() if model.has_head else math.nan,
+    )
 
 
 def marginal_covariances(
@@ -204,115 +164,3 @@ def joint_covariance(joint: gtsam.JointMarginal, keys: Sequence[int], model: Mod
             covariance[rows, columns] = block = joint.at(first, second)
             covariance[columns, rows] = block.T
     return covariance
-
-
-def bounded(covariance: FloatArray) -> FloatArray:
-    """Covariances (..., 6, 6) with no angle less certain than the uniform density on the circle."""
-    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
-    shrink = np.ones_like(variance)
-    with np.errstate(invalid="ignore"):
-        shrink[..., 4:] = np.minimum(1.0, UNIFORM_STD / np.sqrt(variance[..., 4:]))
-    shrink = np.where(np.isfinite(shrink), shrink, 1.0)
-    return covariance * shrink[..., :, None] * shrink[..., None, :]
-
-
-def _estimate(
-    track: Track, values: gtsam.Values, steps: Sequence[Step], model: Model, covariance: FloatArray
-) -> Track:
-    return replace(
-        track,
-        position=np.array([values.atPoint2(step.position_key) for step in steps]),
-        velocity=np.array([values.atVector(step.velocity_key) for step in steps]),
-        body=wrap([values.atRot2(step.body_key).theta() for step in steps]) if model.has_body else None,
-        head=wrap([values.atRot2(step.head_key).theta() for step in steps]) if model.has_head else None,
-        covariance=covariance,
-        position_std=None,
-        pixel=None,
-        body_kappa=None,
-        head_kappa=None,
-        body_likelihood=None,
-        head_likelihood=None,
-    )
-
-
-def _attempt(
-    track: Track, model: Model, camera: GroundCamera | None, options: SolverOptions | None
-) -> Solution | Failure:
-    try:
-        return smooth_track(track, model, camera, options)
-    except SolveError as error:
-        return Failure(track.track_id, error.reason)
-
-
-def solve(
-    tracks: TrackSet,
-    model: Model | str | Path = "joint",
-    *,
-    jobs: int = 1,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> list[Solution | Failure]:
-    """Smooth every track; one that fails does not keep the others from coming out.
-
-    Parameters
-    ----------
-    tracks : observations
-    model : a `Model`, a preset's name or a model file
-    jobs : processes; GTSAM holds the interpreter's lock, so threads would not help
-    options : tolerances of the solver
-    progress : called with the number of person-frames of each finished track
-
-    Returns
-    -------
-    list of Solution or Failure, in the order of the tracks
-    """
-    attempt = partial(_attempt, model=Model.named(model), camera=tracks.camera, options=options)
-    found: list[Solution | Failure] = []
-    if jobs == 1 or len(tracks) < 2:
-        results: Iterator[Solution | Failure] = map(attempt, tracks)
-        found = _collect(tracks, results, progress)
-    else:
-        with ProcessPoolExecutor(jobs) as pool:
-            chunk = max(1, len(tracks) // (8 * jobs))
-            found = _collect(tracks, pool.map(attempt, tracks, chunksize=chunk), progress)
-    return found
-
-
-def _collect(
-    tracks: TrackSet, results: Iterator[Solution | Failure], progress: Callable[[int], None] | None
-) -> list[Solution | Failure]:
-    found = []
-    for track, result in zip(tracks, results, strict=True):
-        found.append(result)
-        if progress is not None:
-            progress(len(track))
-    return found
-
-
-def smooth(
-    tracks: TrackSet,
-    model: Model | str | Path = "joint",
-    *,
-    jobs: int = 1,
-    options: SolverOptions | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> TrackSet:
-    """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
-
-    The parameters are those of `solve`.
-
-    Returns
-    -------
-    TrackSet
-        The estimates, one track for each of the input.
-
-    Raises
-    ------
-    SolveError
-        For the first track that cannot be smoothed; use `solve` to get the others all the same.
-    """
-    found = solve(tracks, model, jobs=jobs, options=options, progress=progress)
-    for result in found:
-        if isinstance(result, Failure):
-            raise SolveError(result.track_id, result.reason)
-    return tracks.with_tracks(result.track for result in found if isinstance(result, Solution))

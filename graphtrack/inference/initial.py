@@ -1,17 +1,72 @@
-"""Initial values: Rauch–Tung–Striebel for positions, a circular running mean for angles."""
+"""Where the optimisers start: the linear solution for positions, a circular running mean for angles."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from graphtrack.angles import FloatArray, direction, unit
-from graphtrack.baselines.kalman import smooth_states
+from graphtrack.angles import FloatArray, unit
+from graphtrack.errors import SolveError
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference.chain_kernels import Problem, Result
+from graphtrack.inference.initial_kernels import Seen, initialise
 from graphtrack.model import Model, States
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.pose import class_centres
-from graphtrack.tracks import Track
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
+
+ANCHOR_KAPPA = 1e-6
+"""Concentration at which a first orientation is held to its initial value: it says next to nothing, but an
+orientation that nothing else determines has a solution."""
 
 WINDOW = 0.5
 """Seconds to either side over which observed angles are averaged for the initial values."""
+
+SLOW = 0.1
+"""m/s up to which a direction of travel does not stand in for an orientation, whatever the threshold."""
+
+
+def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
+    """Tracks end to end, with the records that the model's compiled terms fill in."""
+    packed = PackedTracks.of(tracks, camera)
+    for term in model.terms:
+        if term.is_compiled:
+            term.pack(packed)
+    # An orientation that the model does not have stands still.
+    packed.records["body_anchor"] = np.where(packed.is_first, ANCHOR_KAPPA, 0.0) if model.has_body else 1.0
+    packed.records["head_anchor"] = np.where(packed.is_first, ANCHOR_KAPPA, 0.0) if model.has_head else 1.0
+    return packed
+
+
+def problem_of(packed: PackedTracks) -> Problem:
+    """What the kernels read."""
+    return Problem(
+        packed.records,
+        packed.shared,
+        packed.body_heights,
+        packed.head_heights,
+        unit(class_centres(BODY_CLASSES)),
+        unit(class_centres(HEAD_CLASSES)),
+        packed.origin,
+        packed.offsets,
+    )
+
+
+def seen_in(packed: PackedTracks, model: Model) -> Seen:
+    """What the first orientations are made of."""
+    none = np.zeros((0, 2))
+    return Seen(
+        packed.t,
+        _vectors(packed.channel("body"), packed.channel("body_likelihood"), len(packed.t))
+        if model.has_body
+        else none,
+        _vectors(packed.channel("head"), packed.channel("head_likelihood"), len(packed.t))
+        if model.has_head
+        else none,
+        max(model.parameters.coupling.speed_threshold, SLOW),
+        WINDOW,
+    )
 
 
 def initial_states(track: Track, model: Model) -> States:
@@ -22,24 +77,41 @@ def initial_states(track: Track, model: Model) -> States:
     SolveError
         If no position was observed.
     """
-    motion = smooth_states(track, model.parameters).mean
-    position, velocity = motion[:, :2], motion[:, 2:]
-    fast = np.linalg.norm(velocity, axis=1) > max(model.parameters.coupling.speed_threshold, 0.1)
-    heading = np.where(fast, direction(velocity), np.nan)
+    packed = pack([track], model)
+    require_position(track)
+    result = empty_result(packed)
+    initialise(problem_of(packed), 0, 1, seen_in(packed, model), False, np.empty((3, len(track))), result)
+    states = result.states
     none = np.full(len(track), np.nan)
-    body = _filled(_running_mean(track, "body"), heading, track.t) if model.has_body else none
-    head = (
-        _filled(_running_mean(track, "head"), body if model.has_body else heading, track.t)
-        if model.has_head
-        else none
+    return States(
+        states[:, :2] + packed.origin[0],
+        states[:, 2:4],
+        states[:, 4] if model.has_body else none,
+        states[:, 5] if model.has_head else none,
     )
-    return States(position, velocity, body, head)
+
+
+def require_position(track: Track) -> None:
+    """Raise SolveError if a track has no position at all."""
+    if not np.isfinite(track.position).all(axis=1).any():
+        raise SolveError(track.track_id, "found no position at all, expected at least one")
+
+
+def empty_result(packed: PackedTracks) -> Result:
+    """Room for the solution of packed tracks; covariances are NaN until they are found."""
+    n, m = len(packed.records), len(packed.tracks)
+    covariance = np.full((n, 6, 6), np.nan)
+    ended = np.zeros(m, np.int64)
+    return Result(np.zeros((n, 6)), covariance, np.zeros(m), np.zeros(m), ended.copy(), ended)
 
 
 def observed_vectors(track: Track, name: str) -> FloatArray:
     """Vectors (n, 2) that point where body or head was seen to point; NaN where it was not."""
-    vectors = np.full((len(track), 2), np.nan)
-    angle, classes = getattr(track, name), getattr(track, f"{name}_likelihood")
+    return _vectors(getattr(track, name), getattr(track, f"{name}_likelihood"), len(track))
+
+
+def _vectors(angle: FloatArray | None, classes: FloatArray | None, n: int) -> FloatArray:
+    vectors = np.full((n, 2), np.nan)
     if angle is not None:
         vectors = unit(angle)
     if classes is not None:
@@ -48,28 +120,3 @@ def observed_vectors(track: Track, name: str) -> FloatArray:
         weights = classes[usable] / total[usable, None]
         vectors[usable] = weights @ unit(class_centres(classes.shape[1]))
     return vectors
-
-
-def _running_mean(track: Track, name: str) -> FloatArray:
-    """Circular mean (n,) of what was seen within `WINDOW`; NaN where nothing was."""
-    vectors = observed_vectors(track, name)
-    seen = np.isfinite(vectors[:, 0])
-    sums = np.vstack([np.zeros(2), np.cumsum(np.where(seen[:, None], vectors, 0.0), axis=0)])
-    counts = np.concatenate([[0], np.cumsum(seen)])
-    low = np.searchsorted(track.t, track.t - WINDOW, side="left")
-    high = np.searchsorted(track.t, track.t + WINDOW, side="right")
-    resultant = sums[high] - sums[low]
-    known = np.asarray((counts[high] > counts[low]) & (np.linalg.norm(resultant, axis=1) > 1e-9))
-    return np.where(known, direction(resultant), np.nan)
-
-
-def _filled(angle: FloatArray, fallback: FloatArray, t: FloatArray) -> FloatArray:
-    """The angles, else the fallback, else the nearest of either in time, else 0."""
-    angle = np.where(np.isfinite(angle), angle, fallback)
-    known = np.flatnonzero(np.isfinite(angle))
-    if not len(known):
-        return np.zeros_like(angle)
-    after = np.searchsorted(t[known], t).clip(0, len(known) - 1)
-    before = (after - 1).clip(0)
-    nearer = np.where(t - t[known[before]] < t[known[after]] - t, before, after)
-    return np.where(np.isfinite(angle), angle, angle[known[nearer]])

@@ -12,6 +12,7 @@ import numpy as np
 from graphtrack.angles import FloatArray, direction
 from graphtrack.geometry import GroundCamera
 from graphtrack.model.custom import custom_factor
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.orientation import von_mises_between
 from graphtrack.model.parameters import CouplingParameters
 from graphtrack.model.steps import States, Step
@@ -21,8 +22,10 @@ from graphtrack.tracks import Track
 _NO_PULL = (np.zeros(2), (np.zeros((2, 2)), np.zeros((2, 1))))
 
 
-def _weights(coupling: CouplingParameters, t: FloatArray) -> FloatArray:
-    return np.array([coupling.weight(None), *(coupling.weight(step) for step in np.diff(t).tolist())])
+def _weights(coupling: CouplingParameters, dt: FloatArray) -> FloatArray:
+    """`CouplingParameters.weight` of each frame; ``dt`` (n,) is 0 at the first of a track."""
+    short = (dt > 0.0) & (dt < coupling.correlation_time)
+    return np.divide(dt, coupling.correlation_time, out=np.ones_like(dt), where=short)
 
 
 class BodyFollowsMotion(Term):
@@ -67,8 +70,16 @@ class BodyFollowsMotion(Term):
         """Σ κ(v)·(1 − cos(θ − ang v)), weighted by the time since the frame before."""
         coupling = self.parameters.coupling
         excess = np.maximum(np.linalg.norm(states.velocity, axis=1) - coupling.speed_threshold, 0.0)
-        kappa = coupling.motion_body_kappa * excess**2 * _weights(coupling, track.t)
+        weights = _weights(coupling, np.diff(track.t, prepend=track.t[0]))
+        kappa = coupling.motion_body_kappa * excess**2 * weights
         return float(np.sum(kappa * (1.0 - np.cos(states.body - direction(states.velocity)))))
+
+    def pack(self, packed: PackedTracks) -> None:
+        """κ₁ with the frames' weights, and τ."""
+        coupling = self.parameters.coupling
+        weights = _weights(coupling, packed.dt)
+        packed.records["motion_body_kappa"] = coupling.motion_body_kappa * weights
+        packed.shared["speed_threshold"] = coupling.speed_threshold
 
 
 class HeadFollowsBody(Term):
@@ -85,5 +96,10 @@ class HeadFollowsBody(Term):
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Σ κ₂·(1 − cos(α − θ)), weighted by the time since the frame before."""
         coupling = self.parameters.coupling
-        kappa = coupling.head_body_kappa * _weights(coupling, track.t)
+        kappa = coupling.head_body_kappa * _weights(coupling, np.diff(track.t, prepend=track.t[0]))
         return float(np.sum(kappa * (1.0 - np.cos(states.head - states.body))))
+
+    def pack(self, packed: PackedTracks) -> None:
+        """κ₂ with the frames' weights."""
+        coupling = self.parameters.coupling
+        packed.records["head_body_kappa"] = coupling.head_body_kappa * _weights(coupling, packed.dt)

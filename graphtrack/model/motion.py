@@ -9,6 +9,7 @@ import numpy as np
 
 from graphtrack.angles import FloatArray
 from graphtrack.geometry import GroundCamera
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.steps import States, Step
 from graphtrack.model.term import Term
 from graphtrack.tracks import Track
@@ -59,3 +60,10 @@ class Motion(Term):
         seen = np.isfinite(track.position).all(axis=1)
         first = states.velocity[int(np.argmax(seen)) if seen.any() else 0]
         return 0.5 * float(squares.sum() + (first**2).sum() / motion.initial_speed_std**2)
+
+    def pack(self, packed: PackedTracks) -> None:
+        """1/q between frames, and the prior on the first velocity."""
+        motion = self.parameters.motion
+        information = 1.0 / motion.acceleration_density
+        packed.records["motion_information"] = np.where(packed.is_first, 0.0, information)
+        packed.records["velocity_information"][packed.first_seen] = motion.initial_speed_std**-2

@@ -8,7 +8,9 @@ from typing import ClassVar
 import gtsam
 import numpy as np
 
+from graphtrack.angles import FloatArray
 from graphtrack.geometry import GroundCamera
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.steps import States, Step
 from graphtrack.model.term import Term, Variable
 from graphtrack.tracks import Track
@@ -30,6 +32,10 @@ def von_mises_between(first: int, second: int, kappa: float) -> gtsam.NonlinearF
     return gtsam.FrobeniusBetweenFactorRot2(first, second, gtsam.Rot2(), von_mises_noise(kappa))
 
 
+def _turn_kappa(dt: FloatArray, diffusion: float) -> FloatArray:
+    return np.divide(1.0, diffusion * dt, out=np.zeros_like(dt), where=dt > 0.0)
+
+
 class BodyDynamics(Term):
     """V(θ_t; θ_{t−1}, 1/(diffusion·Δt)) (002 eq. 8, first factor)."""
 
@@ -46,6 +52,10 @@ class BodyDynamics(Term):
         """Σ κ(Δt)·(1 − cos Δθ)."""
         kappa = 1.0 / (self.parameters.orientation.body_diffusion * np.diff(track.t))
         return float(np.sum(kappa * (1.0 - np.cos(np.diff(states.body)))))
+
+    def pack(self, packed: PackedTracks) -> None:
+        """κ between frames."""
+        packed.records["body_turn_kappa"] = _turn_kappa(packed.dt, self.parameters.orientation.body_diffusion)
 
 
 class HeadDynamics(Term):
@@ -64,3 +74,7 @@ class HeadDynamics(Term):
         """Σ κ(Δt)·(1 − cos Δα)."""
         kappa = 1.0 / (self.parameters.orientation.head_diffusion * np.diff(track.t))
         return float(np.sum(kappa * (1.0 - np.cos(np.diff(states.head)))))
+
+    def pack(self, packed: PackedTracks) -> None:
+        """κ between frames."""
+        packed.records["head_turn_kappa"] = _turn_kappa(packed.dt, self.parameters.orientation.head_diffusion)

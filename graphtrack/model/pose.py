@@ -18,6 +18,7 @@ from scipy import special
 from graphtrack.angles import FloatArray, von_mises_log_density
 from graphtrack.geometry import GroundCamera
 from graphtrack.model.custom import custom_factor
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.orientation import von_mises_prior
 from graphtrack.model.steps import States, Step
 from graphtrack.model.term import Term, Variable
@@ -191,6 +192,38 @@ class _PoseLikelihood(Term):
                 total += mixture.negative_log_density(float(angles[k])) + mixture.offset
         return total
 
+    def _pack(self, packed: PackedTracks, heights: FloatArray | None) -> None:
+        likelihood, records, name = self.parameters.likelihood, packed.records, self.name
+        angle, kappa = packed.channel(name), packed.channel(f"{name}_kappa")
+        if angle is not None:
+            default = likelihood.body_kappa if name == "body" else likelihood.head_kappa
+            if kappa is None:
+                kappa = np.full(len(angle), default)
+            kappa = np.where(np.isfinite(kappa), kappa, default)
+            records[f"{name}_kappa"] = np.where(np.isfinite(angle), kappa, 0.0)
+            records[f"{name}_cos"], records[f"{name}_sin"] = np.cos(angle), np.sin(angle)
+            if likelihood.outlier_probability > 0.0:
+                # The densities at the outliers and at the peak: ε/2π over (1 − ε)/(2π·I₀(κ)·e^−κ).
+                odds = likelihood.outlier_probability / (1.0 - likelihood.outlier_probability)
+                records[f"{name}_uniform"] = odds * special.i0e(kappa)
+        if heights is not None:
+            seen = np.isfinite(heights[:, 0])
+            records[f"{name}_class_kappa"][seen] = class_kappa(heights.shape[1] - 1)
+            records[f"{name}_kappa"][seen] = 0.0
+
+    def _heights(self, packed: PackedTracks) -> FloatArray | None:
+        """Class likelihoods and the outliers' part (N, classes + 1), as densities over their sum."""
+        classes = packed.channel(f"{self.name}_likelihood")
+        if classes is None:
+            return None
+        uniform = self.parameters.likelihood.class_outlier_probability
+        total = classes.sum(axis=1, keepdims=True)
+        # As multiples of 1/2π. Scores that are all zero say nothing; a row that was not seen stays NaN.
+        share = np.divide((1.0 - uniform) * classes, total, out=0.0 * classes, where=total > 0.0)
+        outliers = np.where(total > 0.0, uniform, 1.0)
+        heights = np.hstack([share / special.i0e(class_kappa(classes.shape[1])), outliers])
+        return heights / heights.sum(axis=1, keepdims=True)
+
 
 class BodyLikelihood(_PoseLikelihood):
     """What was seen of the body's orientation (002 eq. 14, smooth)."""
@@ -198,9 +231,23 @@ class BodyLikelihood(_PoseLikelihood):
     name: ClassVar[Variable] = "body"
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
 
+    def pack(self, packed: PackedTracks) -> None:
+        """Observed angles or classes of the body."""
+        heights = self._heights(packed)
+        self._pack(packed, heights)
+        if heights is not None:
+            packed.body_heights = heights
+
 
 class HeadLikelihood(_PoseLikelihood):
     """What was seen of the head's pan (002 eq. 13, smooth; tilt is summed out before)."""
 
     name: ClassVar[Variable] = "head"
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Observed angles or classes of the head."""
+        heights = self._heights(packed)
+        self._pack(packed, heights)
+        if heights is not None:
+            packed.head_heights = heights

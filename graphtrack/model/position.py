@@ -11,6 +11,8 @@ from graphtrack.angles import FloatArray
 from graphtrack.geometry import GroundCamera
 from graphtrack.homography import apply_homography, jacobian
 from graphtrack.model.custom import custom_factor, unit_noise
+from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.kernels.position import CAUCHY, HUBER
 from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.model.steps import States, Step
 from graphtrack.model.term import Term
@@ -80,3 +82,22 @@ class PositionLikelihood(Term):
             residual[seen] = (predicted - camera.undistort(track.pixel[seen])) / likelihood.pixel_std
         residual = residual[np.isfinite(residual).all(axis=1)]
         return float(robust_loss(np.linalg.norm(residual, axis=1), likelihood).sum())
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Observed positions or pixels with their information, and the robust loss."""
+        likelihood, records = self.parameters.likelihood, packed.records
+        std = np.full(len(records), likelihood.position_std)
+        given = packed.channel("position_std")
+        if given is not None:
+            std = np.where(np.isfinite(given), given, std)
+        records["x"], records["y"] = np.nan_to_num(packed.local_position).T
+        records["position_information"] = np.where(packed.has_position, std**-2.0, 0.0)
+        packed.shared["robust"] = {"none": 0, "huber": HUBER, "cauchy": CAUCHY}[likelihood.robust]
+        packed.shared["robust_threshold"] = likelihood.robust_threshold
+        pixel, camera = packed.channel("pixel"), packed.camera
+        if not likelihood.image_frame or pixel is None or camera is None:
+            return
+        seen = np.isfinite(pixel).all(axis=1)
+        records["u"][seen], records["v"][seen] = camera.undistort(pixel[seen]).T
+        records["pixel_information"][seen] = likelihood.pixel_std**-2
+        packed.shared["to_image"] = np.linalg.inv(camera.homography)

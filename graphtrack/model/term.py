@@ -9,6 +9,7 @@ from typing import ClassVar, Literal
 import gtsam
 
 from graphtrack.geometry import GroundCamera
+from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.steps import States, Step
 from graphtrack.tracks import Track
@@ -39,3 +40,12 @@ class Term(ABC):
     @abstractmethod
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of a whole track, the sum of its factors' errors; vectorised over frames."""
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Fill in what the term's compiled kernel reads, where it has one; see `is_compiled`."""
+        raise NotImplementedError(f"{type(self).__name__} has no compiled kernel")
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the chain solver knows the term: the class itself, not a parent, states its `pack`."""
+        return "pack" in vars(type(self))

@@ -1,0 +1,84 @@
+"""The chain engine: whole tracks solved by compiled Newton steps (see `chain_kernels`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from graphtrack.inference.chain_kernels import Result, solve_tracks, workspace
+from graphtrack.inference.initial import empty_result, problem_of, seen_in
+from graphtrack.inference.initial_kernels import initialise
+from graphtrack.model import Model
+from graphtrack.model.kernels.frames import BODY, HEAD
+from graphtrack.model.kernels.packing import PackedTracks
+
+CHUNK = 20_000
+"""Frames that a thread takes at a time."""
+
+
+def is_chain(model: Model) -> bool:
+    """Whether every term of a model has a compiled kernel."""
+    return all(term.is_compiled for term in model.terms)
+
+
+def solve_packed(
+    packed: PackedTracks,
+    model: Model,
+    *,
+    jobs: int = 1,
+    max_iterations: int = 100,
+    tolerance: float = 1e-12,
+    progress: Callable[[int], None] | None = None,
+) -> Result:
+    """Maximum a posteriori states and their covariances.
+
+    Parameters
+    ----------
+    packed : from `initial.pack`, with the same model, which is a chain
+    jobs : threads; the kernels do not hold the interpreter's lock
+    max_iterations : Newton steps a track
+    tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
+    progress : called with the number of frames that were done since the last call
+
+    Returns
+    -------
+    Result
+        States in the world's frame, angles not wrapped. Covariances are those of the exact curvature where
+        that is positive definite. NaN for what the model does not have.
+    """
+    result, problem, seen = empty_result(packed), problem_of(packed), seen_in(packed, model)
+    linear = not (model.has_body or model.has_head) and packed.is_linear
+
+    def solve_range(tracks: tuple[int, int]) -> int:
+        begin, end = tracks
+        frames = np.diff(packed.offsets[begin : end + 1])
+        initialise(problem, begin, end, seen, linear, np.empty((3, frames.max())), result)
+        if not linear:
+            memory = workspace(int(frames.max()))
+            solve_tracks(problem, begin, end, max_iterations, tolerance, memory, result)
+        return int(frames.sum())
+
+    ranges = _work(packed)
+    with ThreadPoolExecutor(jobs) as pool:
+        for done in (pool.map if jobs > 1 else map)(solve_range, ranges):
+            if progress is not None:
+                progress(done)
+    result.states[:, :2] += np.repeat(packed.origin, np.diff(packed.offsets), axis=0)
+    for has, place in ((model.has_body, BODY), (model.has_head, HEAD)):
+        if not has:
+            result.states[:, place] = np.nan
+            result.covariance[:, place] = np.nan
+            result.covariance[:, :, place] = np.nan
+    return result
+
+
+def _work(packed: PackedTracks) -> list[tuple[int, int]]:
+    """Ranges of tracks of about `CHUNK` frames, so that threads share the work and progress shows."""
+    ranges, begin, m = [], 0, len(packed.tracks)
+    for end in range(1, m + 1):
+        if packed.offsets[end] - packed.offsets[begin] >= CHUNK or end == m:
+            ranges.append((begin, end))
+            begin = end
+    return ranges

@@ -1,0 +1,216 @@
+"""Offline smoothing of whole tracks: the compiled chain engine where the model is a chain, else GTSAM."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from graphtrack.errors import InputError, SolveError
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference.batch import smooth_graph
+from graphtrack.inference.chain import is_chain, solve_packed
+from graphtrack.inference.chain_kernels import CONVERGED, NOT_FINITE
+from graphtrack.inference.initial import pack
+from graphtrack.inference.solution import (
+    Engine,
+    Failure,
+    Solution,
+    SolverOptions,
+    bounded,
+    estimated_track,
+)
+from graphtrack.model import Model
+from graphtrack.tracks import Track, TrackSet
+
+BATCH = 100_000
+"""Frames that the chain engine packs at a time; it bounds the memory beside the answer."""
+
+
+def engine_of(model: Model, engine: Engine | Literal["auto"] = "auto") -> Engine:
+    """The engine that solves a model: what was asked for, or "chain" wherever that is possible.
+
+    Raises
+    ------
+    InputError
+        If the chain engine was asked for and a term has no compiled kernel; the message names it.
+    """
+    if engine not in ("auto", "chain", "gtsam"):
+        raise InputError(f"engine {engine!r}", "auto, chain or gtsam")
+    if engine == "gtsam" or (engine == "auto" and not is_chain(model)):
+        return "gtsam"
+    for term in model.terms:
+        if not term.is_compiled:
+            raise InputError(
+                f"engine 'chain' and the term {type(term).__name__}, which has no compiled kernel",
+                "engine 'auto' or 'gtsam'",
+            )
+    return "chain"
+
+
+def solve(
+    tracks: TrackSet,
+    model: Model | str | Path = "joint",
+    *,
+    engine: Engine | Literal["auto"] = "auto",
+    jobs: int = 1,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> list[Solution | Failure]:
+    """Smooth every track; one that fails does not keep the others from coming out.
+
+    Parameters
+    ----------
+    tracks : observations
+    model : a `Model`, a preset's name or a model file
+    engine : "auto", "chain" or "gtsam"; both find the same optimum
+    jobs : threads of the chain engine; processes with GTSAM, which holds the interpreter's lock
+    options : tolerances of the solver
+    progress : called with the numbers of person-frames that are done
+
+    Returns
+    -------
+    list of Solution or Failure, in the order of the tracks
+    """
+    model = Model.named(model)
+    options = SolverOptions() if options is None else options
+    if engine_of(model, engine) == "chain":
+        found: list[Solution | Failure] = []
+        for batch in _batches(tracks):
+            found += _solve_chains(batch, model, tracks.camera, options, jobs, progress)
+        return found
+    attempt = partial(_attempt_graph, model=model, camera=tracks.camera, options=options)
+    if jobs == 1 or len(tracks) < 2:
+        return _collect(tracks, map(attempt, tracks), progress)
+    with ProcessPoolExecutor(jobs) as pool:
+        chunk = max(1, len(tracks) // (8 * jobs))
+        return _collect(tracks, pool.map(attempt, tracks, chunksize=chunk), progress)
+
+
+def smooth(
+    tracks: TrackSet,
+    model: Model | str | Path = "joint",
+    *,
+    engine: Engine | Literal["auto"] = "auto",
+    jobs: int = 1,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> TrackSet:
+    """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
+
+    The parameters are those of `solve`.
+
+    Returns
+    -------
+    TrackSet
+        The estimates, one track for each of the input.
+
+    Raises
+    ------
+    SolveError
+        For the first track that cannot be smoothed; use `solve` to get the others all the same.
+    """
+    found = solve(tracks, model, engine=engine, jobs=jobs, options=options, progress=progress)
+    for result in found:
+        if isinstance(result, Failure):
+            raise SolveError(result.track_id, result.reason)
+    return tracks.with_tracks(result.track for result in found if isinstance(result, Solution))
+
+
+def smooth_track(
+    track: Track,
+    model: Model,
+    camera: GroundCamera | None = None,
+    options: SolverOptions | None = None,
+    engine: Engine | Literal["auto"] = "auto",
+) -> Solution:
+    """Smooth one track.
+
+    Raises
+    ------
+    SolveError
+        If there is nothing to smooth, or the result is not finite or worse than the start.
+    """
+    options = SolverOptions() if options is None else options
+    if engine_of(model, engine) == "gtsam":
+        return smooth_graph(track, model, camera, options)
+    (result,) = _solve_chains([track], model, camera, options, 1, None)
+    if isinstance(result, Failure):
+        raise SolveError(result.track_id, result.reason)
+    return result
+
+
+def _batches(tracks: TrackSet) -> Iterator[list[Track]]:
+    batch: list[Track] = []
+    size = 0
+    for track in tracks:
+        batch.append(track)
+        size += len(track)
+        if size >= BATCH:
+            yield batch
+            batch, size = [], 0
+    if batch:
+        yield batch
+
+
+def _solve_chains(
+    tracks: list[Track],
+    model: Model,
+    camera: GroundCamera | None,
+    options: SolverOptions,
+    jobs: int,
+    progress: Callable[[int], None] | None,
+) -> list[Solution | Failure]:
+    packed = pack(tracks, model, camera)
+    found = solve_packed(
+        packed,
+        model,
+        jobs=jobs,
+        max_iterations=options.max_iterations,
+        tolerance=1e-3 * options.relative_tolerance,
+        progress=progress,
+    )
+    covariance = bounded(found.covariance)
+    answers: list[Solution | Failure] = []
+    for m, track in enumerate(tracks):
+        a, b = packed.offsets[m], packed.offsets[m + 1]
+        if not packed.has_position[a:b].any():
+            answers.append(Failure(track.track_id, "found no position at all, expected at least one"))
+        elif found.status[m] == NOT_FINITE or not np.isfinite(found.states[a:b, :4]).all():
+            answers.append(Failure(track.track_id, "the estimate is not finite"))
+        else:
+            answers.append(
+                Solution(
+                    estimated_track(track, found.states[a:b], covariance[a:b]),
+                    float(found.first_cost[m]),
+                    float(found.cost[m]),
+                    int(found.iterations[m]),
+                    bool(found.status[m] == CONVERGED),
+                    "chain",
+                )
+            )
+    return answers
+
+
+def _attempt_graph(
+    track: Track, model: Model, camera: GroundCamera | None, options: SolverOptions
+) -> Solution | Failure:
+    try:
+        return smooth_graph(track, model, camera, options)
+    except SolveError as error:
+        return Failure(track.track_id, error.reason)
+
+
+def _collect(
+    tracks: TrackSet, results: Iterator[Solution | Failure], progress: Callable[[int], None] | None
+) -> list[Solution | Failure]:
+    found = []
+    for track, result in zip(tracks, results, strict=True):
+        found.append(result)
+        if progress is not None:
+            progress(len(track))
+    return found

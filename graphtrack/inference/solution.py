@@ -1,0 +1,91 @@
+"""What the offline engines are asked and what they answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from graphtrack.angles import UNIFORM_STD, FloatArray, wrap
+from graphtrack.tracks import Track
+
+Engine = Literal["chain", "gtsam"]
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """When the iterations end.
+
+    Attributes
+    ----------
+    max_iterations : steps
+    relative_tolerance : of the cost. GTSAM stops when a step brought less; the chain engine, whose steps
+        converge quadratically, when the next one promises less than a thousandth of it.
+    step_tolerance : norm of the whole step (metres, m/s, radians), for GTSAM
+    """
+
+    max_iterations: int = 100
+    relative_tolerance: float = 1e-9
+    step_tolerance: float = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What the smoother found for one track.
+
+    Attributes
+    ----------
+    track : the estimates, with ``velocity`` and ``covariance``
+    initial_cost, cost : negative log density at the start and at the end
+    iterations : steps taken
+    converged : whether a tolerance was met
+    engine : "chain" or "gtsam"
+    """
+
+    track: Track
+    initial_cost: float
+    cost: float
+    iterations: int
+    converged: bool
+    engine: Engine
+
+
+@dataclass(frozen=True, eq=False)
+class Failure:
+    """A track that could not be smoothed, and why."""
+
+    track_id: int
+    reason: str
+
+
+def bounded(covariance: FloatArray) -> FloatArray:
+    """Covariances (..., 6, 6) with no angle less certain than the uniform density on the circle."""
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    shrink = np.ones_like(variance)
+    with np.errstate(invalid="ignore"):
+        shrink[..., 4:] = np.minimum(1.0, UNIFORM_STD / np.sqrt(variance[..., 4:]))
+    shrink = np.where(np.isfinite(shrink), shrink, 1.0)
+    return covariance * shrink[..., :, None] * shrink[..., None, :]
+
+
+def estimated_track(track: Track, states: FloatArray, covariance: FloatArray) -> Track:
+    """The track with estimates, (n, 6) states and (n, 6, 6) covariances, in place of its observations.
+
+    Orientations that are NaN throughout are absent.
+    """
+    body, head = wrap(states[:, 4]), wrap(states[:, 5])
+    return replace(
+        track,
+        position=states[:, :2],
+        velocity=states[:, 2:4],
+        body=None if np.isnan(body).all() else body,
+        head=None if np.isnan(head).all() else head,
+        covariance=covariance,
+        position_std=None,
+        pixel=None,
+        body_kappa=None,
+        head_kappa=None,
+        body_likelihood=None,
+        head_likelihood=None,
+    )

@@ -1,0 +1,655 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.spatial.transform import Rotation
+from walks import rotation, turned, walk, without
+
+from graphtrack.angles import UNIFORM_STD, difference, direction, wrap
+from graphtrack.baselines.kalman import rauch_tung_striebel
+from graphtrack.errors import InputError, SolveError
+from graphtrack.geometry import GroundCamera
+from graphtrack.homography import jacobian
+from graphtrack.inference import Failure, Solution, SolverOptions, smooth, smooth_track, solve
+from graphtrack.inference.initial import initial_states
+from graphtrack.inference.solution import Engine
+from graphtrack.model import (
+    CouplingParameters,
+    LikelihoodParameters,
+    Model,
+    MotionParameters,
+    OrientationParameters,
+    Parameters,
+    States,
+    presets,
+)
+from graphtrack.tracks import Track, TrackSet
+
+EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
+EVERY_PRESET = pytest.mark.parametrize("preset", sorted(presets))
+ORIENTED = pytest.mark.parametrize("preset", ["separate", "joint"])
+
+
+def states_of(track: Track) -> States:
+    assert track.velocity is not None
+    none = np.full(len(track), np.nan)
+    return States(
+        track.position,
+        track.velocity,
+        none if track.body is None else track.body,
+        none if track.head is None else track.head,
+    )
+
+
+def moved(states: States, offset: np.ndarray) -> States:
+    """The states plus offsets (n, 6) in the order of the covariance."""
+    return States(
+        states.position + offset[:, :2],
+        states.velocity + offset[:, 2:4],
+        states.body + offset[:, 4],
+        states.head + offset[:, 5],
+    )
+
+
+def free(model: Model) -> list[int]:
+    """The columns of the state that a model estimates."""
+    return [0, 1, 2, 3] + ([4] if model.has_body else []) + ([5] if model.has_head else [])
+
+
+def cost_around(
+    states: States, track: Track, model: Model, camera: GroundCamera | None = None
+) -> Callable[[np.ndarray], float]:
+    """Model.cost as a function of one long vector of offsets from the states."""
+    columns = free(model)
+
+    def cost(vector: np.ndarray) -> float:
+        offset = np.zeros((len(track), 6))
+        offset[:, columns] = vector.reshape(len(track), len(columns))
+        return model.cost(moved(states, offset), track, camera)
+
+    return cost
+
+
+def gradient(cost: Callable[[np.ndarray], float], size: int, step: float = 1e-4) -> np.ndarray:
+    units = np.eye(size) * step
+    return np.array([(cost(-2 * u) - 8 * cost(-u) + 8 * cost(u) - cost(2 * u)) / (12 * step) for u in units])
+
+
+def hessian(cost: Callable[[np.ndarray], float], size: int, step: float = 2e-4) -> np.ndarray:
+    units = np.eye(size) * step
+    found = np.zeros((size, size))
+    for i in range(size):
+        for j in range(i, size):
+            a, b = units[i], units[j]
+            found[i, j] = cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b)
+            found[j, i] = found[i, j]
+    return found / (4.0 * step**2)
+
+
+def assert_same_angles(found: np.ndarray | None, expected: np.ndarray | None, tolerance: float) -> None:
+    assert (found is None) == (expected is None)
+    if found is not None and expected is not None:
+        np.testing.assert_allclose(difference(found, expected), 0.0, atol=tolerance)
+
+
+def assert_covariances_are_proper(track: Track, model: Model) -> None:
+    columns = free(model)
+    assert track.covariance is not None
+    for block in track.covariance[:, columns][:, :, columns]:
+        np.testing.assert_allclose(block, block.T, rtol=1e-9, atol=1e-12)
+        assert np.linalg.eigvalsh(block).min() > 0.0
+    rest = [k for k in range(6) if k not in columns]
+    assert np.isnan(track.covariance[:, rest]).all()
+    angles = np.sqrt(np.diagonal(track.covariance, axis1=1, axis2=2)[:, [k for k in columns if k > 3]])
+    assert np.all(angles <= UNIFORM_STD * (1.0 + 1e-9))
+
+
+# The linear model.
+
+GAPS = {
+    "none": np.array([], dtype=int),
+    "inner": np.array([5, 6, 7, 8, 9, 20]),
+    "first": np.arange(4),
+    "last": np.arange(25, 30),
+    "first and last": np.array([0, 1, 12, 13, 14, 28, 29]),
+    "all but one": np.delete(np.arange(30), 11),
+}
+
+
+@pytest.mark.parametrize("gaps", GAPS)
+@pytest.mark.parametrize("uneven", [False, True], ids=["even", "uneven"])
+@pytest.mark.parametrize("own_std", [False, True], ids=["one std", "own stds"])
+def test_the_preset_position_equals_rauch_tung_striebel(gaps: str, uneven: bool, own_std: bool) -> None:
+    track = without(walk(30, seed=5, uneven=uneven), "position", GAPS[gaps])
+    if own_std:
+        std = np.linspace(0.03, 0.4, 30)
+        std[::7] = np.nan
+        track = replace(track, position_std=std)
+    parameters = Parameters(motion=MotionParameters(0.7, 1.3))
+    found = smooth_track(track, Model("position", parameters)).track
+    expected = rauch_tung_striebel(track, parameters)
+    assert found.covariance is not None
+    assert expected.covariance is not None
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-8)
+    np.testing.assert_allclose(found.velocity, expected.velocity, atol=1e-8)
+    np.testing.assert_allclose(
+        found.covariance[:, :4, :4], expected.covariance[:, :4, :4], rtol=1e-8, atol=1e-8
+    )
+
+
+def test_the_solver_finds_the_linear_optimum_from_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    track = walk(20, uneven=True)
+    expected = rauch_tung_striebel(track)
+
+    def far_away(track: Track, model: Model) -> States:
+        found = initial_states(track, model)
+        return replace(found, position=found.position + 100.0, velocity=found.velocity - 7.0)
+
+    monkeypatch.setattr("graphtrack.inference.batch.initial_states", far_away)
+    found = smooth_track(track, Model("position"), engine="gtsam")
+    assert found.cost < 1e-3 * found.initial_cost
+    np.testing.assert_allclose(found.track.position, expected.position, atol=1e-8)
+    np.testing.assert_allclose(found.track.velocity, expected.velocity, atol=1e-8)
+
+
+def test_uncoupled_orientations_leave_the_positions_alone() -> None:
+    track = walk(20, uneven=True)
+    expected = rauch_tung_striebel(track)
+    found = smooth_track(track, Model("separate"), options=EXACTLY).track
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-7)
+    np.testing.assert_allclose(found.velocity, expected.velocity, atol=1e-7)
+
+
+def simulated(
+    rng: np.random.Generator, n: int, dt: float, parameters: Parameters
+) -> tuple[Track, np.ndarray]:
+    """A track drawn from the linear model itself, with its true states (n, 4)."""
+    density = parameters.motion.acceleration_density
+    velocity = rng.normal(0.0, parameters.motion.initial_speed_std, 2)
+    position = rng.uniform(-10.0, 10.0, 2)
+    states = [np.concatenate([position, velocity])]
+    block = density * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
+    root = np.linalg.cholesky(block)
+    for _ in range(n - 1):
+        bend, kick = root @ rng.normal(size=(2, 2))
+        position = position + dt * velocity + bend
+        velocity = velocity + kick
+        states.append(np.concatenate([position, velocity]))
+    truth = np.array(states)
+    seen = truth[:, :2] + rng.normal(0.0, parameters.likelihood.position_std, (n, 2))
+    return Track(1, np.arange(n), dt * np.arange(n), seen), truth
+
+
+@pytest.mark.parametrize("frame", [0, 6, 11])
+def test_the_nees_of_positions_and_velocities_lies_in_its_band(frame: int) -> None:
+    parameters = Parameters(motion=MotionParameters(0.8, 1.4), likelihood=LikelihoodParameters(0.15))
+    rng, model, total, position_total = np.random.default_rng(8), Model("position", parameters), 0.0, 0.0
+    for _ in range(200):
+        track, truth = simulated(rng, 12, 0.15, parameters)
+        track = without(track, "position", [3, 4, 5])
+        found = smooth_track(track, model).track
+        assert found.velocity is not None
+        assert found.covariance is not None
+        error = np.concatenate([found.position[frame], found.velocity[frame]]) - truth[frame]
+        spread = found.covariance[frame, :4, :4]
+        total += error @ np.linalg.solve(spread, error)
+        position_total += error[:2] @ np.linalg.solve(spread[:2, :2], error[:2])
+    low, high = stats.chi2.ppf([0.025, 0.975], 200 * 4)
+    assert low < total < high
+    low, high = stats.chi2.ppf([0.025, 0.975], 200 * 2)
+    assert low < position_total < high
+
+
+# Invariances.
+
+
+@EVERY_PRESET
+@pytest.mark.parametrize(
+    ("angle", "shift"),
+    [(0.0, (30.0, -80.0)), (1.0, (0.0, 0.0)), (np.pi, (0.0, 0.0)), (-2.5, (5.0, 7.0))],
+)
+def test_estimates_move_and_turn_with_the_world(
+    preset: str, angle: float, shift: tuple[float, float]
+) -> None:
+    model, track = Model(preset), walk(25, seed=1, uneven=True)
+    track = without(without(track, "body", slice(5, 12)), "position", slice(15, 18))
+    assert_equivariant(model, track, angle, shift)
+
+
+@ORIENTED
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_estimates_from_classes_turn_with_the_world(preset: str, quarters: int) -> None:
+    assert_equivariant(Model(preset), walk(15, seed=3, classes=True), quarters * np.pi / 2.0, (1.0, 2.0))
+
+
+@ORIENTED
+def test_estimates_with_outliers_in_the_model_turn_with_the_world(preset: str) -> None:
+    parameters = Parameters(likelihood=LikelihoodParameters(robust="huber", outlier_probability=0.1))
+    assert_equivariant(Model(preset, parameters), walk(15, seed=6), 2.0, (1.0, 2.0))
+
+
+def assert_equivariant(model: Model, track: Track, angle: float, shift: tuple[float, float]) -> None:
+    here = smooth_track(track, model, options=EXACTLY)
+    there = smooth_track(turned(track, angle, shift), model, options=EXACTLY)
+    turn = rotation(angle)
+    assert here.track.velocity is not None
+    assert here.track.covariance is not None
+    assert there.track.covariance is not None
+    np.testing.assert_allclose(there.track.position, here.track.position @ turn.T + shift, atol=1e-6)
+    np.testing.assert_allclose(there.track.velocity, here.track.velocity @ turn.T, atol=1e-6)
+    for name in ("body", "head"):
+        before = getattr(here.track, name)
+        assert_same_angles(getattr(there.track, name), None if before is None else before + angle, 1e-5)
+    whole = np.eye(6)
+    whole[:2, :2] = whole[2:4, 2:4] = turn
+    columns = np.ix_(range(len(track)), free(model), free(model))
+    expected = np.nan_to_num(here.track.covariance)
+    expected = whole @ expected @ whole.T
+    np.testing.assert_allclose(there.track.covariance[columns], expected[columns], rtol=1e-4, atol=1e-6)
+    assert there.cost == pytest.approx(here.cost, rel=1e-7)
+
+
+@EVERY_PRESET
+def test_a_walk_seen_backwards_is_the_walk_backwards(preset: str) -> None:
+    """Where no prior tells the first frame from the last; body and head turn with the motion."""
+    parameters = Parameters(
+        motion=MotionParameters(initial_speed_std=1e3), coupling=CouplingParameters(correlation_time=0.0)
+    )
+    model, track = Model(preset, parameters), walk(25, seed=7, uneven=True)
+    assert track.body is not None
+    assert track.head is not None
+    backwards = replace(
+        track,
+        t=(track.t[0] + track.t[-1] - track.t)[::-1],
+        position=track.position[::-1],
+        body=wrap(track.body[::-1] + np.pi),
+        head=wrap(track.head[::-1] + np.pi),
+    )
+    one = smooth_track(track, model, options=EXACTLY).track
+    other = smooth_track(backwards, model, options=EXACTLY).track
+    assert one.velocity is not None
+    assert other.velocity is not None
+    assert one.covariance is not None
+    assert other.covariance is not None
+    np.testing.assert_allclose(other.position[::-1], one.position, atol=1e-5)
+    np.testing.assert_allclose(-other.velocity[::-1], one.velocity, atol=1e-4)
+    for name in ("body", "head"):
+        before, after = getattr(one, name), getattr(other, name)
+        assert_same_angles(None if after is None else after[::-1] + np.pi, before, 1e-4)
+    for name in ("x", "vx", "body", "head"):
+        one_std, other_std = one.std(name), other.std(name)
+        assert one_std is not None
+        assert other_std is not None
+        np.testing.assert_allclose(other_std[::-1], one_std, rtol=1e-4)
+
+
+# The optimum.
+
+SITUATIONS = {
+    "angles": (walk(12, seed=1), Parameters()),
+    "uneven": (walk(12, seed=2, uneven=True), Parameters()),
+    "classes": (walk(12, seed=3, classes=True), Parameters()),
+    "gaps": (
+        without(without(walk(12, seed=4), "position", slice(4, 7)), "body", slice(0, 9)),
+        Parameters(),
+    ),
+    "outliers": (walk(12, seed=5), Parameters(likelihood=LikelihoodParameters(outlier_probability=0.1))),
+    "huber": (walk(12, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="huber"))),
+    "cauchy": (walk(12, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="cauchy"))),
+}
+EVERY_SITUATION = pytest.mark.parametrize("situation", SITUATIONS)
+
+
+@EVERY_PRESET
+@EVERY_SITUATION
+def test_the_gradient_of_the_cost_vanishes_at_the_estimate(preset: str, situation: str) -> None:
+    track, parameters = SITUATIONS[situation]
+    model = Model(preset, parameters)
+    found = smooth_track(track, model, options=EXACTLY).track
+    size = len(track) * len(free(model))
+    cost = cost_around(states_of(found), track, model)
+    at_estimate = gradient(cost, size)
+    elsewhere = np.random.default_rng(0).normal(0.0, 0.05, size)
+    beside = gradient(lambda vector: cost(elsewhere + vector), size)
+    assert np.abs(at_estimate).max() < 1e-4
+    assert np.abs(at_estimate).max() < 1e-5 * np.abs(beside).max()
+
+
+@EVERY_PRESET
+@EVERY_SITUATION
+def test_nothing_near_the_estimate_costs_less(preset: str, situation: str) -> None:
+    track, parameters = SITUATIONS[situation]
+    model = Model(preset, parameters)
+    found = smooth_track(track, model, options=EXACTLY)
+    rng = np.random.default_rng(1)
+    cost = cost_around(states_of(found.track), track, model)
+    size = len(track) * len(free(model))
+    best = cost(np.zeros(size))
+    assert found.cost == pytest.approx(best, rel=1e-6, abs=1e-5)
+    for scale in (1e-3, 1e-2, 0.1):
+        for _ in range(30):
+            assert cost(rng.normal(0.0, scale, size)) > best
+
+
+@EVERY_PRESET
+def test_the_estimate_costs_less_than_start_truth_and_data(preset: str) -> None:
+    track, model = walk(30, seed=9), Model(preset)
+    found = smooth_track(track, model)
+    assert found.converged
+    assert found.iterations < 50
+    start = model.cost(initial_states(track, model), track)
+    assert found.initial_cost == pytest.approx(start, rel=1e-6, abs=1e-4)
+    assert found.cost <= found.initial_cost
+    assert track.true_position is not None
+    assert track.true_body is not None
+    assert track.true_head is not None
+    velocity = np.gradient(track.true_position, track.t, axis=0)
+    truth = States(track.true_position, velocity, track.true_body, track.true_head)
+    assert found.cost < model.cost(truth, track)
+
+
+@EVERY_PRESET
+@pytest.mark.parametrize("situation", ["angles", "uneven", "classes", "gaps", "outliers"])
+def test_covariances_are_the_inverse_of_the_exact_curvature(preset: str, situation: str) -> None:
+    track, parameters = SITUATIONS[situation]
+    track = track[:8]
+    model = Model(preset, parameters)
+    found = smooth_track(track, model, options=EXACTLY).track
+    columns = free(model)
+    curvature = hessian(cost_around(states_of(found), track, model), len(track) * len(columns))
+    assert np.linalg.eigvalsh(curvature).min() > 0.0
+    expected = np.linalg.inv(curvature)
+    assert found.covariance is not None
+    m = len(columns)
+    for k in range(len(track)):
+        block = expected[k * m : (k + 1) * m, k * m : (k + 1) * m]
+        # No angle is reported as less certain than the uniform density on the circle.
+        scale = np.sqrt(np.diag(block))
+        shrink = np.where(np.array(columns) < 4, 1.0, np.minimum(1.0, UNIFORM_STD / scale))
+        block, scale = block * shrink[:, None] * shrink, scale * shrink
+        np.testing.assert_allclose(
+            found.covariance[k][np.ix_(columns, columns)] / scale[:, None] / scale,
+            block / scale[:, None] / scale,
+            atol=5e-3,
+            err_msg=f"frame {k}",
+        )
+
+
+# Little to go by.
+
+
+@EVERY_PRESET
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_tracks_of_a_few_frames_have_estimates(preset: str, length: int) -> None:
+    model = Model(preset)
+    for track in (walk(length), walk(length, classes=True), replace(walk(length), body=None, head=None)):
+        found = smooth_track(track, model).track
+        assert np.isfinite(found.position).all()
+        assert np.isfinite(found.velocity).all()
+        assert_covariances_are_proper(found, model)
+    if length == 1:
+        np.testing.assert_allclose(smooth_track(walk(1), Model("separate")).track.position, walk(1).position)
+
+
+@EVERY_PRESET
+def test_frames_without_any_observation_are_bridged(preset: str) -> None:
+    track, gap = walk(30, seed=2), slice(12, 20)
+    for name in ("position", "body", "head"):
+        track = without(track, name, gap)
+    model = Model(preset)
+    found = smooth_track(track, model).track
+    assert found.true_position is not None
+    miss = np.linalg.norm(found.position - found.true_position, axis=1)
+    assert miss[gap].max() < 0.3
+    spread = found.std("x")
+    assert spread is not None
+    assert np.argmax(spread) in range(14, 18)
+    assert spread[15] > 1.5 * spread[10]
+    for name in ("body", "head"):
+        estimate, spread = getattr(found, name), found.std(name)
+        if estimate is not None:
+            assert spread is not None
+            assert np.abs(difference(estimate, getattr(found, f"true_{name}"))).max() < np.radians(40.0)
+            assert spread[15] > spread[8]
+    assert_covariances_are_proper(found, model)
+
+
+@ORIENTED
+def test_a_track_of_which_only_the_head_is_seen_at_most_frames(preset: str) -> None:
+    track = without(without(walk(30, seed=2), "position", slice(1, 30)), "body", slice(0, 30))
+    model = Model(preset)
+    found = smooth_track(track, model).track
+    assert found.head is not None
+    assert found.true_head is not None
+    assert np.abs(difference(found.head, found.true_head)).max() < np.radians(25.0)
+    assert np.isfinite(found.position).all()
+    assert_covariances_are_proper(found, model)
+
+
+@ORIENTED
+def test_an_orientation_that_nothing_determines_is_as_uncertain_as_can_be(preset: str) -> None:
+    # Nobody moves: the coupling has no hold.
+    still = replace(walk(5), position=np.zeros((5, 2)), body=None, head=None)
+    found = smooth_track(still, Model(preset)).track
+    body = found.std("body")
+    assert body is not None
+    np.testing.assert_allclose(body, UNIFORM_STD, rtol=1e-3)
+
+
+def test_the_joint_model_finds_bodies_from_the_motion_and_heads_from_the_bodies() -> None:
+    track = replace(walk(30, seed=2), body=None, head=None)
+    found = smooth_track(track, Model("joint")).track
+    assert found.body is not None
+    assert found.head is not None
+    assert found.true_body is not None
+    assert np.abs(difference(found.body, found.true_body)).mean() < np.radians(8.0)
+    np.testing.assert_allclose(difference(found.head, found.body), 0.0, atol=0.1)
+
+
+def test_more_evidence_makes_estimates_more_certain() -> None:
+    track = walk(20, seed=2)
+    model = Model("joint")
+    little = smooth_track(without(without(track, "position", slice(5, 9)), "head", slice(3, 12)), model).track
+    much = smooth_track(track, model).track
+    for name in ("x", "y", "head"):
+        less, more = little.std(name), much.std(name)
+        assert less is not None
+        assert more is not None
+        assert np.all(more[5:9] < less[5:9])
+
+
+# Likelihoods.
+
+
+@pytest.mark.parametrize("robust", ["huber", "cauchy"])
+def test_a_robust_likelihood_resists_an_outlier_that_ruins_the_plain_one(robust: str) -> None:
+    track = walk(30, seed=3, noise=0.05)
+    spoiled = track.position.copy()
+    spoiled[15] += [4.0, -3.0]
+    spoiled_track = replace(track, position=spoiled)
+    parameters = Parameters(likelihood=LikelihoodParameters(robust=robust))  # type: ignore[arg-type]
+    clean = smooth_track(track, Model("position")).track
+    plain = smooth_track(spoiled_track, Model("position")).track
+    sound = smooth_track(spoiled_track, Model("position", parameters)).track
+    ruined = np.linalg.norm(plain.position - clean.position, axis=1).max()
+    resisted = np.linalg.norm(sound.position - clean.position, axis=1).max()
+    assert ruined > 0.5
+    assert resisted < 0.2 * ruined
+
+
+def test_an_outlier_probability_resists_an_angle_that_ruins_the_plain_likelihood() -> None:
+    track = walk(40, seed=3, angle_kappa=50.0)
+    assert track.body is not None
+    spoiled = np.array(track.body)
+    spoiled[18:21] = wrap(spoiled[18:21] + 2.2)
+    track = replace(track, body=spoiled, body_kappa=np.full(40, 50.0))
+    errors = {}
+    for outlier in (0.0, 0.1):
+        parameters = Parameters(
+            orientation=OrientationParameters(body_diffusion=0.5),
+            likelihood=LikelihoodParameters(outlier_probability=outlier),
+        )
+        found = smooth_track(track, Model("separate", parameters)).track
+        assert found.body is not None
+        assert found.true_body is not None
+        errors[outlier] = np.abs(difference(found.body, found.true_body))[17:22].max()
+    assert errors[0.0] > 0.5
+    assert errors[0.1] < 0.4 * errors[0.0]
+
+
+def test_a_camera_straight_above_sees_metres() -> None:
+    camera = GroundCamera.from_scale(0.02)
+    track = walk(20, seed=4, uneven=True)
+    seen = replace(track, pixel=camera.ground_to_image(track.position))
+    parameters = Parameters(likelihood=LikelihoodParameters(position_std=0.1, pixel_std=5.0))
+    for preset in presets:
+        model = Model(preset, parameters)
+        in_metres = smooth_track(track, model, camera, EXACTLY)
+        in_pixels = smooth_track(seen, model, camera, EXACTLY)
+        assert in_pixels.track.covariance is not None
+        np.testing.assert_allclose(in_pixels.track.position, in_metres.track.position, atol=1e-8)
+        np.testing.assert_allclose(
+            in_pixels.track.covariance, in_metres.track.covariance, rtol=1e-6, atol=1e-10
+        )
+        assert in_pixels.cost == pytest.approx(in_metres.cost, rel=1e-9)
+
+
+def oblique_camera() -> GroundCamera:
+    """5 m above (0, −12), looking down at the walkers."""
+    look = Rotation.from_euler("x", -1.1).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+    intrinsics = np.array([[900.0, 0.0, 640.0], [0.0, 900.0, 360.0], [0.0, 0.0, 1.0]])
+    return GroundCamera.from_calibration(look, -look @ np.array([0.0, -12.0, 5.0]), intrinsics, None)
+
+
+def test_the_pixel_likelihood_through_a_homography_is_gaussian_in_metres_for_small_noise() -> None:
+    camera, track = oblique_camera(), walk(15, seed=4, uneven=True, noise=0.003)
+    pixel = camera.ground_to_image(track.position)
+    assert np.isfinite(pixel).all()
+    # The metres that come along are wrong on purpose: where there are pixels they do not count.
+    seen = replace(track, pixel=pixel, position=track.position + 0.02)
+    parameters = Parameters(likelihood=LikelihoodParameters(pixel_std=0.2))
+    found = smooth_track(seen, Model("position", parameters), camera, EXACTLY).track
+    # The linear model with each frame's own covariance of the position, as one least-squares problem.
+    to_metres = jacobian(camera.homography, pixel)
+    precision = np.linalg.inv(0.2**2 * to_metres @ np.swapaxes(to_metres, 1, 2))
+    n = len(track)
+    # Costs that are quadratic: differences give their exact information.
+    blank = replace(track, position=np.where(np.arange(n)[:, None] == 0, track.position, np.nan))
+    loose = Parameters(likelihood=LikelihoodParameters(position_std=1e5))
+    origin = States(np.zeros((n, 2)), np.zeros((n, 2)), np.full(n, np.nan), np.full(n, np.nan))
+    information = hessian(cost_around(origin, blank, Model("position", loose)), 4 * n, step=1.0)
+    vector = np.zeros(4 * n)
+    for k in range(n):
+        place = slice(4 * k, 4 * k + 2)
+        information[place, place] += precision[k]
+        vector[place] += precision[k] @ track.position[k]
+    spread = np.linalg.inv(information)
+    expected = (spread @ vector).reshape(n, 4)
+    assert found.covariance is not None
+    np.testing.assert_allclose(found.position, expected[:, :2], atol=5e-4)
+    np.testing.assert_allclose(found.velocity, expected[:, 2:], atol=5e-3)
+    for k in range(n):
+        np.testing.assert_allclose(
+            found.covariance[k, :4, :4], spread[4 * k : 4 * k + 4, 4 * k : 4 * k + 4], rtol=0.05, atol=1e-7
+        )
+
+
+def test_the_pixel_likelihood_is_left_out_on_request_and_without_a_camera() -> None:
+    camera, track = oblique_camera(), walk(10, seed=4)
+    seen = replace(track, pixel=camera.ground_to_image(track.position) + 5.0)
+    expected = smooth_track(track, Model("position")).track
+    metres_only = Model("position", Parameters(likelihood=LikelihoodParameters(image_frame=False)))
+    for found in (smooth_track(seen, metres_only, camera), smooth_track(seen, Model("position"))):
+        np.testing.assert_array_equal(found.track.position, expected.position)
+    assert (
+        np.abs(smooth_track(seen, Model("position"), camera).track.position - expected.position).max() > 0.01
+    )
+
+
+def test_frames_without_a_pixel_use_their_metres() -> None:
+    camera, track = oblique_camera(), walk(10, seed=4)
+    seen = replace(track, pixel=np.full((10, 2), np.nan))
+    found = smooth_track(seen, Model("position"), camera).track
+    np.testing.assert_array_equal(found.position, smooth_track(track, Model("position")).track.position)
+
+
+# Many tracks.
+
+
+def some_tracks() -> TrackSet:
+    blank = replace(walk(6, track_id=7), position=np.full((6, 2), np.nan))
+    return TrackSet((walk(9, track_id=1, seed=1), blank, walk(12, track_id=3, seed=3, classes=True)))
+
+
+@EVERY_PRESET
+def test_a_track_that_fails_is_named_and_the_others_come_out(preset: str) -> None:
+    first, failed, last = solve(some_tracks(), preset)
+    assert isinstance(failed, Failure)
+    assert failed.track_id == 7
+    assert "no position" in failed.reason
+    assert isinstance(first, Solution)
+    assert isinstance(last, Solution)
+    assert (first.track.track_id, last.track.track_id) == (1, 3)
+    alone = smooth_track(some_tracks()[3], Model(preset))
+    np.testing.assert_array_equal(last.track.position, alone.track.position)
+
+
+def test_smooth_raises_for_a_track_that_fails_and_names_it() -> None:
+    with pytest.raises(SolveError, match=r"track 7: .*no position"):
+        smooth(some_tracks())
+
+
+def test_an_unknown_model_is_refused_before_any_work() -> None:
+    with pytest.raises(InputError, match="position, separate, joint"):
+        smooth(some_tracks(), "jiont")
+
+
+def content(found: list[Solution | Failure]) -> list[object]:
+    """Everything that was found, byte for byte."""
+    result: list[object] = []
+    for one in found:
+        if isinstance(one, Failure):
+            result.append((one.track_id, one.reason))
+            continue
+        arrays = {name: value for name, value in vars(one.track).items() if isinstance(value, np.ndarray)}
+        result.append({name: (value.shape, value.tobytes()) for name, value in arrays.items()})
+        result.append((one.track.track_id, one.cost, one.initial_cost, one.iterations, one.converged))
+    return result
+
+
+@pytest.mark.parametrize("engine", ["chain", "gtsam"])
+def test_two_workers_find_the_same_bytes_as_one(engine: Engine) -> None:
+    tracks = TrackSet((*some_tracks(), *(walk(8, seed=k, track_id=k, uneven=True) for k in range(20, 25))))
+    finished: list[int] = []
+    alone = solve(tracks, "joint", engine=engine)
+    together = solve(tracks, "joint", engine=engine, jobs=2, progress=finished.append)
+    assert content(together) == content(alone)
+    assert sum(finished) == tracks.n_frames
+
+
+def test_estimates_keep_the_truth_and_drop_the_observations() -> None:
+    track = replace(walk(6, seed=1), label="corridor", head_kappa=np.full(6, 3.0))
+    estimates = smooth(TrackSet((track,)), "joint")
+    found = estimates[1]
+    assert found.label == "corridor"
+    np.testing.assert_array_equal(found.t, track.t)
+    np.testing.assert_array_equal(found.true_position, track.true_position)
+    for name in ("position_std", "pixel", "body_kappa", "head_kappa", "body_likelihood", "head_likelihood"):
+        assert getattr(found, name) is None
+    positions_only = smooth(TrackSet((track,)), "position")[1]
+    assert positions_only.body is None
+    assert positions_only.head is None
+
+
+def test_the_velocity_is_that_of_the_position() -> None:
+    track = walk(40, seed=1, noise=0.01)
+    for preset in presets:
+        found = smooth_track(track, Model(preset)).track
+        assert found.velocity is not None
+        slope = np.gradient(found.position, found.t, axis=0)
+        np.testing.assert_allclose(found.velocity[3:-3], slope[3:-3], atol=0.15)
+        assert np.abs(difference(direction(found.velocity), found.true_body))[3:-3].max() < np.radians(12.0)
