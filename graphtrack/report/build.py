@@ -12,6 +12,7 @@ from graphtrack.report.charts import angles_chart, errors_charts
 from graphtrack.report.content import Card, Chart, Note, Picture, Report, Section, Table
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots import plot_angles, plot_errors, plot_nees, plot_tracks
+from graphtrack.report.plots.scene import CROWD
 from graphtrack.report.replay import replay_data
 from graphtrack.report.rows import Rows
 from graphtrack.report.shapes import probability_ellipse
@@ -67,7 +68,7 @@ def tracking_report(
         subtitle = f"{subtitle} Times count from {origin:.0f} s.".strip()
     pairs = pair_tracks(estimates, observations)
     picture = Picture(
-        "Everybody's path from above, with body and head at regular times",
+        "Everybody's path from above" + (", with body and head at regular times" * (len(pairs) <= CROWD)),
         plot_tracks(estimates, observations),
         f"Bird's-eye view of the paths of {len(pairs)} people.",
     )

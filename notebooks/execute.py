@@ -1,0 +1,41 @@
+"""Execute notebooks and store them with their outputs: ``python notebooks/execute.py [NOTEBOOK…]``."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+
+HERE = Path(__file__).parent
+
+
+def execute(path: Path, folder: Path) -> nbformat.NotebookNode:
+    """The notebook at ``path`` with fresh outputs, run in ``folder``; the first error in a cell is raised."""
+    notebook = nbformat.read(path, as_version=4)
+    client = NotebookClient(
+        notebook,
+        timeout=600,
+        kernel_name="python3",
+        record_timing=False,
+        resources={"metadata": {"path": str(folder)}},
+    )
+    client.execute()
+    # What differs between machines and says nothing to a reader.
+    notebook.metadata.pop("language_info", None)
+    return notebook
+
+
+def main() -> None:
+    """Execute the notebooks named on the command line, or all."""
+    for path in [Path(name) for name in sys.argv[1:]] or sorted(HERE.glob("*.ipynb")):
+        with tempfile.TemporaryDirectory() as folder:
+            notebook = execute(path, Path(folder))
+        nbformat.write(notebook, path)
+        print(f"{path.name}: {path.stat().st_size / 1024:.0f} KiB")
+
+
+if __name__ == "__main__":
+    main()

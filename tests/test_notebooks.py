@@ -1,0 +1,56 @@
+"""The notebooks run without an error, and are stored with outputs that name no machine."""
+
+import json
+import re
+import runpy
+from pathlib import Path
+
+import nbformat
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+
+MACHINE_PATH = re.compile(
+    r"(?<![\w.])/(?:home|root|tmp|work|usr|opt|Users|var|mnt)/|site-packages|[A-Z]:\\\\"
+)
+LARGEST = 400_000
+
+every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=[path.stem for path in NOTEBOOKS])
+
+
+def code_cells(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def test_the_notebooks_are_there():
+    assert {"01-smoothing", "02-online"} <= {path.stem for path in NOTEBOOKS}
+
+
+@every_notebook
+def test_a_notebook_runs_without_error(path, tmp_path, monkeypatch):
+    monkeypatch.setenv("GRAPHTRACK_QUICK", "1")
+    execute = runpy.run_path(str(FOLDER / "execute.py"))["execute"]
+    notebook = execute(path, tmp_path)  # raises for the first cell that fails
+    outputs = [output for cell in code_cells(notebook) for output in cell.outputs]
+    assert not [output for output in outputs if output.output_type == "error"]
+    # A warning would be the first thing that a reader sees.
+    assert not [output.text for output in outputs if output.get("name") == "stderr"]
+
+
+@every_notebook
+def test_a_stored_notebook_has_its_outputs_and_no_path_of_a_machine(path):
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    counts = [cell.execution_count for cell in code_cells(notebook)]
+    assert counts == list(range(1, len(counts) + 1)), "run all cells in order: make notebooks"
+    outputs = [output for cell in code_cells(notebook) for output in cell.outputs]
+    assert not [output for output in outputs if output.output_type == "error"]
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    # Pictures are base64, in which anything may stand.
+    text = [[cell.source, cell.get("metadata")] for cell in notebook.cells]
+    text += [[o.get("text"), o.get("traceback"), o.get("metadata")] for o in outputs]
+    text += [[words for kind, words in o.get("data", {}).items() if "image" not in kind] for o in outputs]
+    found = MACHINE_PATH.search(json.dumps([text, notebook.metadata]))
+    assert found is None, found
+    assert path.stat().st_size < LARGEST
