@@ -61,6 +61,43 @@ def intentional_transition(
     )
 
 
+def steer(
+    position: FloatArray,
+    head: FloatArray,
+    t: FloatArray,
+    variance: FloatArray,
+    parameters: Parameters,
+    rate: float = HEAD_RATE,
+) -> FilteredStates:
+    """Filter m tracks of n steps that share their times.
+
+    Parameters
+    ----------
+    position : (m, n, 2) metres; NaN where nothing was observed
+    head : (m, n) radians; NaN where it was not seen: there λ = 0
+    t : (n,) seconds
+    variance : (m, n) of each axis of the positions, m²
+    parameters : their motion is used
+    rate : λ in 1/s
+
+    Raises
+    ------
+    InputError
+        If the rate is negative or not finite.
+    """
+    if not (np.isfinite(rate) and rate >= 0.0):
+        raise InputError(f"rate = {rate!r}", "a number in 1/s, at least 0")
+    motion = parameters.motion
+
+    def transition(k: int, mean: FloatArray) -> Transition:
+        seen = head[:, k - 1]
+        own = np.where(np.isfinite(seen), rate, 0.0)
+        dt = float(t[k] - t[k - 1])
+        return intentional_transition(dt, own, mean[:, 2:], seen, motion.acceleration_density)
+
+    return filter_tracks(position, variance, motion.initial_speed_std**2, transition)
+
+
 def intentional_states(track: Track, parameters: Parameters, rate: float = HEAD_RATE) -> FilteredStates:
     """Filtered and predicted states of one track (m = 1), with the log-likelihood of the innovations.
 
@@ -71,25 +108,12 @@ def intentional_states(track: Track, parameters: Parameters, rate: float = HEAD_
     SolveError
         If no position was observed.
     """
-    if not (np.isfinite(rate) and rate >= 0.0):
-        raise InputError(f"rate = {rate!r}", "a number in 1/s, at least 0")
     if not np.isfinite(track.position).all(axis=1).any():
         raise SolveError(track.track_id, "found no position at all, expected at least one")
     vectors = observed_vectors(track, "head")
     head = np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
-    density = parameters.motion.acceleration_density
-
-    def transition(k: int, mean: FloatArray) -> Transition:
-        seen = head[k - 1 : k]
-        own = np.where(np.isfinite(seen), rate, 0.0)
-        return intentional_transition(float(track.t[k] - track.t[k - 1]), own, mean[:, 2:], seen, density)
-
-    return filter_tracks(
-        track.position[None],
-        position_std(track, parameters)[None] ** 2,
-        parameters.motion.initial_speed_std**2,
-        transition,
-    )
+    variance = position_std(track, parameters) ** 2
+    return steer(track.position[None], head[None], track.t, variance[None], parameters, rate)
 
 
 def intentional_tracker(track: Track, parameters: Parameters | None = None, rate: float = HEAD_RATE) -> Track:
