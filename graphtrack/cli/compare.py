@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 def compare(
     inputs: options.Inputs,
     methods: Annotated[
-        str, typer.Option("--methods", help="Comma-separated: kf, rts, smoother, isam2, fixed-lag.")
+        str,
+        typer.Option(
+            "--methods",
+            help="Comma-separated: kf, intentional, particle, rts, ffbs, smoother, isam2, fixed-lag.",
+        ),
     ] = "kf,rts,smoother,isam2,fixed-lag",
     model: options.ModelName = "joint",
     occlude: Annotated[

@@ -8,7 +8,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
+from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
+from graphtrack.baselines.particle import particle_filter, particle_smoother
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference.incremental import Engine, track_online
@@ -105,6 +107,18 @@ def _rauch_tung_striebel(track: Track, model: Model, camera: GroundCamera | None
     return rauch_tung_striebel(track, model.parameters)
 
 
+def _intentional(track: Track, model: Model, camera: GroundCamera | None) -> Track:
+    return intentional_tracker(track, model.parameters)
+
+
+def _particle(track: Track, model: Model, camera: GroundCamera | None) -> Track:
+    return particle_filter(track, model, camera=camera).track
+
+
+def _ffbs(track: Track, model: Model, camera: GroundCamera | None) -> Track:
+    return particle_smoother(track, model, camera=camera).track
+
+
 def _smoother(track: Track, model: Model, camera: GroundCamera | None) -> Track:
     return smooth_track(track, model, camera).track
 
@@ -112,6 +126,15 @@ def _smoother(track: Track, model: Model, camera: GroundCamera | None) -> Track:
 registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
     {
         "kf": lambda model: FunctionMethod("kf", True, "positions; past only", model, _kalman),
+        "intentional": lambda model: FunctionMethod(
+            "intentional", True, "positions, head; past only", model, _intentional
+        ),
+        "particle": lambda model: FunctionMethod(
+            "particle", True, f"{channels(model)}; past only", model, _particle
+        ),
+        "ffbs": lambda model: FunctionMethod(
+            "ffbs", False, f"{channels(model)}; past and future", model, _ffbs
+        ),
         "rts": lambda model: FunctionMethod(
             "rts", False, "positions; past and future", model, _rauch_tung_striebel
         ),
@@ -122,7 +145,9 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
         "fixed-lag": lambda model: OnlineGraph(model, "fixed-lag"),
     }
 )
-"""Name → factory of the method for a model. All get its parameters; kf and rts use its linear part."""
+"""Name → factory of the method for a model. All get its parameters; kf and rts use its linear part.
+
+``intentional`` is 000's tracker in continuous time, ``particle`` 002's filter and ``ffbs`` its smoother."""
 
 
 def make_method(method: Method | str, model: Model | str | Path = "joint") -> Method:

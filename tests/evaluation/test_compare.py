@@ -105,7 +105,7 @@ def test_everything_is_ready_for_json(comparison: Comparison) -> None:
     text = json.dumps(comparison.to_dict(), allow_nan=False)
     back = json.loads(text)
     assert back["caption"] == comparison.caption and len(back["rows"]) == len(comparison.rows)
-    assert len(back["per_track"]) == 12 * len(registry)
+    assert len(back["per_track"]) == 12 * len(comparison.information)
 
 
 def test_online_and_offline_stand_apart_and_the_caption_says_what_was_used(comparison: Comparison) -> None:
@@ -223,3 +223,21 @@ def test_unknown_and_repeated_methods_are_refused(tracks: TrackSet) -> None:
             compare(tracks, methods)
     own: Method = Echo()
     assert make_method(own) is own
+
+
+def test_the_published_filters_stand_beside_the_graph() -> None:
+    observed = simulate(n_tracks=3, n_steps=40, rng=np.random.default_rng(0))
+    names = ["kf", "intentional", "particle", "fixed-lag", "rts", "ffbs", "smoother"]
+    found = compare(observed, names)
+    assert not found.failures
+    assert {row["method"] for row in found.group("online")} == set(names[:4])
+    assert {row["method"] for row in found.group("offline")} == set(names[4:])
+    # Who uses the same observations says so in the same words, and the caption repeats it.
+    information = found.information
+    assert information["particle"] == information["fixed-lag"] == "positions, body, head; past only"
+    assert information["ffbs"] == information["smoother"]
+    assert information["intentional"] == "positions, head; past only"
+    assert all(f"{name} ({information[name]})" in found.caption for name in names)
+    errors = {row["method"]: row["mean"] for row in found.rows if row["metric"] == "body error"}
+    assert errors["particle"] < 1.25 * errors["fixed-lag"]
+    assert errors["ffbs"] < errors["particle"]
