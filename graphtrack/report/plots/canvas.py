@@ -7,13 +7,16 @@ from typing import Any, Literal
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 
 def new_figure(
     width: float, height: float, layout: Literal["constrained", "compressed"] = "constrained"
 ) -> Figure:
     """An empty figure (inches) that can be saved without pyplot."""
-    figure = Figure(figsize=(width, height), dpi=120, layout=layout, facecolor="white")
+    # Matplotlib's own margin is too narrow beside axes of equal aspect: it cuts the label of the y axis.
+    engine = ConstrainedLayoutEngine(compress=layout == "compressed", w_pad=0.15, h_pad=0.1)
+    figure = Figure(figsize=(width, height), dpi=120, layout=engine, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 

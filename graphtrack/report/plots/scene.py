@@ -70,7 +70,7 @@ def plot_tracks(
     # The page follows the scene, within what fits a screen: inches for the axes, then room for the legend.
     height = float(np.clip(7.0 * span_y / span_x, 3.2, 8.0))
     width = height * span_x / span_y
-    figure = new_figure(width + 2.7, height + 0.9, layout="compressed")
+    figure = new_figure(width + 3.0, height + 0.9, layout="compressed")
     axes = figure.add_subplot()
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlim(extent[0, 0], extent[1, 0])
