@@ -1,40 +1,30 @@
-"""The online smoother: one person, one observation at a time, with iSAM2.
+"""The online smoother: one person, one observation at a time.
 
-Two engines: ``fixed-lag`` (`IncrementalFixedLagSmoother`; bounded time and memory) and ``isam2`` (the full
-history). An estimate uses only what came before it.
+Two engines: ``fixed-lag`` (`FixedLag`; bounded time and memory) and ``isam2`` (`FullHistory`). An estimate
+uses only what came before it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, Literal
 
-import gtsam
 import numpy as np
 
 from graphtrack.angles import FloatArray, wrap
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry import GroundCamera
-from graphtrack.inference.batch import anchors, bounded, insert_state, joint_covariance, variable_keys
-from graphtrack.inference.marginal import find_marginal_factor, marginal_prior
-from graphtrack.inference.state import Estimate, Status, Window, pack_state, unpack_state
-from graphtrack.model import Model, Observation, States, Step
+from graphtrack.inference.fixed_lag import FixedLag
+from graphtrack.inference.full_history import FullHistory
+from graphtrack.inference.state import Estimate, Newest, Status, Window, pack_state, unpack_state
+from graphtrack.model import Model, Observation, Step
 from graphtrack.model.steps import CHANNELS, observations, seconds_between
 from graphtrack.tracks import Track
 
 Engine = Literal["fixed-lag", "isam2"]
 ENGINES: tuple[Engine, ...] = ("fixed-lag", "isam2")
-
-
-@dataclass(frozen=True, eq=False)
-class _Mark:
-    """A point to go back to."""
-
-    steps: tuple[Step, ...]
-    linearization: gtsam.Values
-    marginal: gtsam.LinearContainerFactor | None
 
 
 class OnlineSmoother:
@@ -46,7 +36,11 @@ class OnlineSmoother:
     engine : "fixed-lag" or "isam2"
     lag : seconds of history that the fixed lag keeps open
     camera : camera of the scene, for observations in pixels
-    relinearize_threshold : change of a variable beyond which it is linearised again (metres, m/s, radians)
+    relinearize_threshold : isam2: change of a variable beyond which it is linearised again (metres, m/s,
+        radians)
+    step_tolerance : Gauss–Newton steps for an observation end when no variable changes by more than this
+        (metres, m/s, radians); by default one mostly does, and the errors are no larger for it
+    max_iterations : or after so many
 
     Examples
     --------
@@ -64,20 +58,29 @@ class OnlineSmoother:
         lag: float = 2.0,
         camera: GroundCamera | None = None,
         relinearize_threshold: float = 0.01,
+        step_tolerance: float = 0.5,
+        max_iterations: int = 20,
     ) -> None:
         if engine not in ENGINES:
             raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
         if not (math.isfinite(lag) and lag > 0.0):
             raise InputError(f"lag = {lag}", "a positive number of seconds")
+        if not relinearize_threshold > 0.0:
+            raise InputError(f"relinearize_threshold = {relinearize_threshold}", "a positive number")
+        if not step_tolerance >= 0.0:
+            raise InputError(f"step_tolerance = {step_tolerance}", "a number that is not negative")
+        if max_iterations < 1:
+            raise InputError(f"max_iterations = {max_iterations}", "at least 1")
         self.model = Model.named(model)
         self.engine: Engine = engine
         self.lag = float(lag)
         self.camera = camera
-        self.relinearize_threshold = relinearize_threshold
-        self._steps: list[Step] = []
+        self._smoother: FixedLag | FullHistory = (
+            FullHistory(self.model, relinearize_threshold, step_tolerance, max_iterations)
+            if engine == "isam2"
+            else FixedLag(self.model, self.lag, step_tolerance, max_iterations)
+        )
         self._next_index = 0
-        self._marginal_slot = 0
-        self._smoother = self._empty_smoother()
         self._last: Estimate | None = None
 
     # -- the public face -----------------------------------------------------------------------------------
@@ -91,28 +94,28 @@ class OnlineSmoother:
             If the observation itself is unusable: a time or value that is not finite. The state is unchanged.
         """
         check_observation(observation)
-        if not self._steps:
-            if observation.position is None:
-                return self._waiting(observation)
-            return self._append(observation)
-        if observation.t > self._steps[-1].observation.t:
+        observation = self._on_the_ground(observation)
+        steps = self._smoother.steps
+        if not steps and observation.position is None:
+            return self._waiting(observation)
+        if not steps or observation.t > steps[-1].observation.t:
             return self._append(observation)
         return self._work_in(observation)
 
     @property
     def window(self) -> tuple[float, float] | None:
         """The times (seconds) between which late observations can be worked in; None before the first."""
-        if not self._steps:
-            return None
-        return self._steps[0].observation.t, self._steps[-1].observation.t
+        steps = self._smoother.steps
+        return (steps[0].observation.t, steps[-1].observation.t) if steps else None
 
     def history(self) -> list[tuple[float, FloatArray]]:
         """Smoothed states of the window: (t, array of x, y, vx, vy, body, head), oldest first."""
-        return [(step.observation.t, np.array(self._state(step))) for step in self._steps]
+        smoother = self._smoother
+        return [(step.observation.t, np.array(smoother.state(step))) for step in smoother.steps]
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
-        return pack_state(self._window(self._mark()), self._last, self._next_index)
+        return pack_state(self._smoother.window(), self._last, self._next_index)
 
     @classmethod
     def from_state(
@@ -127,199 +130,106 @@ class OnlineSmoother:
         """
         smoother = cls(model, **options)
         window, smoother._last, smoother._next_index = unpack_state(state, smoother.camera)
-        smoother._rebuild(window)
+        smoother._smoother.restore(window)
         return smoother
 
     # -- one step ------------------------------------------------------------------------------------------
 
+    def _on_the_ground(self, observation: Observation) -> Observation:
+        """With the position that the camera gives to a pixel, as readers of files do."""
+        if observation.position is not None or observation.pixel is None or self.camera is None:
+            return observation
+        x, y = self.camera.image_to_ground(np.array(observation.pixel)).tolist()
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
+        return replace(observation, position=(x, y))
+
     def _append(self, observation: Observation) -> Estimate:
-        previous = self._steps[-1] if self._steps else None
+        # Only the step before is linked, or the whole past would stay in memory.
+        steps = self._smoother.steps
+        previous = replace(steps[-1], previous=None) if steps else None
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
-        before = self._mark()
         try:
-            self._extend(step)
-            estimate = self._estimate("new")
+            newest = self._smoother.extend(step, self._predict(step))
         except (RuntimeError, ArithmeticError, GraphtrackError) as error:
-            return self._roll_back(before, observation, error)
-        self._last = estimate
-        return estimate
-
-    def _extend(self, step: Step) -> None:
-        initial = self._predict(step)
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        insert_state(values, step, self.model, initial, 0)
-        for factor in self.model.factors(step):
-            graph.push_back(factor)
-        if step.previous is None:
-            for factor in anchors(step, self.model, float(initial.body[0]), float(initial.head[0])):
-                graph.push_back(factor)
-        self._steps.append(step)
+            return self._failed(observation, error)
         self._next_index += 1
-        self._run(graph, values, [step])
-        if self.engine == "fixed-lag":
-            # The same rule as GTSAM's: what is older than the newest time minus the lag is marginalised.
-            horizon = step.observation.t - self.lag
-            while len(self._steps) > 1 and self._steps[0].observation.t < horizon:
-                del self._steps[0]
-            if self._steps[0].previous is not None:
-                # Its link to the step before is part of the marginal now: the chain begins here.
-                self._steps[0] = replace(self._steps[0], previous=None)
+        return self._estimate(newest, observation, "new")
 
-    def _run(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, steps: Sequence[Step]) -> None:
-        if self.engine == "isam2":
-            self._smoother.update(graph, values)
-            return
-        times = {key: step.observation.t for step in steps for key in variable_keys(step, self.model)}
-        self._smoother.update(graph, values, times)
-
-    def _predict(self, step: Step) -> States:
+    def _predict(self, step: Step) -> tuple[float, ...]:
         """Initial values of a new step: constant velocity, the angles as they were or are seen."""
         seen = step.observation
-        if step.previous is None:
-            position, velocity = np.array(seen.position), np.zeros(2)
-            body, head = float("nan"), float("nan")
+        if step.previous is None or step.dt is None:
+            x, y = seen.position if seen.position is not None else (math.nan, math.nan)
+            vx, vy, body, head = 0.0, 0.0, math.nan, math.nan
         else:
-            state = self._state(step.previous)
-            dt = step.observation.t - step.previous.observation.t
-            velocity = np.array(state[2:4])
-            position = np.array(state[:2]) + dt * velocity
-            body, head = state[4], state[5]
+            x, y, vx, vy, body, head = self._smoother.state(step.previous)
+            x, y = x + step.dt * vx, y + step.dt * vy
         if not math.isfinite(body):
             body = next((a for a in (seen.body, seen.head) if a is not None), 0.0)
         if not math.isfinite(head):
             head = seen.head if seen.head is not None else body
-        return States(position[None], velocity[None], np.array([body]), np.array([head]))
+        return x, y, vx, vy, body, head
 
     # -- late and repeated observations --------------------------------------------------------------------
 
     def _work_in(self, observation: Observation) -> Estimate:
-        times = [step.observation.t for step in self._steps]
+        steps = self._smoother.steps
+        times = [step.observation.t for step in steps]
         if observation.t < times[0]:
             return self._unchanged(observation, "too-late")
         place = int(np.searchsorted(times, observation.t))
-        seen = [step.observation for step in self._steps]
-        if times[place] == observation.t:
-            merged = _merge(seen[place], observation)
+        inserted = times[place] != observation.t
+        if not inserted:
+            merged = _merge(steps[place].observation, observation)
             if merged is None:
                 return self._unchanged(observation, "duplicate")
-            seen[place] = merged
-        else:
-            seen.insert(place, observation)
-        before = self._mark()
+            observation = merged
         try:
-            self._rebuild(self._rearranged(self._window(before), seen, place, len(seen) > len(times)))
-            estimate = self._estimate("late")
+            window = self._with(self._smoother.window(), observation, place, inserted)
+            newest = self._smoother.rework(window)
         except (RuntimeError, ArithmeticError, GraphtrackError) as error:
-            return self._roll_back(before, observation, error)
-        self._last = estimate
-        return estimate
+            return self._failed(observation, error)
+        self._next_index += inserted
+        return self._estimate(newest, self._smoother.steps[-1].observation, "late")
 
-    def _rearranged(self, before: Window, seen: Sequence[Observation], place: int, inserted: bool) -> Window:
-        """The window with another observation in it: the chain is linked anew."""
-        steps: list[Step] = []
-        values = dict(before.values)
-        for k, observation in enumerate(seen):
-            old = before.steps[k - 1 if inserted and k > place else min(k, len(before.steps) - 1)]
-            index, starts = old.index, old.starts
-            if inserted and k == place:
-                index, starts = self._next_index, False
-                self._next_index += 1
-                values[index] = _between(before, steps[-1], before.steps[place], observation.t)
-            previous = steps[-1] if steps else None
-            dt = old.dt if previous is None else seconds_between(previous, observation)
-            steps.append(Step(index, observation, previous, dt, starts, self.camera))
-        return Window(tuple(steps), values, before.prior)
-
-    # -- state: snapshot, rebuild, roll back ---------------------------------------------------------------
-
-    def _mark(self) -> _Mark:
-        """What the state is made of, by reference where GTSAM allows it: cheap enough for every step."""
-        marginal = None
-        if self.engine == "fixed-lag":
-            marginal, self._marginal_slot = find_marginal_factor(self._factors(), self._marginal_slot)
-        return _Mark(tuple(self._steps), gtsam.Values(self._smoother.getLinearizationPoint()), marginal)
-
-    def _window(self, mark: _Mark) -> Window:
-        values = {step.index: _state_of(mark.linearization, step, self.model) for step in mark.steps}
-        return Window(mark.steps, values, marginal_prior(mark.marginal, mark.linearization))
-
-    def _rebuild(self, window: Window) -> None:
-        self._smoother = self._empty_smoother()
-        self._steps = list(window.steps)
-        if not self._steps:
-            return
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for step in self._steps:
-            x = np.array(window.values[step.index])
-            insert_state(
-                values, step, self.model, States(x[None, :2], x[None, 2:4], x[None, 4], x[None, 5]), 0
-            )
-            for factor in self.model.factors(step):
-                graph.push_back(factor)
-        if window.prior is not None:
-            graph.push_back(window.prior.factor())
+    def _with(self, window: Window, observation: Observation, place: int, inserted: bool) -> Window:
+        """The window with one more observation, in a step of its own or in place of one; linked anew."""
+        values = dict(window.values)
+        steps = list(window.steps[:place])
+        if inserted:
+            values[self._next_index] = _between(window, steps[-1], window.steps[place], observation.t)
+            template = Step(self._next_index, observation, camera=self.camera)
         else:
-            first = window.values[self._steps[0].index]
-            for factor in anchors(self._steps[0], self.model, first[4], first[5]):
-                graph.push_back(factor)
-        self._run(graph, values, self._steps)
-        if window.prior is not None:
-            # As after a marginalisation: the variables of the marginal keep their linearisation point.
-            fixed = self._smoother.getISAM2().getFixedVariables()
-            for key in window.prior.keys:
-                fixed.insert(key)
-
-    def _roll_back(self, before: _Mark, observation: Observation, error: Exception) -> Estimate:
-        self._rebuild(self._window(before))
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        return replace(self._unchanged(observation, "failed"), reason=reason)
-
-    def _empty_smoother(self) -> Any:
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(self.relinearize_threshold)
-        parameters.relinearizeSkip = 1
-        parameters.findUnusedFactorSlots = True
-        if self.engine == "isam2":
-            return gtsam.ISAM2(parameters)
-        # Without a wildfire threshold the step is solved in full, so that a smoother built again from its
-        # window goes on as if nothing had happened.
-        exact = gtsam.ISAM2GaussNewtonParams()
-        exact.setWildfireThreshold(0.0)
-        parameters.setOptimizationParams(exact)
-        return gtsam.IncrementalFixedLagSmoother(self.lag, parameters)
-
-    def _factors(self) -> gtsam.NonlinearFactorGraph:
-        return self._smoother.getFactorsUnsafe() if self.engine == "isam2" else self._smoother.getFactors()
+            template = replace(window.steps[place], observation=observation)
+        for step in (template, *window.steps[place if inserted else place + 1 :]):
+            if steps:
+                previous = replace(steps[-1], previous=None)
+                dt = seconds_between(previous, step.observation)
+                step = replace(step, previous=previous, dt=dt)
+            steps.append(step)
+        return replace(window, steps=tuple(steps), values=values)
 
     # -- estimates -----------------------------------------------------------------------------------------
 
-    def _state(self, step: Step) -> tuple[float, ...]:
-        smoother = self._smoother
-        body = smoother.calculateEstimateRot2(step.body_key).theta() if self.model.has_body else math.nan
-        head = smoother.calculateEstimateRot2(step.head_key).theta() if self.model.has_head else math.nan
-        position = smoother.calculateEstimatePoint2(step.position_key)
-        velocity = smoother.calculateEstimateVector(step.velocity_key)
-        return (*position.tolist(), *velocity.tolist(), body, head)
-
-    def _estimate(self, status: Status) -> Estimate:
-        step = self._steps[-1]
-        state = np.array(self._state(step))
-        if not np.isfinite(state[:4]).all() or np.isinf(state).any():
-            raise ArithmeticError("the estimate is not finite")
-        isam = self._smoother if self.engine == "isam2" else self._smoother.getISAM2()
-        keys = variable_keys(step, self.model)
-        covariance = joint_covariance(isam.jointMarginalCovariance(keys), keys, self.model)
-        return Estimate(
-            t=step.observation.t,
-            frame=step.observation.frame,
+    def _estimate(self, newest: Newest, observation: Observation, status: Status) -> Estimate:
+        state, covariance = newest
+        self._last = Estimate(
+            t=observation.t,
+            frame=observation.frame,
             position=state[:2],
             velocity=state[2:4],
             body=float(wrap(state[4])),
             head=float(wrap(state[5])),
-            covariance=bounded(covariance),
+            covariance=covariance,
             status=status,
         )
+        return self._last
+
+    def _failed(self, observation: Observation, error: Exception) -> Estimate:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        return replace(self._unchanged(observation, "failed"), reason=reason)
 
     def _waiting(self, observation: Observation) -> Estimate:
         none = np.full(2, np.nan)
@@ -364,13 +274,6 @@ def _merge(known: Observation, new: Observation) -> Observation | None:
         if getattr(known, name) is None and getattr(new, name) is not None
     }
     return replace(known, **added) if added else None
-
-
-def _state_of(values: gtsam.Values, step: Step, model: Model) -> tuple[float, ...]:
-    body = values.atRot2(step.body_key).theta() if model.has_body else math.nan
-    head = values.atRot2(step.head_key).theta() if model.has_head else math.nan
-    position, velocity = values.atPoint2(step.position_key), values.atVector(step.velocity_key)
-    return (*position.tolist(), *velocity.tolist(), body, head)
 
 
 def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float, ...]:

@@ -21,6 +21,11 @@ class MarginalPrior:
     keys : GTSAM keys of the variables, in order
     point : their values at the linearisation point: 2 numbers for X and V, an angle (radians) for B and H
     information, linear, constant : Λ, η and c
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit the keys.
     """
 
     keys: tuple[int, ...]
@@ -29,11 +34,23 @@ class MarginalPrior:
     linear: FloatArray
     constant: float
 
-    def factor(self) -> gtsam.LinearContainerFactor:
-        """The factor. A linearisation point belongs to it: without one its error would be 0 everywhere."""
+    def __post_init__(self) -> None:
+        sizes = [variable_dimension(key) for key in self.keys]
+        n = sum(sizes)
+        if [len(point) for point in self.point] != sizes:
+            raise ValueError("the linearisation point does not fit the keys")
+        if self.information.shape != (n, n) or self.linear.shape != (n,):
+            raise ValueError(f"Λ {self.information.shape} and η {self.linear.shape} for {n} dimensions")
+
+    def values(self) -> gtsam.Values:
+        """The linearisation point."""
         values = gtsam.Values()
         for key, point in zip(self.keys, self.point, strict=True):
             values.insert(key, np.array(point) if len(point) == 2 else gtsam.Rot2(point[0]))
+        return values
+
+    def factor(self) -> gtsam.LinearContainerFactor:
+        """The factor. A linearisation point belongs to it: without one its error would be 0 everywhere."""
         sizes = [variable_dimension(key) for key in self.keys]
         ends = np.cumsum(sizes)
         place = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
@@ -56,30 +73,14 @@ class MarginalPrior:
                     0.0,
                 )
             )
-        return gtsam.LinearContainerFactor(gtsam.HessianFactor(parts), values)
-
-
-def find_marginal_factor(
-    factors: gtsam.NonlinearFactorGraph, slot: int = 0
-) -> tuple[gtsam.LinearContainerFactor | None, int]:
-    """The marginal among a fixed-lag smoother's factors, and its slot; last time's slot is tried first."""
-    for i in (slot, *range(factors.size())):
-        if i < factors.size() and factors.exists(i):
-            factor = factors.at(i)
-            if isinstance(factor, gtsam.LinearContainerFactor):
-                return factor, i
-    return None, 0
+        return gtsam.LinearContainerFactor(gtsam.HessianFactor(parts), self.values())
 
 
 def marginal_prior(
-    factor: gtsam.LinearContainerFactor | None, linearization: gtsam.Values
+    factor: gtsam.LinearContainerFactor | None, linearization: gtsam.Values | None
 ) -> MarginalPrior | None:
-    """What a fixed-lag smoother's marginal says; None for None.
-
-    iSAM2 never moves the linearisation point of a variable that a marginal touches, so the current one is
-    the marginal's own.
-    """
-    if factor is None:
+    """What a marginal says that was made at a linearisation point; None for None."""
+    if factor is None or linearization is None:
         return None
     keys = tuple(factor.keys())
     point = tuple(

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
+import gtsam
 import numpy as np
 
 from graphtrack.angles import FloatArray
-from graphtrack.errors import InputError
+from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference.marginal import MarginalPrior
-from graphtrack.model import Observation, Step
+from graphtrack.model import Model, Observation, Step
 
 STATE_VERSION = 1
 
 Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed"]
+Angles = tuple[float, float]
+Newest = tuple[FloatArray, FloatArray]
+"""State (6,) and covariance (6, 6) of the newest step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +61,39 @@ class Window:
     steps : the steps whose variables are still open, oldest first
     values : index of a step → linearisation point x, y, vx, vy, body, head (metres, m/s, radians)
     prior : what remains of the steps before; None if there were none
+    anchor : else the angles (radians) that hold the first orientations; see `batch.anchors`
     """
 
     steps: tuple[Step, ...]
     values: dict[int, tuple[float, ...]]
     prior: MarginalPrior | None
+    anchor: Angles | None
+
+
+def insert_step(values: gtsam.Values, step: Step, model: Model, state: Sequence[float]) -> None:
+    """Put x, y, vx, vy, body, head into GTSAM values, as the variables of a step."""
+    values.insert(step.position_key, np.array(state[:2]))
+    values.insert(step.velocity_key, np.array(state[2:4]))
+    if model.has_body:
+        values.insert(step.body_key, gtsam.Rot2(state[4]))
+    if model.has_head:
+        values.insert(step.head_key, gtsam.Rot2(state[5]))
+
+
+def read_step(values: gtsam.Values, step: Step, model: Model) -> tuple[float, ...]:
+    """The inverse of `insert_step`; NaN for what the model does not have."""
+    body = values.atRot2(step.body_key).theta() if model.has_body else math.nan
+    head = values.atRot2(step.head_key).theta() if model.has_head else math.nan
+    position, velocity = values.atPoint2(step.position_key), values.atVector(step.velocity_key)
+    return (*position.tolist(), *velocity.tolist(), body, head)
+
+
+def finite(state: Sequence[float]) -> FloatArray:
+    """The state as an array (6,); ArithmeticError unless it is finite, NaN angles aside."""
+    found = np.array(state)
+    if not np.isfinite(found[:4]).all() or np.isinf(found).any():
+        raise ArithmeticError("the estimate is not finite")
+    return found
 
 
 def pack_state(window: Window, last: Estimate | None, next_index: int) -> dict[str, Any]:
@@ -88,6 +121,7 @@ def pack_state(window: Window, last: Estimate | None, next_index: int) -> dict[s
             "linear": prior.linear.tolist(),
             "constant": prior.constant,
         },
+        "anchor": None if window.anchor is None else _nulls(window.anchor),
         "last": None
         if last is None
         else {
@@ -111,14 +145,16 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> tuple[Wi
         raise InputError("a state of another version", f"version {STATE_VERSION}")
     try:
         steps: list[Step] = []
-        values = {}
+        values: dict[int, tuple[float, ...]] = {}
         for entry in state["steps"]:
             seen = entry["observation"].items()
             channels: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in seen}
             previous = steps[-1] if steps else None
             observation = Observation(**channels)
+            previous = None if previous is None else replace(previous, previous=None)
             steps.append(Step(entry["index"], observation, previous, entry["dt"], entry["starts"], camera))
-            values[entry["index"]] = tuple(_nans(entry["values"]).tolist())
+            x, y, vx, vy, body, head = _nans(entry["values"]).tolist()
+            values[entry["index"]] = (x, y, vx, vy, body, head)
         prior = None
         if state["prior"] is not None:
             saved = state["prior"]
@@ -129,16 +165,27 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> tuple[Wi
                 np.array(saved["linear"], dtype=float),
                 float(saved["constant"]),
             )
+        anchor = None
+        if state["anchor"] is not None:
+            body, head = _nans(state["anchor"]).tolist()
+            anchor = (body, head)
         last = None
         if state["last"] is not None:
             saved = state["last"]
-            x = _nans(saved["state"])
-            covariance = np.array([_nans(row) for row in saved["covariance"]])
+            last_state = _nans(saved["state"])
+            covariance = np.array([_nans(row) for row in saved["covariance"]]).reshape(6, 6)
             last = Estimate(
-                saved["t"], saved["frame"], x[:2], x[2:4], float(x[4]), float(x[5]), covariance, "new"
+                saved["t"],
+                saved["frame"],
+                last_state[:2],
+                last_state[2:4],
+                float(last_state[4]),
+                float(last_state[5]),
+                covariance,
+                "new",
             )
-        return Window(tuple(steps), values, prior), last, int(state["next_index"])
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        return Window(tuple(steps), values, prior, anchor), last, int(state["next_index"])
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, GraphtrackError) as error:
         raise InputError(f"a damaged state ({error!r})", "what a smoother saved") from error
 
 
