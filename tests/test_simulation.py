@@ -8,7 +8,13 @@ from scipy import integrate, stats
 
 from graphtrack import InputError
 from graphtrack.angles import difference, direction, mean_resultant_length, von_mises_log_density
-from graphtrack.model import CouplingParameters, Model, MotionParameters, Parameters
+from graphtrack.model import (
+    CouplingParameters,
+    Model,
+    MotionParameters,
+    OrientationParameters,
+    Parameters,
+)
 from graphtrack.model.motion import process_noise, transition_matrix
 from graphtrack.simulation import (
     sample_motion,
@@ -74,7 +80,8 @@ def test_von_mises_product_is_the_normalised_product_by_quadrature(
 def test_orientations_are_sampled_from_the_product_of_dynamics_and_coupling() -> None:
     n, dt = 20_000, 1.0  # the dynamics are weak, so that the coupling shows
     parameters = Parameters(
-        coupling=CouplingParameters(motion_body_kappa=6.0, head_body_kappa=2.0, correlation_time=2.0)
+        orientation=OrientationParameters(body_diffusion=0.5, head_diffusion=1.0),
+        coupling=CouplingParameters(6.0, speed_threshold=0.2, head_body_kappa=2.0, correlation_time=2.0),
     )
     velocity = np.tile([-0.9, 0.3], (n, 2, 1))
     body, head = sample_orientations(np.array([0.0, dt]), velocity, parameters, np.random.default_rng(2))

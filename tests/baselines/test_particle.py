@@ -206,11 +206,12 @@ def test_angles_are_drawn_from_the_normalised_product(speed: float) -> None:
     for row in after:
         draw_angles(rng, 1, False, before, row, job.motion)
     turning, coupling = model.parameters.orientation, model.parameters.coupling
-    pull = coupling.motion_body_kappa * max(speed - coupling.speed_threshold, 0.0) ** 2
+    weight = coupling.weight(0.3)
+    pull = weight * coupling.motion_body_kappa * max(speed - coupling.speed_threshold, 0.0) ** 2
     mean, kappa = von_mises_product(1.0, 1.0 / (turning.body_diffusion * 0.3), 2.0, pull)
     assert stats.kstest(difference(after[:, 4], mean), stats.vonmises(kappa).cdf).pvalue > 0.01
     mean, kappa = von_mises_product(
-        -2.0, 1.0 / (turning.head_diffusion * 0.3), after[:, 4], coupling.head_body_kappa
+        -2.0, 1.0 / (turning.head_diffusion * 0.3), after[:, 4], weight * coupling.head_body_kappa
     )
     # Each head has its own law, given its body: their probabilities must be uniform.
     levels = [stats.vonmises(c).cdf(d) for c, d in zip(kappa, difference(after[:, 5], mean), strict=True)]
