@@ -69,10 +69,6 @@ def main() -> None:
         fail_usage(error)
     except GraphtrackError as error:
         fail(str(error))
-    except BrokenPipeError:
-        # The reader of our output has gone, as with `| head`.
-        sys.stderr.close()
-        raise SystemExit(0) from None
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         fail(f"{place}{error.strerror or error}")

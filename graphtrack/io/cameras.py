@@ -10,6 +10,7 @@ import numpy as np
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
+from graphtrack.homography import check_homography
 from graphtrack.io.numbers import read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.rows import Rows
@@ -133,7 +134,10 @@ def read_homography(path: str | Path) -> FloatArray:
         raise InputError(
             f"{numbers.values.size} numbers", "the nine of a 3×3 homography, image to ground", path=path
         )
-    return numbers.values.reshape(3, 3)
+    try:
+        return check_homography(numbers.values.reshape(3, 3))
+    except InputError as error:
+        raise InputError(error.found, error.expected, path=path) from error
 
 
 def read_calibration(path: str | Path) -> GroundCamera:

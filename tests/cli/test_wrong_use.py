@@ -1,5 +1,6 @@
 """Whatever is wrong with the arguments: one line, status 2, nothing written, no traceback."""
 
+import subprocess
 import sys
 
 import pytest
@@ -81,6 +82,24 @@ def test_wrong_use_is_one_line_with_status_2(arguments, here, monkeypatch, capsy
 def test_without_arguments_the_help_is_shown_and_the_status_is_2(here, monkeypatch, capsys):
     assert run(monkeypatch, []) == 2
     assert "smooth" in capsys.readouterr().out
+
+
+def test_a_singular_homography_is_named_by_its_file(here, monkeypatch, capsys):
+    (here / "plane.txt").write_text("1 0 0\n0 0 0\n0 0 1\n")
+    (here / "pixels.csv").write_text("track_id,frame,t,u,v\n1,0,0,5,5\n1,1,0.1,6,5\n")
+    assert run(monkeypatch, ["info", "pixels.csv", "--homography", "plane.txt"]) == 2
+    assert capsys.readouterr().err.startswith("error: plane.txt: found a singular homography")
+
+
+def test_a_reader_that_goes_away_ends_the_program_quietly(here):
+    code = "from graphtrack.cli import main; main()"
+    command = [sys.executable, "-c", code, "track", "-"]
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen(command, **pipes) as one:
+        one.stdout.close()
+        _, error = one.communicate(b'{"track_id": 1, "frame": 0, "t": 0, "x": 0, "y": 0}\n' * 50)
+    assert one.returncode != 0
+    assert b"Traceback" not in error
 
 
 def test_a_full_disk_is_one_line(here, monkeypatch, capsys):
