@@ -1,0 +1,64 @@
+"""docs/model.md says what the code does, where that can be checked."""
+
+import inspect
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from graphtrack.model import Model, Parameters, coupling, motion, orientation, pose, position, presets
+from graphtrack.model.steps import chain
+from graphtrack.simulation import simulate
+
+DOCUMENT = (Path(__file__).resolve().parents[1] / "docs" / "model.md").read_text(encoding="utf-8")
+
+
+def rows(heading):
+    section = DOCUMENT.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    return [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in section.splitlines()
+        if line.startswith("| ") and not line.startswith("|---")
+    ][1:]
+
+
+def test_every_parameter_stands_there_with_its_default():
+    parameters = Parameters()
+    groups = [field.name for field in fields(parameters)]
+    defaults = {
+        f"`{group}.{field.name}`": getattr(getattr(parameters, group), field.name)
+        for group in groups
+        for field in fields(getattr(parameters, group))
+    }
+    told = {name: default for name, _, _, default in rows("Parameters")}
+    assert told.keys() == defaults.keys()
+    for name, default in defaults.items():
+        if isinstance(default, bool | str):
+            assert told[name] == str(default).lower(), name
+        else:
+            assert float(told[name]) == pytest.approx(default), name
+
+
+def test_every_preset_stands_there():
+    assert {name.strip("`") for name, _ in rows("Presets")} == set(presets)
+
+
+def test_every_term_of_the_presets_stands_there():
+    told = " ".join(row[1] for row in rows("Terms"))
+    for terms in presets.values():
+        for term in terms:
+            assert f"`{term.__name__}`" in told
+
+
+def test_native_factors_are_those_that_are_named():
+    rng = np.random.default_rng(0)
+    track = next(iter(simulate("joint", n_tracks=1, n_steps=3, rng=rng)))
+    made = {type(factor).__name__ for step in chain(track) for factor in Model("joint").factors(step)}
+    named = set(re.findall(r"native: `(\w+)`", DOCUMENT))
+    # Robust noise models and mixtures aside, an ordinary track needs one custom factor: the coupling.
+    assert made == named | {"CustomFactor"}
+    for module in (coupling, motion, orientation, pose, position):
+        for name in re.findall(r"gtsam\.((?:Frobenius|Wnoa|Prior)\w+)", inspect.getsource(module)):
+            assert name in named
