@@ -1,0 +1,1 @@
+"""From pixels to the observations that `graphtrack` smooths: people, heads, body and head pose."""

@@ -1,0 +1,26 @@
+"""Rendered heads, people and scenes with exact labels. Angles are radians, images uint8 blue green red."""
+
+from __future__ import annotations
+
+from perception.synthetic.cameras import Camera
+from perception.synthetic.contact_sheet import contact_sheet
+from perception.synthetic.heads import HeadSet, HeadVariation, make_heads
+from perception.synthetic.pedestrians import PedestrianSet, PedestrianVariation, make_pedestrians
+from perception.synthetic.scene import Frame, Furniture, Label, Person, Scene, render_frame
+
+__all__ = [
+    "Camera",
+    "Frame",
+    "Furniture",
+    "HeadSet",
+    "HeadVariation",
+    "Label",
+    "PedestrianSet",
+    "PedestrianVariation",
+    "Person",
+    "Scene",
+    "contact_sheet",
+    "make_heads",
+    "make_pedestrians",
+    "render_frame",
+]

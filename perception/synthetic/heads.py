@@ -1,0 +1,147 @@
+"""Crops of heads with exact labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.angles import FloatArray
+from perception.synthetic.appearance import Appearance, random_appearance
+from perception.synthetic.cameras import Camera
+from perception.synthetic.head import head_solids, neck_and_shoulders
+from perception.synthetic.raycast import Cast, Light, cast
+from perception.synthetic.sensor import Image, develop, random_background, random_light, random_sensor
+from perception.synthetic.solids import Solids, rotation_roll, rotation_up, rotation_z
+
+_DISTANCE = 6.0
+_MARGIN = 0.22
+"""Metres from the head's origin to the edge of the rendered picture: hats and jitter fit in."""
+
+
+@dataclass(frozen=True)
+class HeadVariation:
+    """What varies in a set of heads.
+
+    Attributes
+    ----------
+    size : least and largest height of the crop in pixels
+    pan, tilt, roll : range of pan and tilt (radians), 1-σ of roll (radians)
+    elevation : range of the camera's height above the head, seen from the head (radians)
+    shoulders : 1-σ of the body's angle to the head (radians)
+    offset, scale : 1-σ of the crop's place and of the logarithm of its size, relative to the head's box
+    """
+
+    size: tuple[int, int] = (16, 32)
+    pan: tuple[float, float] = (-np.pi, np.pi)
+    tilt: tuple[float, float] = (-np.pi / 3.0, np.pi / 3.0)
+    roll: float = 0.07
+    elevation: tuple[float, float] = (-0.05, 0.35)
+    shoulders: float = 0.4
+    offset: float = 0.04
+    scale: float = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class HeadSet:
+    """n crops of heads and their labels.
+
+    Attributes
+    ----------
+    images : n arrays (h, w, 3) uint8, blue green red
+    pan : (n,) radians in the image frame: 0 faces the camera, +π/2 the right of the image
+    tilt : (n,) radians, positive looks up
+    skin : n masks (h, w): whether most of the pixel is skin
+    """
+
+    images: list[Image]
+    pan: FloatArray
+    tilt: FloatArray
+    skin: list[NDArray[np.bool_]]
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+def make_heads(
+    count: int,
+    rng: np.random.Generator,
+    variation: HeadVariation = HeadVariation(),
+    *,
+    pan: FloatArray | None = None,
+    tilt: FloatArray | None = None,
+    people: list[Appearance] | None = None,
+) -> HeadSet:
+    """Draw ``count`` heads; every one is another person under another light, before another camera.
+
+    Parameters
+    ----------
+    pan, tilt : (count,) radians, to set them instead of drawing them
+    people : the person of each head, to set them instead of drawing them
+    """
+    pan = rng.uniform(*variation.pan, count) if pan is None else np.asarray(pan, float)
+    tilt = rng.uniform(*variation.tilt, count) if tilt is None else np.asarray(tilt, float)
+    made = [
+        render_head(pan[i], tilt[i], random_appearance(rng) if people is None else people[i], rng, variation)
+        for i in range(count)
+    ]
+    return HeadSet([image for image, _ in made], pan, tilt, [skin for _, skin in made])
+
+
+def render_head(
+    pan: float, tilt: float, look: Appearance, rng: np.random.Generator, variation: HeadVariation
+) -> tuple[Image, NDArray[np.bool_]]:
+    """One crop (h, w, 3) and its skin mask (h, w); see `make_heads`."""
+    size = int(rng.integers(variation.size[0], variation.size[1] + 1))
+    turn = rotation_z(pan) @ rotation_up(tilt) @ rotation_roll(rng.normal(0.0, variation.roll))
+    head = head_solids(look).moved(np.eye(3), (0.03, 0.0, 0.1)).moved(turn, (-0.03, 0.0, -0.1))
+    body = neck_and_shoulders(look).moved(rotation_z(pan + rng.normal(0.0, variation.shoulders)), (0, 0, 0))
+    shown = _cast(head, body, size, rng.uniform(*variation.elevation), random_light(rng))
+    first_u, last_u, first_v, last_v = shown.extent[0]
+    # Hair and hats are part of the box, as a person would draw it; the crop is off by the jitter.
+    width, height = last_u + 1.0 - first_u, last_v + 1.0 - first_v
+    grow = np.exp(rng.normal(0.0, variation.scale, 2)) * 1.06
+    centre = np.array([first_u + width / 2.0, first_v + height / 2.0])
+    centre += rng.normal(0.0, variation.offset, 2) * (width, height)
+    background = random_background(shown.covered.shape[0], shown.covered.shape[1], rng)
+    light = np.where(shown.covered[..., None], shown.colour, background)
+    crop = _crop(light, centre, (width * grow[0], height * grow[1]), size)
+    skin = _crop(shown.skin.astype(np.float32), centre, (width * grow[0], height * grow[1]), size) > 0.5
+    return develop(crop, random_sensor(rng), rng), skin
+
+
+def _cast(head: Solids, body: Solids, size: int, elevation: float, light: Light) -> Cast:
+    """Head in group 0 and body in group 1, at about 1.6 rays a pixel and axis of a crop ``size`` high."""
+    side = round(1.6 * size * 2.0 * _MARGIN / 0.26)
+    camera = Camera(
+        (_DISTANCE * np.cos(elevation), 0.0, _DISTANCE * np.sin(elevation)),
+        np.pi,
+        -elevation,
+        side * _DISTANCE / (2.0 * _MARGIN),
+        (side, side),
+    )
+    return cast(
+        np.array(camera.position),
+        camera.rays(),
+        Solids.together(head.in_group(0), body.in_group(1)),
+        light,
+        n_groups=2,
+    )
+
+
+def _crop(
+    picture: NDArray[np.float32], centre: FloatArray, extent: tuple[float, float], height: int
+) -> NDArray[np.float32]:
+    """Cut a box out of a picture and shrink it to ``height`` rows, by the area that pixels cover."""
+    w, h = extent
+    left, top = (round(c - s / 2.0) for c, s in zip(centre, extent, strict=True))
+    right, bottom = left + max(2, round(w)), top + max(2, round(h))
+    rows = np.clip(np.arange(top, bottom), 0, picture.shape[0] - 1)
+    columns = np.clip(np.arange(left, right), 0, picture.shape[1] - 1)
+    width = max(4, round(height * w / h))
+    resized: NDArray[np.float32] = cv2.resize(
+        np.ascontiguousarray(picture[np.ix_(rows, columns)]), (width, height), interpolation=cv2.INTER_AREA
+    )
+    return resized

@@ -1,0 +1,153 @@
+"""Crops of whole people, as a detector would box them, with exact labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from perception.synthetic.appearance import random_appearance
+from perception.synthetic.cameras import Camera
+from perception.synthetic.person import Posture
+from perception.synthetic.raycast import Ground
+from perception.synthetic.scene import Furniture, Person, Scene, render_frame
+from perception.synthetic.sensor import Image, random_background, random_light, random_sensor
+
+_DISTANCE = 9.0
+
+
+@dataclass(frozen=True)
+class PedestrianVariation:
+    """What varies in a set of pedestrians.
+
+    Attributes
+    ----------
+    size : least and largest height of a person in pixels
+    head_turn : 1-σ of the head's angle to the body (radians)
+    tilt : 1-σ of the head's tilt (radians)
+    elevation : range of the camera's height above the person (radians)
+    standing : share of people who stand
+    occluded : share of people behind something that hides the feet
+    floor : share of pictures with a floor; in the others clutter is all around
+    offset, scale : 1-σ of the box's place and of the logarithm of its size, relative to the true box
+    margin : width and height of the box relative to the person's extent
+    """
+
+    size: tuple[int, int] = (70, 140)
+    head_turn: float = 0.5
+    tilt: float = 0.2
+    elevation: tuple[float, float] = (0.0, 0.45)
+    standing: float = 0.25
+    occluded: float = 0.1
+    floor: float = 0.5
+    offset: float = 0.03
+    scale: float = 0.05
+    margin: float = 1.06
+
+
+@dataclass(frozen=True, eq=False)
+class PedestrianSet:
+    """n crops of people and their labels.
+
+    Attributes
+    ----------
+    images : n arrays (h, w, 3) uint8, blue green red: the pixels of the jittered box
+    body, head : (n,) radians in the image frame: 0 faces the camera, +π/2 the right of the image
+    tilt : (n,) of the head, radians
+    head_box : (n, 4) left, top, width, height in pixels of the crop
+    """
+
+    images: list[Image]
+    body: FloatArray
+    head: FloatArray
+    tilt: FloatArray
+    head_box: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+def make_pedestrians(
+    count: int,
+    rng: np.random.Generator,
+    variation: PedestrianVariation = PedestrianVariation(),
+    *,
+    body: FloatArray | None = None,
+) -> PedestrianSet:
+    """Draw ``count`` people; every one is another person under another light, before another camera.
+
+    Parameters
+    ----------
+    body : (count,) radians, to set the body's angle instead of drawing it
+    """
+    body = rng.uniform(-np.pi, np.pi, count) if body is None else np.asarray(body, float)
+    head = body + rng.normal(0.0, variation.head_turn, count)
+    tilt = rng.normal(0.0, variation.tilt, count)
+    made = [_pedestrian(body[i], head[i], tilt[i], rng, variation) for i in range(count)]
+    return PedestrianSet(
+        [image for image, _ in made],
+        body,
+        np.pi - np.mod(np.pi - head, 2.0 * np.pi),
+        tilt,
+        np.array([box for _, box in made]).reshape(-1, 4),
+    )
+
+
+def _pedestrian(
+    body: float, head: float, tilt: float, rng: np.random.Generator, v: PedestrianVariation
+) -> tuple[Image, FloatArray]:
+    size = int(rng.integers(v.size[0], v.size[1] + 1))
+    elevation = rng.uniform(*v.elevation)
+    canvas = (round(1.1 * size), round(1.5 * size))
+    camera = Camera(
+        (_DISTANCE * np.cos(elevation), 0.0, 0.9 + _DISTANCE * np.sin(elevation)),
+        np.pi,
+        -elevation,
+        size * _DISTANCE / 1.8,
+        canvas,
+    )
+    stands = rng.random() < v.standing
+    posture = Posture(
+        (0.0, 0.0),
+        body,
+        head,
+        tilt,
+        phase=rng.uniform(0.0, 2.0 * np.pi),
+        stride=0.0 if stands else rng.uniform(0.5, 1.0),
+    )
+    furniture: tuple[Furniture, ...] = ()
+    if rng.random() < v.occluded:
+        shade = tuple(rng.uniform(0.05, 0.7, 3))
+        furniture = (Furniture((0.8, rng.uniform(-0.6, 0.6)), (0.3, 0.9, rng.uniform(0.3, 0.8)), 0.0, shade),)
+    floor = Ground(
+        tuple(rng.uniform(0.1, 0.7) + rng.normal(0.0, 0.03, 3)), rng.uniform(0.2, 1.5), rng.uniform(0, 0.3)
+    )
+    scene = Scene(camera, random_light(rng), floor if rng.random() < v.floor else None, furniture)
+    frame = render_frame(
+        scene,
+        [Person(random_appearance(rng), posture)],
+        random_sensor(rng),
+        rng,
+        backdrop=random_background(canvas[1], canvas[0], rng),
+    )
+    label = frame.labels[0]
+    assert label.body_box is not None and label.head_box is not None  # they are in the middle of the canvas
+    box = jittered_box(np.array(label.body_box), v.offset, v.scale, v.margin, rng)
+    left, top = np.round(box[:2]).astype(int)
+    width, height = np.maximum(np.round(box[2:]).astype(int), 8)
+    pad = size  # wherever the box goes
+    padded = cv2.copyMakeBorder(frame.image, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
+    crop = padded[pad + top : pad + top + height, pad + left : pad + left + width]
+    head_box = np.array(label.head_box) - (left, top, 0.0, 0.0)
+    return np.ascontiguousarray(crop), head_box
+
+
+def jittered_box(
+    box: FloatArray, offset: float, scale: float, margin: float, rng: np.random.Generator
+) -> FloatArray:
+    """A box (left, top, width, height) as a detector would give it: enlarged, moved and scaled at random."""
+    size = box[2:] * margin * np.exp(rng.normal(0.0, scale, 2))
+    centre = box[:2] + box[2:] / 2.0 + rng.normal(0.0, offset, 2) * box[2:]
+    return np.concatenate([centre - size / 2.0, size])

@@ -1,0 +1,194 @@
+"""Whole frames: people among furniture on a floor, before a camera, with exact labels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.angles import FloatArray, direction, wrap
+from perception.synthetic.appearance import Appearance
+from perception.synthetic.cameras import Camera
+from perception.synthetic.person import Posture, person_solids
+from perception.synthetic.raycast import Cast, Ground, Light, cast
+from perception.synthetic.sensor import Image, Sensor, develop
+from perception.synthetic.solids import Builder, Solids, rotation_z
+
+_GREY_FLOOR = Ground((0.42, 0.45, 0.47))
+
+
+@dataclass(frozen=True)
+class Furniture:
+    """A box (or a column) on the floor; give it another position to move it.
+
+    Attributes
+    ----------
+    position : (2,) metres, its centre
+    size : length, width and height in metres
+    angle : radians, its direction in the world
+    colour : albedo, blue green red
+    round : whether it is a column of diameter ``size[0]``
+    """
+
+    position: tuple[float, float]
+    size: tuple[float, float, float]
+    angle: float = 0.0
+    colour: tuple[float, float, float] = (0.3, 0.35, 0.4)
+    round: bool = False
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person in a scene: who, and how they stand."""
+
+    look: Appearance
+    posture: Posture
+
+
+@dataclass(frozen=True)
+class Label:
+    """The truth about one person in a frame.
+
+    Attributes
+    ----------
+    body_box, head_box : left, top, width, height in pixels of what would be seen without anything in front,
+        inside the image; None when outside it
+    body, head : world directions (radians)
+    body_in_image, head_in_image : the same in the image frame: 0 faces the camera, +π/2 the image's right
+    tilt : of the head (radians above the horizontal)
+    position : (2,) metres on the ground
+    visibility : share of the person's pixels inside the image that nothing hides, 0…1
+    """
+
+    body_box: tuple[float, float, float, float] | None
+    head_box: tuple[float, float, float, float] | None
+    body: float
+    head: float
+    body_in_image: float
+    head_in_image: float
+    tilt: float
+    position: tuple[float, float]
+    visibility: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything in a frame but the people.
+
+    Attributes
+    ----------
+    backdrop : light (3,) where neither floor nor furniture is seen, blue green red
+    """
+
+    camera: Camera
+    light: Light
+    ground: Ground | None = _GREY_FLOOR
+    furniture: tuple[Furniture, ...] = ()
+    backdrop: tuple[float, float, float] = (0.5, 0.5, 0.48)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """An image (h, w, 3) uint8, the labels of its people in their order, and the skin mask (h, w)."""
+
+    image: Image
+    labels: tuple[Label, ...]
+    skin: NDArray[np.bool_]
+
+
+def render_frame(
+    scene: Scene,
+    people: Sequence[Person],
+    sensor: Sensor,
+    rng: np.random.Generator,
+    *,
+    oversampling: int = 2,
+    backdrop: NDArray[np.float32] | None = None,
+) -> Frame:
+    """One frame.
+
+    Parameters
+    ----------
+    oversampling : rays a pixel and axis
+    backdrop : (h, w, 3) light to use instead of the scene's even one
+    """
+    camera = scene.camera
+    parts: list[Solids] = []
+    for k, person in enumerate(people):
+        body, head = person_solids(person.look, person.posture)
+        parts += [body.in_group(2 * k), head.in_group(2 * k + 1)]
+    parts += [_furniture(item).in_group(2 * len(people) + k) for k, item in enumerate(scene.furniture)]
+    owner = np.concatenate([np.arange(2 * len(people)) // 2, len(people) + np.arange(len(scene.furniture))])
+    shown = cast(
+        np.array(camera.position),
+        camera.rays(oversampling),
+        Solids.together(Builder().build(), *parts),
+        scene.light,
+        ground=scene.ground,
+        n_groups=len(parts),
+        owner=owner,
+    )
+    w, h = camera.size
+    colour, covered = shown.colour, shown.covered.astype(np.float32)
+    if oversampling > 1:
+        colour = cv2.resize(colour, (w, h), interpolation=cv2.INTER_AREA)
+        covered = cv2.resize(covered, (w, h), interpolation=cv2.INTER_AREA)
+    behind = np.array(scene.backdrop, np.float32) if backdrop is None else backdrop
+    light = colour + (1.0 - covered[..., None]) * behind
+    skin = cv2.resize(shown.skin.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA) > 0.5
+    labels = tuple(_label(k, person, shown, camera, oversampling) for k, person in enumerate(people))
+    return Frame(develop(light, sensor, rng), labels, skin)
+
+
+def _furniture(item: Furniture) -> Solids:
+    make = Builder()
+    length, width, height = item.size
+    x, y = item.position
+    if item.round:
+        make.limb((x, y, 0.0), (x, y, height), length / 2.0, item.colour)
+    else:
+        make.box(
+            (x, y, height / 2.0),
+            (length / 2, width / 2, height / 2),
+            item.colour,
+            rotation=rotation_z(item.angle),
+        )
+    return make.build()
+
+
+def _label(k: int, person: Person, shown: Cast, camera: Camera, oversampling: int) -> Label:
+    body, head = shown.extent[2 * k], shown.extent[2 * k + 1]
+    found = [e for e in (body, head) if e[0] >= 0]
+    whole = None
+    if found:
+        corners = np.array(found)
+        whole = np.array([corners[:, 0].min(), corners[:, 1].max(), corners[:, 2].min(), corners[:, 3].max()])
+    covers, shows = int(shown.covers[k]), int(shown.shows[k])
+    posture = person.posture
+    toward = direction(np.array(camera.position[:2]) - np.array(posture.position))
+    return Label(
+        _box(whole, oversampling),
+        _box(head if head[0] >= 0 else None, oversampling),
+        float(wrap(posture.body)),
+        float(wrap(posture.head)),
+        float(wrap(posture.body - toward)),
+        float(wrap(posture.head - toward)),
+        posture.tilt,
+        posture.position,
+        shows / covers if covers else 0.0,
+    )
+
+
+def _box(extent: FloatArray | None, oversampling: int) -> tuple[float, float, float, float] | None:
+    if extent is None:
+        return None
+    left, right, top, bottom = (float(value) for value in extent)
+    return (
+        left / oversampling,
+        top / oversampling,
+        (right + 1.0 - left) / oversampling,
+        (bottom + 1.0 - top) / oversampling,
+    )

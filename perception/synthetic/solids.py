@@ -1,0 +1,182 @@
+"""Ellipsoids, tubes and boxes: what heads, people and furniture are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from graphtrack.angles import FloatArray
+
+ELLIPSOID, TUBE, BOX = 0, 1, 2
+"""Unit sphere, open unit cylinder along local z (|z| ≤ 1) and cube (|x|, |y|, |z| ≤ 1), mapped by axes."""
+
+PLAIN, SPECKLED, STRIPED, CHECKED = 0, 1, 2, 3
+"""Textures: none, noise, bands along local z, bands along local z and x."""
+
+SKIN, OTHER = 1, 0
+"""Materials: the one thing about a surface that labels need is whether it is skin."""
+
+_NO_CLIP = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Solids:
+    """m solids in one frame (metres, right-handed, z up).
+
+    Attributes
+    ----------
+    kind : (m,) ELLIPSOID, TUBE or BOX
+    centre : (m, 3) metres
+    axes : (m, 3, 3) the columns are the semi-axes (metres): a point of the solid is centre + axes · local
+    clip : (m, 4) only the surface with n·local ≤ d is there, for rows (n, d)
+    colour : (m, 3) albedo in 0…1, blue green red
+    texture : (m, 3) which texture, its contrast in 0…1, and its periods over the solid
+    material : (m,) SKIN or OTHER
+    group : (m,) what the solid belongs to; boxes and visibility are told for each group
+    """
+
+    kind: NDArray[np.int64]
+    centre: FloatArray
+    axes: FloatArray
+    clip: FloatArray
+    colour: FloatArray
+    texture: FloatArray
+    material: NDArray[np.int64]
+    group: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def moved(self, rotation: FloatArray, translation: ArrayLike) -> Solids:
+        """Rotated by (3, 3) about the origin, then moved by (3,) metres."""
+        return replace(
+            self, centre=self.centre @ rotation.T + np.asarray(translation), axes=rotation @ self.axes
+        )
+
+    def scaled(self, factor: ArrayLike) -> Solids:
+        """Stretched about the origin by a factor, or by one factor for each axis (3,)."""
+        factor = np.broadcast_to(np.asarray(factor, dtype=float), (3,))
+        return replace(self, centre=self.centre * factor, axes=self.axes * factor[:, None])
+
+    def in_group(self, group: int) -> Solids:
+        """The same, all in one group."""
+        return replace(self, group=np.full(len(self), group, np.int64))
+
+    @staticmethod
+    def together(*parts: Solids) -> Solids:
+        """All of them, sorted by group, as the ray caster wants them."""
+        names = Solids.__dataclass_fields__
+        joined: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
+        order = np.argsort(joined["group"], kind="stable")
+        return Solids(**{name: values[order] for name, values in joined.items()})
+
+
+class Builder:
+    """Collects solids one by one; all lengths in metres."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[Any, ...]] = []
+
+    def ellipsoid(
+        self,
+        centre: ArrayLike,
+        semi_axes: ArrayLike,
+        colour: ArrayLike,
+        *,
+        clip: tuple[float, float, float, float] = _NO_CLIP,
+        texture: tuple[int, float, float] = (PLAIN, 0.0, 0.0),
+        skin: bool = False,
+        rotation: FloatArray | None = None,
+    ) -> None:
+        """Add an ellipsoid; ``clip`` (n, d) is in units of its semi-axes."""
+        self._add(ELLIPSOID, centre, semi_axes, colour, clip, texture, skin, rotation)
+
+    def box(
+        self,
+        centre: ArrayLike,
+        semi_axes: ArrayLike,
+        colour: ArrayLike,
+        *,
+        texture: tuple[int, float, float] = (PLAIN, 0.0, 0.0),
+        rotation: FloatArray | None = None,
+    ) -> None:
+        """Add a box of twice the semi-axes."""
+        self._add(BOX, centre, semi_axes, colour, _NO_CLIP, texture, False, rotation)
+
+    def limb(
+        self,
+        start: ArrayLike,
+        end: ArrayLike,
+        radius: float,
+        colour: ArrayLike,
+        *,
+        texture: tuple[int, float, float] = (PLAIN, 0.0, 0.0),
+        skin: bool = False,
+    ) -> None:
+        """Add a tube from ``start`` to ``end`` (3,) with a ball at either end."""
+        start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
+        along = end - start
+        length = float(np.linalg.norm(along))
+        w = along / length
+        x, y, z = w.tolist()
+        across = np.hypot(x, y)
+        # Any frame around w will do: one axis horizontal, unless w is vertical.
+        u = (-y / across, x / across, 0.0) if across > 1e-6 else (1.0, 0.0, 0.0)
+        v = (y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0])
+        rotation = np.array([u, v, (x, y, z)]).T
+        middle, semi = (start + end) / 2.0, (radius, radius, length / 2.0)
+        self._add(TUBE, middle, semi, colour, _NO_CLIP, texture, skin, rotation)
+        for ball in (start, end):
+            self._add(ELLIPSOID, ball, (radius,) * 3, colour, _NO_CLIP, texture, skin, None)
+
+    def _add(
+        self,
+        kind: int,
+        centre: ArrayLike,
+        semi_axes: ArrayLike,
+        colour: ArrayLike,
+        clip: tuple[float, ...],
+        texture: tuple[float, ...],
+        skin: bool,
+        rotation: FloatArray | None,
+    ) -> None:
+        axes = np.diag(np.asarray(semi_axes, dtype=float))
+        if rotation is not None:
+            axes = rotation @ axes
+        self._rows.append((kind, centre, axes, clip, colour, texture, SKIN if skin else OTHER))
+
+    def build(self, group: int = 0) -> Solids:
+        """Everything that was added, in one group."""
+        columns = list(zip(*self._rows, strict=True)) if self._rows else [()] * 7
+        kind, centre, axes, clip, colour, texture, material = columns
+        return Solids(
+            np.array(kind, np.int64),
+            np.array(centre, float).reshape(-1, 3),
+            np.array(axes, float).reshape(-1, 3, 3),
+            np.array(clip, float).reshape(-1, 4),
+            np.array(colour, float).reshape(-1, 3),
+            np.array(texture, float).reshape(-1, 3),
+            np.array(material, np.int64),
+            np.full(len(kind), group, np.int64),
+        )
+
+
+def rotation_z(angle: float) -> FloatArray:
+    """Rotation (3, 3) by ``angle`` radians about z, counter-clockwise as seen from above."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_up(angle: float) -> FloatArray:
+    """Rotation (3, 3) that lifts the x axis by ``angle`` radians."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+
+
+def rotation_roll(angle: float) -> FloatArray:
+    """Rotation (3, 3) by ``angle`` radians about the x axis."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
