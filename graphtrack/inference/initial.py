@@ -118,5 +118,6 @@ def _vectors(angle: FloatArray | None, classes: FloatArray | None, n: int) -> Fl
         total = classes.sum(axis=1)
         usable = np.isfinite(total) & (total > 0.0)
         weights = classes[usable] / total[usable, None]
-        vectors[usable] = weights @ unit(class_centres(classes.shape[1]))
+        # Not `@`: its rounding depends on how many rows there are, so a track's on the tracks beside it.
+        vectors[usable] = np.einsum("nk,kd->nd", weights, unit(class_centres(classes.shape[1])))
     return vectors

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,9 @@ from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.io.table import from_columns, to_columns
 from graphtrack.tracks import TrackSet
+
+ROW_GROUP = 131_072
+"""Rows of a row group in written files: few enough that a reader can take one at a time."""
 
 
 def looks_like(head: bytes, path: Path) -> bool:
@@ -31,10 +36,9 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     InputError
         For a damaged file, a column of another type, or with row (from 1) and column of a value.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    try:
+    with damage_told(source.path):
         file = pq.ParquetFile(io.BytesIO(source.data), page_checksum_verification=True)
         names = file.schema_arrow.names
         known = [name for name in schema.NAMES if name in names]
@@ -42,10 +46,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
             raise InputError("a column twice", "each column once", path=source.path)
         table = file.read(columns=known)
         table.validate(full=True)
-    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        found = f"a damaged Parquet file ({str(error).splitlines()[0] if str(error) else error!r})"
-        raise InputError(found, "a whole Parquet file", path=source.path) from error
-    columns = {name: _column(table.column(name), name, source.path) for name in known}
+    columns = {name: column_values(table.column(name), name, source.path) for name in known}
     ignored = [name for name in names if name not in schema.NAMES]
     return from_columns(
         columns,
@@ -57,7 +58,31 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     )
 
 
-def _column(column: Any, name: str, path: Path) -> NDArray[Any]:
+@contextmanager
+def damage_told(path: Path) -> Iterator[None]:
+    """What pyarrow raises for a file that it cannot read becomes an `InputError`."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        found = f"a damaged Parquet file ({str(error).splitlines()[0] if str(error) else error!r})"
+        raise InputError(found, "a whole Parquet file", path=path) from error
+
+
+def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDArray[Any]:
+    """An Arrow column as (n,) doubles, NaN where it is null; a label column as objects.
+
+    Parameters
+    ----------
+    column : array of pyarrow, in chunks or whole
+    first_row : how many rows of the file come before it
+
+    Raises
+    ------
+    InputError
+        For values of another type, or one that is infinite, with its row (from 1).
+    """
     import pyarrow as pa
 
     if pa.types.is_dictionary(column.type):
@@ -77,7 +102,9 @@ def _column(column: Any, name: str, path: Path) -> NDArray[Any]:
     infinite = np.isinf(values)
     if infinite.any():
         row = int(np.argmax(infinite))
-        raise InputError(f"{values[row]}", "a finite number or null", path=path, line=row + 1, column=name)
+        raise InputError(
+            f"{values[row]}", "a finite number or null", path=path, line=first_row + row + 1, column=name
+        )
     return values
 
 
@@ -88,7 +115,7 @@ def write(tracks: TrackSet, path: Path) -> None:
 
     columns = to_columns(tracks)
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
-    pq.write_table(table, path, write_page_checksum=True)
+    pq.write_table(table, path, row_group_size=ROW_GROUP, write_page_checksum=True)
 
 
 FORMAT = Format(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,20 +134,11 @@ def from_columns(
             found, expected, path=path, line=None if row is None else line_of(row), column=column
         )
 
-    for name in schema.INTEGERS:
-        if name not in columns:
-            raise fail("no such column", f"a column {name}", column=name)
-    for group in schema.TOGETHER:
-        have = [name for name in group if name in columns]
-        if have and len(have) < len(group):
-            missing = next(name for name in group if name not in columns)
-            raise fail("no such column", f"a column {missing} beside {have[0]}", column=missing)
-    if "x" not in columns and "u" not in columns:
-        raise fail("no position", "columns x, y (metres) or u, v (pixels) with a homography")
+    check_names(columns, options, fail)
     if not len(columns["track_id"]):
         raise fail("a header and no rows", "at least one row")
     for name, highest in schema.INTEGERS.items():
-        _check_integers(columns[name], name, highest, fail)
+        check_integers(columns[name], name, highest, fail)
     for name, values in columns.items():
         if name in schema.BY_NAME:
             _check_bounds(values, schema.BY_NAME[name], fail)
@@ -169,7 +160,24 @@ def from_columns(
     return to_tracks(place_pixels(rows, options))
 
 
-def _check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable[..., InputError]) -> None:
+def check_names(names: Collection[str], options: ReadOptions, fail: Callable[..., InputError]) -> None:
+    """Raise ``fail(found, expected, column=…)`` if a column that the native table needs is not there."""
+    for name in schema.INTEGERS:
+        if name not in names:
+            raise fail("no such column", f"a column {name}", column=name)
+    for group in schema.TOGETHER:
+        have = [name for name in group if name in names]
+        if have and len(have) < len(group):
+            missing = next(name for name in group if name not in names)
+            raise fail("no such column", f"a column {missing} beside {have[0]}", column=missing)
+    if "x" not in names and "u" not in names:
+        raise fail("no position", "columns x, y (metres) or u, v (pixels) with a homography")
+    if "t" not in names and options.fps is None:
+        raise fail("no such column", "a column t (seconds), or a frame rate (fps)", column="t")
+
+
+def check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable[..., InputError]) -> None:
+    """Raise ``fail(found, expected, row, name)`` for the first value that is not whole and within ±highest."""
     with np.errstate(invalid="ignore"):
         bad = ~(np.abs(values) <= highest) | (values != np.floor(values))
     if bad.any():
@@ -257,8 +265,7 @@ def _labels(
 
 def _with_times(rows: Rows, options: ReadOptions, fail: Callable[..., InputError]) -> Rows:
     if "t" not in rows.channels:
-        if options.fps is None:
-            raise fail("no such column", "a column t (seconds), or a frame rate (fps)", column="t")
+        assert options.fps is not None  # or `check_names` would have said so
         return rows.with_times(options.fps)
     empty = np.isnan(rows.channels["t"])
     if empty.any():
