@@ -19,7 +19,7 @@ def add_motion(
     hessian: FloatArray,
     transition: FloatArray,
 ) -> float:
-    """White-noise acceleration between two frames; ``transition[i, j]`` is ∂²/∂state_i ∂before_j."""
+    """White-noise acceleration between two frames; ``transition[i, j]`` is ∂²/∂before_i ∂state_j."""
     half = 0.5 * dt
     turn = information / dt
     bend = 12.0 * information / (dt * dt * dt)
@@ -40,8 +40,8 @@ def add_motion(
         hessian_before[v, p] += half * bend
         hessian_before[v, v] += turn + half * half * bend
         transition[p, p] -= bend
-        transition[p, v] -= half * bend
-        transition[v, p] += half * bend
+        transition[p, v] += half * bend
+        transition[v, p] -= half * bend
         transition[v, v] += half * half * bend - turn
     return cost
 
