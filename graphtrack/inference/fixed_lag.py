@@ -15,6 +15,8 @@ from graphtrack.inference.state import Angles, Newest, Window, finite, insert_st
 from graphtrack.model import Model, Step
 
 _MAX_HALVINGS = 20
+# Metres, m/s or radians. Only larger steps can overshoot; the others are spared two evaluations of the cost.
+_LARGE_CHANGE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +164,9 @@ class FixedLag:
                 raise ArithmeticError("a step of the solver is not finite")
             if change <= self._step_tolerance:
                 return values.retract(step), bayes_net
-            # Only a large step can overshoot: a small one is spared the two evaluations of the cost.
+            if change <= _LARGE_CHANGE:
+                values = values.retract(step)
+                continue
             descended = _descend(graph, values, step)
             if descended is None:
                 break

@@ -1,0 +1,93 @@
+"""Online speed as ratios within one run: times alone say more about the machine than about the code."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+
+import gtsam
+import numpy as np
+import pytest
+from walks import walk
+
+from graphtrack.inference import OnlineSmoother
+from graphtrack.inference.batch import variable_keys
+from graphtrack.model import Model
+from graphtrack.model.steps import Step, chain, observations
+
+pytestmark = pytest.mark.benchmark
+LAG = 2.0
+
+
+def milliseconds(action: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    action()
+    return 1e3 * (time.perf_counter() - start)
+
+
+class GtsamFixedLag:
+    """GTSAM's own fixed-lag smoother on the same factors, with the joint covariance of the newest step."""
+
+    def __init__(self, model: Model) -> None:
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(0.01)
+        parameters.relinearizeSkip = 1
+        parameters.findUnusedFactorSlots = True
+        self.model = model
+        self.smoother = gtsam.IncrementalFixedLagSmoother(LAG, parameters)
+
+    def update(self, step: Step) -> np.ndarray:
+        seen, keys = step.observation, variable_keys(step, self.model)
+        assert seen.position is not None and seen.body is not None and seen.head is not None
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for factor in self.model.factors(step):
+            graph.push_back(factor)
+        start = (np.array(seen.position), np.zeros(2), gtsam.Rot2(seen.body), gtsam.Rot2(seen.head))
+        for key, value in zip(keys, start, strict=True):
+            values.insert(key, value)
+        self.smoother.update(graph, values, dict.fromkeys(keys, seen.t))
+        return self.smoother.getISAM2().jointMarginalCovariance(keys).fullMatrix()
+
+
+def show(rows: Iterable[tuple[str, float]]) -> None:
+    print()
+    for name, value in rows:
+        print(f"{name:55s}{value:8.3f}")
+
+
+def test_a_step_costs_less_than_with_gtsams_fixed_lag_smoother() -> None:
+    model, track = Model("joint"), walk(400, seed=1, noise=0.1, angle_kappa=2.0)
+    ours, theirs = OnlineSmoother(model, lag=LAG), GtsamFixedLag(model)
+    spent = np.array(
+        [
+            (milliseconds(lambda o=o: ours.update(o)), milliseconds(lambda s=s: theirs.update(s)))
+            for o, s in zip(observations(track), chain(track), strict=True)
+        ]
+    )[50:]
+    mine, peer = np.median(spent, axis=0)
+    ratio = float(np.median(spent[:, 0] / spent[:, 1]))
+    show([("fixed lag, median ms", mine), ("GTSAM's, median ms", peer), ("ratio", ratio)])
+    assert ratio < 0.8
+
+
+def test_the_cost_of_a_step_does_not_grow() -> None:
+    model, track = Model("joint"), walk(4200, seed=1, noise=0.1, angle_kappa=2.0)
+    seen = list(observations(track))
+    old, young = OnlineSmoother(model, lag=LAG), OnlineSmoother(model, lag=LAG)
+    for observation in seen[:3900]:
+        old.update(observation)
+    for observation in seen[3700:3900]:
+        young.update(observation)
+    # Both take the same observations in turn, one at its step 4,000 and the other at its step 200: data and
+    # machine are the same.
+    spent = np.array(
+        [
+            [milliseconds(lambda s=s, o=o: s.update(o)) for s in ((old, young) if k % 2 else (young, old))][
+                :: 1 if k % 2 else -1
+            ]
+            for k, o in enumerate(seen[3900:4100])
+        ]
+    )
+    at_4000, at_200 = np.median(spent, axis=0)
+    show([("step 4,000, median ms", at_4000), ("step 200", at_200), ("ratio", at_4000 / at_200)])
+    assert at_4000 < 1.3 * at_200
