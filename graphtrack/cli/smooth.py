@@ -28,7 +28,7 @@ def smooth(
     format: options.Format = None,
     select: options.Select = None,
     engine: Annotated[
-        str, typer.Option("--engine", help="auto, chain (compiled) or gtsam; both find the same optimum.")
+        str, typer.Option("--engine", help="auto, chain (compiled) or gtsam; auto takes chain where it can.")
     ] = "auto",
     jobs: Annotated[
         int, typer.Option("--jobs", min=1, help="Tracks at a time: threads (chain) or processes (gtsam).")
