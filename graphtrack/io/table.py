@@ -177,7 +177,7 @@ def check_names(names: Collection[str], options: ReadOptions, fail: Callable[...
 
 
 def check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable[..., InputError]) -> None:
-    """Raise ``fail(found, expected, row, name)`` for the first value that is not whole and within ±highest."""
+    """Raise ``fail(found, expected, row, name)`` for the first value that is not whole within ±highest."""
     with np.errstate(invalid="ignore"):
         bad = ~(np.abs(values) <= highest) | (values != np.floor(values))
     if bad.any():

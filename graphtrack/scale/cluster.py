@@ -1,0 +1,142 @@
+"""Batches on a Dask cluster: in order, a few at a time, again elsewhere when a worker is lost."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+import uuid
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from graphtrack.errors import GraphtrackError, InputError
+from graphtrack.scale.batch import Batch, Shard, Work, smooth_batch
+
+AHEAD = 2
+"""Batches in the hands of the cluster for each of its threads: one that runs and one that waits."""
+
+ALONE = 60.0
+"""Seconds after which a cluster without any worker is given up."""
+
+_LOOK = 2.0
+"""Seconds between two looks at whether there still are workers."""
+
+
+def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: int) -> Iterator[Shard]:
+    """What `smooth_batch` makes of each batch, in the order of the batches.
+
+    A batch travels inside its task, which stays with the scheduler until its shard has arrived here: when a
+    worker is lost, with batches or with finished shards, the scheduler gives them to another one.
+
+    Parameters
+    ----------
+    address : of a Dask scheduler, or "local" for processes on this machine
+    jobs : processes of a local cluster
+
+    Raises
+    ------
+    InputError
+        If there is no dask.distributed here, no graphtrack on the workers, or no answer from the address;
+        or what `smooth_batch` raises.
+    GraphtrackError
+        When the scheduler is lost, no worker is left, or a batch ends every worker that takes it.
+    """
+    try:
+        import distributed
+    except ModuleNotFoundError as error:
+        raise InputError("no package distributed", "the extra: pip install 'graphtrack[cluster]'") from error
+    if address != "local" and jobs != 1:
+        raise InputError(f"{jobs} jobs on a cluster", "as many as its workers have threads: leave it out")
+    with _client(address, jobs) as client:
+        waiting: deque[tuple[Any, int]] = deque()
+        name = f"smooth-{uuid.uuid4().hex}"
+        number = 0
+        try:
+            while True:
+                room = AHEAD * max(1, sum(client.nthreads().values()))
+                while len(waiting) < room and (batch := next(given, None)) is not None:
+                    key = f"{name}-{number}"
+                    waiting.append((client.submit(smooth_batch, work, batch, key=key), number))
+                    number += 1
+                if not waiting:
+                    return
+                yield _result(client, *waiting.popleft())
+        except distributed.KilledWorker as error:
+            raise GraphtrackError(
+                f"cluster: {error.last_worker.address} is the last of several workers that ended while they "
+                "smoothed the same batch; give the workers more memory, or batches of fewer frames"
+            ) from error
+        except (CancelledError, distributed.comm.CommClosedError) as error:
+            raise GraphtrackError(f"cluster: the scheduler at {address} was lost") from error
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"a worker without {error.name}", "this version of graphtrack on every worker"
+            ) from error
+
+
+def _result(client: Any, future: Any, number: int) -> Shard:
+    alone_since = None
+    while True:
+        try:
+            shard: Shard = future.result(timeout=_LOOK)
+            return shard
+        except TimeoutError as error:
+            if client.nthreads():
+                alone_since = None
+                continue
+            alone_since = time.monotonic() if alone_since is None else alone_since
+            if time.monotonic() - alone_since > ALONE:
+                raise GraphtrackError(
+                    f"cluster: no worker for {ALONE:g} s, batch {number + 1} waits"
+                ) from error
+
+
+@contextmanager
+def _client(address: str, jobs: int) -> Iterator[Any]:
+    import dask
+    import distributed
+
+    with ExitStack() as stack:
+        # A batch inside its task is what is wanted here, and lost workers are told by the result.
+        stack.enter_context(dask.config.set({"distributed.admin.large-graph-warning-threshold": "1GiB"}))
+        stack.enter_context(_silence("distributed"))
+        if address == "local":
+            cluster = distributed.LocalCluster(
+                n_workers=jobs, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+            )
+            stack.enter_context(cluster)
+            where: Any = cluster
+        else:
+            where = address
+        try:
+            # A client that cannot connect complains again when it is collected: knock first.
+            if where is address:
+                asyncio.run(_knock(address))
+            client = distributed.Client(where, set_as_default=False)
+        except (OSError, ValueError, ImportError, distributed.comm.CommClosedError) as error:
+            expected = "the address of one that runs, such as tcp://host:8786, or local"
+            raise InputError(f"no answer from a Dask scheduler at {address}", expected) from error
+        stack.enter_context(client)
+        yield client
+
+
+async def _knock(address: str) -> None:
+    import distributed
+
+    identity = distributed.Security().get_connection_args("client")
+    comm = await distributed.comm.connect(address, **identity)
+    await comm.close()
+
+
+@contextmanager
+def _silence(name: str) -> Iterator[None]:
+    logger = logging.getLogger(name)
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)

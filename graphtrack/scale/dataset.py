@@ -1,0 +1,217 @@
+"""`Dataset`: a Parquet file, or a folder of them, as one native table that is read block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
+from graphtrack.io import schema
+from graphtrack.io.native_parquet import column_values, damage_told
+from graphtrack.io.numbers import parse_number
+
+BLOCK = 65_536
+"""Rows read at a time."""
+
+_BUFFER = 2**20
+"""Bytes of a column read at a time, so that a file of one large row group needs no more memory."""
+
+_SUFFIXES = (".parquet", ".pq")
+
+
+@dataclass(frozen=True)
+class DataFile:
+    """One file of a data set.
+
+    Attributes
+    ----------
+    path : of the file
+    first_row : rows in the files before it
+    n_rows : its rows
+    columns : the columns of the native table that it has
+    constants : column → its one value, from folders named ``column=value``
+    foreign : (name, value) of such folders whose name is no column of the native table
+    """
+
+    path: Path
+    first_row: int
+    n_rows: int
+    columns: frozenset[str]
+    constants: Mapping[str, float | str]
+    foreign: tuple[tuple[str, str], ...]
+
+
+@dataclass(eq=False)
+class Dataset:
+    """The files of a data set as one table of numbers.
+
+    Attributes
+    ----------
+    path : the file or folder
+    files : in the order of their names
+    columns : the columns that any file has, in the order of `schema.NAMES`
+    ignored : columns that are not of the native table
+    labels : what the numbers in the column ``label`` stand for; it grows as blocks are read
+    """
+
+    path: Path
+    files: tuple[DataFile, ...]
+    columns: tuple[str, ...]
+    ignored: tuple[str, ...]
+    labels: list[str] = field(default_factory=lambda: [""])
+
+    def __post_init__(self) -> None:
+        self._codes = {label: code for code, label in enumerate(self.labels)}
+
+    @property
+    def n_rows(self) -> int:
+        """Person-frames."""
+        return sum(file.n_rows for file in self.files)
+
+    def blocks(self, columns: Sequence[str] | None = None) -> Iterator[FloatArray]:
+        """Matrices (n, columns + 1) of up to `BLOCK` rows; the last column is the number of the row, from 0.
+
+        A missing number is NaN, a label its place in `labels`.
+
+        Raises
+        ------
+        InputError
+            For a damaged file or values that are not of the column's type.
+        """
+        columns = self.columns if columns is None else columns
+        for file in self.files:
+            yield from self._blocks_of(file, columns)
+
+    def _blocks_of(self, file: DataFile, columns: Sequence[str]) -> Iterator[FloatArray]:
+        import pyarrow.parquet as pq
+
+        stored = [name for name in columns if name in file.columns]
+        row = 0
+        with damage_told(file.path):
+            parquet = pq.ParquetFile(file.path, buffer_size=_BUFFER, page_checksum_verification=True)
+        with parquet:
+            batches = parquet.iter_batches(BLOCK, columns=stored)
+            while True:
+                with damage_told(file.path):
+                    batch = next(batches, None)
+                    if batch is None:
+                        return
+                    batch.validate(full=True)
+                n = len(batch)
+                block = np.full((n, len(columns) + 1), np.nan)
+                for place, name in enumerate(columns):
+                    if name in file.columns:
+                        values = column_values(batch.column(name), name, file.path, row)
+                        block[:, place] = self._coded(values) if name == "label" else values
+                    elif name in file.constants:
+                        value = file.constants[name]
+                        block[:, place] = self._code(value) if isinstance(value, str) else value
+                    elif name == "label":
+                        block[:, place] = 0.0
+                block[:, -1] = file.first_row + row + np.arange(n)
+                row += n
+                yield block
+
+    def _coded(self, labels: Iterable[object]) -> list[int]:
+        return [self._code(label) for label in labels]
+
+    def _code(self, label: object) -> int:
+        if not isinstance(label, str):
+            return 0
+        code = self._codes.setdefault(label, len(self.labels))
+        if code == len(self.labels):
+            self.labels.append(label)
+        return code
+
+    def fail(
+        self, found: str, expected: str, row: int | None = None, column: str | int | None = None
+    ) -> InputError:
+        """The error for one row of the data set (from 0), with the file that it stands in."""
+        if row is None:
+            return InputError(found, expected, path=self.path, column=column)
+        file = next(file for file in reversed(self.files) if file.first_row <= row)
+        return InputError(found, expected, path=file.path, line=row - file.first_row + 1, column=column)
+
+
+def open_dataset(path: str | Path) -> Dataset:
+    """A Parquet file, or a folder with its subfolders, as one table.
+
+    Files without a row are left out, and files and folders whose names begin with ``.`` or ``_``. Folders
+    named ``column=value`` give their files a column.
+
+    Raises
+    ------
+    InputError
+        If nothing is there, a file is not Parquet or has a column twice, or no file has rows.
+    """
+    path = Path(path)
+    files: list[DataFile] = []
+    ignored: dict[str, None] = {}
+    first_row = 0
+    for place in _places(path):
+        file, others = _open(place, path, first_row)
+        ignored |= dict.fromkeys(others)
+        if file.n_rows:
+            files.append(file)
+            first_row += file.n_rows
+    if not files:
+        raise InputError("no rows", "at least one row", path=path)
+    known = frozenset().union(*(file.columns.union(file.constants) for file in files))
+    return Dataset(path, tuple(files), tuple(n for n in schema.NAMES if n in known), tuple(ignored))
+
+
+def _places(path: Path) -> list[Path]:
+    """The files of a data set, ordered by name."""
+    if not path.exists():
+        raise InputError("no such file", "an existing file or folder", path=path)
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise InputError("a device", "a Parquet file or a folder of them", path=path)
+    found = []
+    for place in sorted(path.rglob("*")):
+        hidden = any(part.startswith((".", "_")) for part in place.relative_to(path).parts)
+        if hidden or place.is_dir():
+            continue
+        if not place.name.lower().endswith(_SUFFIXES):
+            expected = f"a folder with files {' or '.join('*' + suffix for suffix in _SUFFIXES)} alone"
+            raise InputError("a file of another kind", expected, path=place)
+        found.append(place)
+    if not found:
+        raise InputError("a folder without Parquet files", "at least one", path=path)
+    return found
+
+
+def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]:
+    import pyarrow.parquet as pq
+
+    with damage_told(place), pq.ParquetFile(place) as parquet:
+        names, n_rows = list(parquet.schema_arrow.names), parquet.metadata.num_rows
+    if len(set(names)) < len(names):
+        raise InputError("a column twice", "each column once", path=place)
+    constants: dict[str, float | str] = {}
+    foreign: list[tuple[str, str]] = []
+    for part in place.relative_to(root).parts[:-1]:
+        name, sign, text = part.partition("=")
+        if not sign:
+            continue
+        value = unquote(text)
+        if name in names or name in constants:
+            raise InputError(f"a column {name} and a folder {part}", "one of the two", path=place)
+        if name not in schema.NAMES:
+            foreign.append((name, value))
+        elif name == "label":
+            constants[name] = value
+        else:
+            number = parse_number(value)
+            if number is None:
+                raise InputError(f"the folder {part}", f"a number after {name}=", path=place)
+            constants[name] = number
+    columns = frozenset(name for name in names if name in schema.NAMES)
+    others = [name for name in names if name not in schema.NAMES] + [name for name, _ in foreign]
+    return DataFile(place, first_row, n_rows, columns, constants, tuple(foreign)), others

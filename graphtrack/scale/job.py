@@ -1,0 +1,195 @@
+"""`smooth_dataset`: a data set in, one Parquet file out, with the memory of a few batches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
+from graphtrack.inference import Failure, SolverOptions
+from graphtrack.inference.offline import BATCH, engine_of
+from graphtrack.inference.solution import Engine
+from graphtrack.io import schema
+from graphtrack.io.atomic import atomic_path
+from graphtrack.io.cameras import camera_or_scale, known_camera
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.table import check_names
+from graphtrack.model import Model
+from graphtrack.scale.batch import Batch, Shard, Work, smooth_batch
+from graphtrack.scale.cluster import smooth_on_cluster
+from graphtrack.scale.dataset import Dataset, open_dataset
+from graphtrack.scale.grouping import batches, index_tracks
+from graphtrack.scale.writer import ShardWriter
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a data set.
+
+    Attributes
+    ----------
+    n_tracks : tracks that were to be smoothed
+    n_frames : person-frames written
+    engine : "chain" or "gtsam"
+    failures : tracks that could not be smoothed
+    unconverged : (track id, iterations) of those that were, but did not converge
+    notes : what was assumed or repaired, one sentence each
+    """
+
+    n_tracks: int
+    n_frames: int
+    engine: Engine
+    failures: tuple[Failure, ...]
+    unconverged: tuple[tuple[int, int], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def n_smoothed(self) -> int:
+        """Tracks that were written."""
+        return self.n_tracks - len(self.failures)
+
+
+def smooth_dataset(
+    dataset: Dataset | str | Path,
+    output: str | Path,
+    model: Model | str | Path = "joint",
+    *,
+    engine: Engine | Literal["auto"] = "auto",
+    jobs: int = 1,
+    cluster: str | None = None,
+    batch_frames: int = BATCH,
+    select: tuple[str, ...] = (),
+    read_options: ReadOptions | None = None,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Outcome:
+    """Smooth a Parquet data set offline, track by track, into one Parquet file.
+
+    The file is the same, byte for byte, as ``write(smooth(read(path)), output)`` gives.
+
+    Parameters
+    ----------
+    dataset : a Parquet file, or a folder of them that together are one native table
+    output : the Parquet file to write. It is there whole or, on any failure, not at all; nor is it written
+        when no track could be smoothed. Temporary files lie beside it.
+    model, engine, options : as in `graphtrack.solve`
+    jobs : threads (chain) or processes (GTSAM); with ``cluster="local"`` processes with a batch each
+    cluster : None: this process; "local": a Dask cluster of processes on this machine; else the address of a
+        Dask scheduler
+    batch_frames : person-frames that are read, smoothed and sent together; memory grows with it
+    select : patterns as in `TrackSet.select`; empty: all tracks
+    read_options : frame rate and camera
+    progress : called with the numbers of rows that are done
+
+    Raises
+    ------
+    InputError
+        For input that cannot be right, with file, row and column, or a cluster that cannot be reached.
+    GraphtrackError
+        When the cluster is lost, or a batch ends every worker that takes it.
+    """
+    dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    output, model = Path(output), Model.named(model)
+    if batch_frames < 1 or jobs < 1:
+        raise InputError(f"batch_frames = {batch_frames}, jobs = {jobs}", "numbers from 1")
+    read_options, notes = _with_camera(dataset, ReadOptions() if read_options is None else read_options)
+    check_names(dataset.columns, read_options, dataset.fail)
+    if "x" not in dataset.columns:
+        raise dataset.fail(
+            "pixels u, v without x, y", "positions in metres, to stream a data set", column="x"
+        )
+    work = Work(
+        dataset.path,
+        dataset.columns,
+        read_options,
+        select,
+        model,
+        engine_of(model, engine),
+        1 if cluster else jobs,
+        SolverOptions() if options is None else options,
+    )
+    index = index_tracks(dataset)
+
+    def labelled(scratch: Path) -> Iterator[Batch]:
+        for rows in batches(dataset, index, batch_frames, scratch):
+            yield Batch(rows, _labels(dataset, rows))
+
+    with atomic_path(output) as temporary:
+        given = labelled(temporary.parent)
+        shards = (
+            (smooth_batch(work, batch) for batch in given)
+            if cluster is None
+            else smooth_on_cluster(work, given, cluster, jobs)
+        )
+        return _write(dataset, shards, temporary, work, notes, progress)
+
+
+def _write(
+    dataset: Dataset,
+    shards: Iterator[Shard],
+    path: Path,
+    work: Work,
+    notes: tuple[str, ...],
+    progress: Callable[[int], None] | None,
+) -> Outcome:
+    n_tracks = n_sorted = 0
+    failures: list[Failure] = []
+    unconverged: list[tuple[int, int]] = []
+    said = dict.fromkeys(notes)
+    with ShardWriter(path, possible_columns(dataset, work.model)) as writer:
+        try:
+            for shard in shards:
+                writer.add(shard.columns)
+                n_tracks += shard.n_tracks
+                n_sorted += shard.n_sorted
+                failures += shard.failures
+                unconverged += shard.unconverged
+                said |= dict.fromkeys(shard.notes)
+                if progress is not None:
+                    progress(shard.n_rows)
+        except InputError as error:
+            if error.path != str(dataset.path) or error.line is None:
+                raise
+            raise dataset.fail(error.found, error.expected, error.line, error.column) from error
+    if not n_tracks:
+        wanted = " or ".join(work.select)
+        raise InputError(f"no track that matches {wanted}", "a label or id that is there", path=dataset.path)
+    if n_sorted:
+        said[f"the frames of {n_sorted} of the tracks were out of order and have been sorted"] = None
+    if dataset.ignored:
+        said[f"ignored columns {', '.join(dataset.ignored)}"] = None
+    return Outcome(n_tracks, writer.n_rows, work.engine, tuple(failures), tuple(unconverged), tuple(said))
+
+
+def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
+    """The columns that the estimates of a data set can have, in the order of `schema.NAMES`."""
+    names = {"track_id", "frame", "t", "x", "y", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std"}
+    for name, has in (("body", model.has_body), ("head", model.has_head)):
+        if has:
+            names |= {f"{name}_deg", f"{name}_std_deg"}
+    names |= {name for name in dataset.columns if name == "label" or name.startswith("true_")}
+    return tuple(name for name in schema.NAMES if name in names)
+
+
+def _with_camera(dataset: Dataset, options: ReadOptions) -> tuple[ReadOptions, tuple[str, ...]]:
+    """The options with the camera that they name, so that workers need none of its files."""
+    if not {"u", "v"} <= set(dataset.columns):
+        return options, ()
+    # Which side of the horizon is seen: the first pixels tell.
+    pixel = next(dataset.blocks(("u", "v")))[:, :2]
+    camera, notes = known_camera(options, pixel)
+    if camera is None and options.metres_per_pixel is not None:
+        camera, notes = camera_or_scale(options, pixel, np.ones(1))
+    return replace(options, camera=camera), notes
+
+
+def _labels(dataset: Dataset, rows: FloatArray) -> dict[int, str]:
+    if "label" not in dataset.columns:
+        return {}
+    codes = np.unique(rows[:, dataset.columns.index("label")]).astype(int)
+    return {code: dataset.labels[code] for code in codes.tolist()}
