@@ -34,13 +34,13 @@ def fail(message: str) -> None:
 
 
 @contextmanager
-def progress_bar(total: int) -> Iterator[Callable[[int], None]]:
+def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[int], None]]:
     """A progress bar on standard error; yields the function that advances it."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("person-frames"),
+        TextColumn(unit),
         TimeRemainingColumn(),
     )
     # Where nobody watches, nothing is drawn, not even the empty line that a bar leaves behind.

@@ -1,0 +1,84 @@
+"""`graphtrack reproduce`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import console, print_table, progress_bar
+from graphtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from graphtrack.evaluation.reproduce import Reproduction
+
+BESIDE = Path("..") / "shared" / "data"
+"""Where recordings are looked for when nobody says where they are."""
+
+
+def reproduce(
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="baxter-simulated, baxter-occlusion, baxter-statistics, chen-joint, or all.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder for figures (PNG) and tables (JSON).")],
+    json_path: options.Json = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few tracks, for a first look.")] = False,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            "--data",
+            envvar="GRAPHTRACK_DATA",
+            help="Folder with mocap, salsa and caviar in it; else ../shared/data if that is there.",
+        ),
+    ] = None,
+    seed: options.Seed = 0,
+) -> None:
+    """Run an experiment of the papers again: tables with their numbers beside ours, and a page of figures."""
+    from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings
+    from graphtrack.io import atomic_path
+
+    if name != "all" and name not in EXPERIMENTS:
+        raise InputError(f"experiment {name!r}", f"one of {', '.join(EXPERIMENTS)}, or all")
+    if data is not None and not data.is_dir():
+        raise InputError("no such folder", "a folder of recordings", path=data)
+    options.check_outputs(json_path)
+    options.make_folder(out)
+    folder = data if data is not None else BESIDE if BESIDE.is_dir() else None
+    if folder is None:
+        console.print("no recordings: simulated people only; --data names a folder of them", markup=False)
+    settings = Settings(quick=quick, seed=seed, data=folder)
+    tables = []
+    for experiment in EXPERIMENTS.values() if name == "all" else [EXPERIMENTS[name]]:
+        console.print(f"{experiment.name}: {experiment.source}", markup=False)
+        with progress_bar(experiment.work(settings), "parts") as advance:
+            found = experiment.run(settings, advance)
+        write(found, out)
+        tables += [table.to_dict() for table in found.tables]
+    if json_path is not None:
+        with atomic_path(json_path) as temporary:
+            Path(temporary).write_text(json.dumps(tables, indent=1, ensure_ascii=False), encoding="utf-8")
+        console.print(f"wrote {json_path}", markup=False)
+
+
+def write(found: Reproduction, folder: Path) -> None:
+    """Print the tables and notes of an experiment and write its page and tables to a folder."""
+    from graphtrack.io import atomic_path
+
+    for table in found.tables:
+        print_table(table.title, table.records())
+    for note in found.notes:
+        console.print(f"  {note}", markup=False)
+    page, numbers = folder / f"{found.name}.png", folder / f"{found.name}.json"
+    with atomic_path(page) as temporary:
+        found.figure.savefig(temporary, format="png", dpi=120)
+    with atomic_path(numbers) as temporary:
+        tables = [table.to_dict() for table in found.tables]
+        Path(temporary).write_text(json.dumps(tables, indent=1, ensure_ascii=False), encoding="utf-8")
+    console.print(f"wrote {page} and {numbers}", markup=False)
