@@ -10,6 +10,9 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
+from graphtrack.cli.dataset import check_streamed, is_streamed, smooth_streamed
+
+_LARGE = "Data sets larger than memory"
 
 
 def smooth(
@@ -34,16 +37,67 @@ def smooth(
         int, typer.Option("--jobs", min=1, help="Tracks at a time: threads (chain) or processes (gtsam).")
     ] = 1,
     report: Annotated[Path | None, typer.Option("--report", help="Write an HTML report here too.")] = None,
+    stream: Annotated[
+        bool | None,
+        typer.Option(
+            "--stream/--no-stream",
+            help="Parquet track by track, in bounded memory, as folders and files of 512 MB are.",
+            show_default=False,
+            rich_help_panel=_LARGE,
+        ),
+    ] = None,
+    batch_frames: Annotated[
+        int,
+        typer.Option(
+            "--batch-frames",
+            min=1,
+            help="Person-frames held at a time when streaming.",
+            rich_help_panel=_LARGE,
+        ),
+    ] = 100_000,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            "--cluster",
+            metavar="ADDRESS|local",
+            help="Stream to a Dask cluster: its scheduler's address, or --jobs processes of this machine.",
+            rich_help_panel=_LARGE,
+        ),
+    ] = None,
 ) -> None:
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
     from graphtrack.inference import Failure, Solution, solve
     from graphtrack.inference.offline import engine_of
     from graphtrack.io import write
+    from graphtrack.io.options import ReadOptions
     from graphtrack.model import Model
 
     chosen = Model.named(model)
     solver = engine_of(chosen, engine)  # type: ignore[arg-type]
     options.check_outputs(report, table=output)
+    if is_streamed(inputs, output, stream, cluster):
+        unused = {"--report": report, "--class": classes, "--image-scale": image_scale}
+        unused["--format"] = format not in (None, "parquet")
+        smooth_streamed(
+            check_streamed(inputs, output, unused),
+            output,
+            model=chosen,
+            engine=solver,
+            jobs=jobs,
+            cluster=cluster,
+            batch_frames=batch_frames,
+            select=tuple(select or ()),
+            read_options=ReadOptions(
+                fps=fps,
+                homography=homography,
+                point_pairs=point_pairs,
+                point_pairs_unit=point_pairs_unit,
+                point_pairs_rows=point_pairs_rows,
+                calibration=calibration,
+                metres_per_pixel=metres_per_pixel,
+            ),
+        )
+        return
     tracks = options.read_tracks(
         inputs,
         format=format,

@@ -54,6 +54,10 @@ class Outcome:
         return self.n_tracks - len(self.failures)
 
 
+class _NothingSmoothed(Exception):
+    """Every track failed: the file that would be empty is not put in its place."""
+
+
 def smooth_dataset(
     dataset: Dataset | str | Path,
     output: str | Path,
@@ -119,14 +123,20 @@ def smooth_dataset(
         for rows in batches(dataset, index, batch_frames, scratch):
             yield Batch(rows, _labels(dataset, rows))
 
-    with atomic_path(output) as temporary:
-        given = labelled(temporary.parent)
-        shards = (
-            (smooth_batch(work, batch) for batch in given)
-            if cluster is None
-            else smooth_on_cluster(work, given, cluster, jobs)
-        )
-        return _write(dataset, shards, temporary, work, notes, progress)
+    try:
+        with atomic_path(output) as temporary:
+            given = labelled(temporary.parent)
+            shards = (
+                (smooth_batch(work, batch) for batch in given)
+                if cluster is None
+                else smooth_on_cluster(work, given, cluster, jobs)
+            )
+            outcome = _write(dataset, shards, temporary, work, notes, progress)
+            if not outcome.n_smoothed:
+                raise _NothingSmoothed
+    except _NothingSmoothed:
+        pass
+    return outcome
 
 
 def _write(

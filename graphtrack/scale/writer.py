@@ -84,7 +84,7 @@ class ShardWriter:
             self._write(self._n_waiting)
         self._file.close()
         names = [name for name in self._schema.names if name in self._seen]
-        if names != self._schema.names:
+        if names and names != self._schema.names:
             self._leave_out_the_rest(names)
 
     def _leave_out_the_rest(self, names: list[str]) -> None:
