@@ -7,9 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from graphtrack.inference.chain_kernels import Result, solve_tracks, workspace
+from graphtrack.inference.chain_kernels import Result, workspace
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.inference.initial_kernels import initialise
+from graphtrack.inference.restart_kernels import solve_tracks
 from graphtrack.model import Model
 from graphtrack.model.kernels.frames import BODY, HEAD
 from graphtrack.model.kernels.packing import PackedTracks
@@ -30,6 +31,7 @@ def solve_packed(
     jobs: int = 1,
     max_iterations: int = 100,
     tolerance: float = 1e-12,
+    restart: bool = True,
     progress: Callable[[int], None] | None = None,
 ) -> Result:
     """Maximum a posteriori states and their covariances.
@@ -40,6 +42,7 @@ def solve_packed(
     jobs : threads; the kernels do not hold the interpreter's lock
     max_iterations : Newton steps a track
     tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
+    restart : search a grid of orientations for a better basin where there may be one
     progress : called with the number of frames that were done since the last call
 
     Returns
@@ -57,7 +60,7 @@ def solve_packed(
         initialise(problem, begin, end, seen, linear, np.empty((3, frames.max())), result)
         if not linear:
             memory = workspace(int(frames.max()))
-            solve_tracks(problem, begin, end, max_iterations, tolerance, memory, result)
+            solve_tracks(problem, begin, end, max_iterations, tolerance, restart, memory, result)
         return int(frames.sum())
 
     ranges = _work(packed)

@@ -573,30 +573,3 @@ def minimise(
         cost = found
         states[:] = candidate
     return first_cost, cost, max_iterations, NOT_CONVERGED, exact
-
-
-@compiled
-def solve_tracks(
-    problem: Problem,
-    begin: int,
-    end: int,
-    max_iterations: int,
-    tolerance: float,
-    workspace: Workspace,
-    result: Result,
-) -> None:
-    """Minimise the costs of tracks ``begin`` to ``end`` and find their covariances."""
-    for track in range(begin, end):
-        a, b = problem.offsets[track], problem.offsets[track + 1]
-        states = result.states[a:b]
-        first_cost, cost, iterations, status, exact = minimise(
-            problem, track, states, max_iterations, tolerance, workspace
-        )
-        result.first_cost[track], result.cost[track] = first_cost, cost
-        result.iterations[track], result.status[track] = iterations, status
-        if status == NOT_FINITE:
-            continue
-        if not exact:
-            # A saddle, or not converged: the curvature that is never negative.
-            sweep_forward(problem, track, states[0].copy(), states, False, workspace)
-        marginals(workspace, result.covariance[a:b])

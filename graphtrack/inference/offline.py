@@ -172,6 +172,7 @@ def _solve_chains(
         jobs=jobs,
         max_iterations=options.max_iterations,
         tolerance=1e-3 * options.relative_tolerance,
+        restart=options.restart,
         progress=progress,
     )
     covariance = bounded(found.covariance)

@@ -23,11 +23,14 @@ class SolverOptions:
     relative_tolerance : of the cost. GTSAM stops when a step brought less; the chain engine, whose steps
         converge quadratically, when the next one promises less than a thousandth of it.
     step_tolerance : norm of the whole step (metres, m/s, radians), for GTSAM
+    restart : where observations contradict each other, the chain engine searches a grid of orientations for a
+        better basin and starts anew from there. GTSAM stays in the basin it began in.
     """
 
     max_iterations: int = 100
     relative_tolerance: float = 1e-9
     step_tolerance: float = 1e-6
+    restart: bool = True
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,16 @@ from graphtrack.model.kernels.compiled import compiled
 
 
 @compiled
+def angle_cost(close: float, kappa: float, uniform: float) -> float:
+    """What `add_angle` costs at a deviation whose cosine is ``close``."""
+    far = kappa * (1.0 - close)
+    if uniform == 0.0:
+        return far
+    # As the factor has it: never negative, since the resultant is at most κ.
+    return 2.0 * kappa - math.log((math.exp(-far) + uniform) / (1.0 + uniform))
+
+
+@compiled
 def add_angle(
     cos: float,
     sin: float,
@@ -40,8 +50,7 @@ def add_angle(
         hessian[place, place] += inlier * kappa * close - inlier * (1.0 - inlier) * slope * slope
     else:
         hessian[place, place] += inlier * kappa
-    # As the factor has it: never negative, since the resultant is at most κ.
-    return 2.0 * kappa - math.log((value + uniform) / (1.0 + uniform))
+    return angle_cost(close, kappa, uniform)
 
 
 @compiled
