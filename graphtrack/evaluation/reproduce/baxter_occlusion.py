@@ -315,11 +315,11 @@ def _figure(
         bars(line[1], [f"head {p.head}" for p in parts], values, spans)
         line[1].axhline(0.0, color=TRUTH_COLOUR, linewidth=0.8)
         line[1].set_title("online: MSE below the Kalman filter's (%)", fontsize=10, loc="left")
-        line[1].legend(frameon=False, fontsize=8)
+        line[1].legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=5, frameon=False, fontsize=8)
         roots = {m: [float(np.sqrt(p.by_method[m].mean())) for p in parts] for m in OFFLINE}
         bars(line[2], [f"head {p.head}" for p in parts], roots)
         line[2].set_title("offline: RMSE (m)", fontsize=10, loc="left")
-        line[2].legend(frameon=False, fontsize=8, loc="lower right", framealpha=0.8)
+        line[2].legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=3, frameon=False, fontsize=8)
     return figure
 
 

@@ -199,6 +199,8 @@ def _beside(found: Sequence[Scores]) -> Table:
 
 
 def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
+    from matplotlib.lines import Line2D
+
     from graphtrack.evaluation.reproduce.style import COLOURS
     from graphtrack.report.plots.canvas import new_figure, tidy
     from graphtrack.report.style import NEUTRAL_COLOUR
@@ -230,12 +232,18 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
             tidy(axes, grid="y")
             axes.set_xticks(range(3), stages)
             axes.set_xlim(-0.4, 2.4)
-            axes.set_ylim(bottom=0.0)
             if row == 0:
                 axes.set_title(name, fontsize=10)
+        # After all are drawn, for they share their axis.
+        top = max(axes.dataLim.y1 for axes in grid[row])
+        grid[row, 0].set_ylim(0.0, 1.05 * top)
         grid[row, 0].set_ylabel(f"{angle}: mean error (°)")
     grid[0, 0].legend(frameon=False, fontsize=8)
-    grid[0, 1].legend(frameon=False, fontsize=8, title="solid online, dashed offline", title_fontsize=8)
+    handles = [
+        Line2D([], [], color=COLOURS[method], linestyle="-" if group == "online" else "--", label=method)
+        for method, (group, _) in METHODS.items()
+    ]
+    grid[0, 1].legend(handles=handles, frameon=False, fontsize=8)
     return figure
 
 

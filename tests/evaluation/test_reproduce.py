@@ -1,0 +1,211 @@
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+from walks import walk, without
+
+from graphtrack.baselines.intentional import IntentionalParameters, intentional_filter
+from graphtrack.baselines.kalman import filter_states, kalman_filter
+from graphtrack.cli.main import app
+from graphtrack.corpus import CorpusParameters, simulate_behaviour
+from graphtrack.errors import InputError
+from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table
+from graphtrack.evaluation.reproduce.baxter_occlusion import error_of
+from graphtrack.evaluation.reproduce.baxter_simulated import squared_error
+from graphtrack.evaluation.reproduce.chen_joint import PAPER, concentration_of
+from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density
+from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
+from graphtrack.evaluation.reproduce.recordings import evenly, thinned
+from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference, reduction
+from graphtrack.inference import track_online
+from graphtrack.model import Model, Parameters
+from graphtrack.tracks import TrackSet
+
+
+@pytest.mark.parametrize("behaviour", range(7))
+@pytest.mark.parametrize("rate", [1.0, 0.8, 0.6])
+def test_the_consistent_tracker_beats_the_kalman_filter_on_every_behaviour(
+    behaviour: int, rate: float
+) -> None:
+    # A pedestrian's pace, 000's noise and its parameters for both.
+    corpus = simulate_behaviour(
+        behaviour, CorpusParameters(tracks=60), rng=np.random.default_rng(behaviour)
+    ).detected(rate, np.random.default_rng(100 + behaviour))
+    plain = intentional_filter(corpus.position, None)
+    steered = intentional_filter(corpus.position, corpus.head, IntentionalParameters())
+    gain = squared_error(plain.predicted_mean[..., :2], corpus.truth) / squared_error(
+        steered.predicted_mean[..., :2], corpus.truth
+    )
+    likelihood = np.nansum(plain.log_likelihood, axis=1) / np.nansum(steered.log_likelihood, axis=1)
+    assert np.median(gain) > 1.5
+    assert np.median(likelihood) > 1.15
+    assert np.mean(gain > 1.0) > 0.9
+
+
+def test_the_bootstrap_covers_what_it_should() -> None:
+    rng = np.random.default_rng(0)
+    inside = 0
+    for _ in range(200):
+        before = rng.normal(10.0, 4.0, 30)
+        after = before - 1.0 + rng.normal(0.0, 1.0, 30)
+        found = bootstrap(mean_difference, after, before, rng=rng)
+        inside += found.low <= -1.0 <= found.high
+        # Paired: people differ by 4, but the difference is known to about 1/√30.
+        assert found.high - found.low < 1.2
+    assert 0.88 < inside / 200 <= 1.0
+
+
+def test_the_bootstrap_of_few() -> None:
+    rng = np.random.default_rng(0)
+    none = bootstrap(mean_difference, np.array([np.nan]), np.array([1.0]), rng=rng)
+    assert math.isnan(none.value)
+    one = bootstrap(mean_difference, np.array([3.0, np.nan]), np.array([1.0, 1.0]), rng=rng)
+    assert one.value == 2.0
+    assert math.isnan(one.low)
+    assert reduction(np.array([1.0, 1.0]), np.array([4.0, 4.0])) == pytest.approx(0.75)
+
+
+def test_fitting_finds_the_least() -> None:
+    found = fit(
+        lambda a, b: (math.log(a / 0.02)) ** 2 + (math.log(b / 7.0)) ** 2, [1.0, 1.0], evaluations=120
+    )
+    np.testing.assert_allclose(found, [0.02, 7.0], rtol=0.1)
+    assert fit(lambda a: math.nan if a > 2.0 else -a, [1.0], evaluations=40)[0] == pytest.approx(2.0, rel=0.1)
+
+
+def test_coupling_and_density_change_only_what_they_name() -> None:
+    base = Parameters()
+    same = with_coupling(with_coupling(base, 4.0), 0.25)
+    assert same.coupling.head_body_kappa == pytest.approx(base.coupling.head_body_kappa)
+    assert same.orientation.body_diffusion == pytest.approx(base.orientation.body_diffusion)
+    assert with_density(base, 0.3) == replace(base, motion=replace(base.motion, acceleration_density=0.3))
+
+
+def test_one_step_ahead_is_the_kalman_filters_own_prediction() -> None:
+    track, parameters = without(walk(25, uneven=True), "position", [7, 8]), Parameters()
+    _, expected = filter_states(track, parameters)
+    predicted, logs = one_step_ahead(kalman_filter(track, parameters), track, parameters)
+    np.testing.assert_allclose(predicted, expected.mean[:, :2], atol=1e-9)
+    assert np.isnan(predicted[0]).all()
+    assert np.isnan(logs[[0, 7, 8]]).all()
+    assert np.isfinite(np.delete(logs, [0, 7, 8])).all()
+
+
+def test_estimates_from_the_past_are_those_of_the_online_tracker() -> None:
+    track = without(walk(25), "position", [9, 10, 11])
+    frames = np.array([5, 10, 24])
+    found = from_the_past(track, Model("joint"), frames)
+    online = track_online(track, "joint", lag=60.0)
+    np.testing.assert_allclose(found.position[frames], online.position[frames], atol=0.01)
+    assert np.isnan(found.position[6]).all()
+    linear = from_the_past(track, Model("position"), frames)
+    np.testing.assert_allclose(linear.position[frames], kalman_filter(track).position[frames], atol=1e-6)
+
+
+def test_the_error_counts_in_the_window_and_nobody_sees_the_truth() -> None:
+    track, window = walk(20), np.zeros(20, dtype=bool)
+    window[5:9] = True
+
+    def estimator(seen: object) -> np.ndarray:
+        assert seen.true_position is None and seen.true_head is None  # type: ignore[attr-defined]
+        off = np.zeros((20, 2))
+        off[window, 0], off[~window] = 0.3, 99.0
+        return track.true_position + off  # type: ignore[operator]
+
+    assert error_of(estimator, [(track, window)])[0] == pytest.approx(0.09)
+
+
+@pytest.mark.parametrize("degrees", [41.7, 30.3, 5.0])
+def test_noise_has_the_mean_error_that_was_asked_for(degrees: float) -> None:
+    kappa = concentration_of(np.radians(degrees))
+    drawn = np.abs(np.random.default_rng(0).vonmises(0.0, kappa, 200_000))
+    assert np.degrees(drawn.mean()) == pytest.approx(degrees, rel=0.01)
+    assert PAPER["observation"] == (41.7, 30.3)
+
+
+def test_thinning_and_choosing() -> None:
+    track = walk(31)
+    assert len(thinned(track)) == 11
+    np.testing.assert_array_equal(thinned(track).t, track.t[::3])
+    many = TrackSet(tuple(walk(10 + i, track_id=i) for i in range(30)))
+    assert [t.track_id for t in evenly(many, 4)] == [0, 10, 19, 29]
+    assert len(evenly(many, 100)) == 30
+    assert len(evenly(many, 5, least_seconds=100.0)) == 0
+
+
+def test_a_table_is_rectangular_and_ready_for_json() -> None:
+    table = Table.of("t", [{"a": np.float64(1.5), "b": float("nan")}, {"a": np.int64(2), "b": "x"}])
+    back = json.loads(json.dumps(table.to_dict(), allow_nan=False))
+    assert back == {"title": "t", "columns": ["a", "b"], "rows": [[1.5, None], [2, "x"]]}
+    assert table.records()[1] == {"a": 2, "b": "x"}
+    with pytest.raises(InputError, match="a row of 1"):
+        Table("t", ("a", "b"), ((1,),))
+
+
+def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # no recordings beside: the corpus alone
+    monkeypatch.delenv("GRAPHTRACK_DATA", raising=False)
+    tables = []
+    for name in ("first", "again"):
+        arguments = ["reproduce", "baxter-statistics", "--quick", "--seed", "3"]
+        arguments += ["--out", str(tmp_path / name), "--json", str(tmp_path / f"{name}.json")]
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == 0, result.output
+        assert (tmp_path / name / "baxter-statistics.png").stat().st_size > 10_000
+        tables.append(json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8")))
+    assert tables[0] == tables[1]
+    detail, beside = tables[0]
+    assert detail["columns"][0] == "data"
+    assert all(len(row) == len(detail["columns"]) for row in detail["rows"])
+    assert beside["title"].startswith("Paper / ours")
+    row = dict(zip(detail["columns"], detail["rows"][0], strict=True))
+    # 000's noise of the head: μ = 4°, σ = 20°; the head is ahead of the smoothed travel, so a little more.
+    assert row["mean (°)"] == pytest.approx(-4.0, abs=1.0)
+    assert 20.0 < row["std (°)"] < 28.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["reproduce", "chen", "--out", "x"], "chen-joint"),
+        (["reproduce", "chen-joint", "--out", "x", "--data", "nowhere"], "no such folder"),
+    ],
+)
+def test_wrong_use(arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=said):
+        CliRunner().invoke(app, arguments, catch_exceptions=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(EXPERIMENTS))
+def test_every_experiment_runs(name: str, data_dir: Path) -> None:
+    experiment, done = EXPERIMENTS[name], 0
+
+    def progress(count: int) -> None:
+        nonlocal done
+        done += count
+
+    settings = Settings(quick=True, seed=1, data=data_dir)
+    found = experiment.run(settings, progress)
+    assert found.name == name
+    assert found.tables[-1].title.startswith("Paper / ours")
+    assert all(table.rows for table in found.tables)
+    json.dumps([table.to_dict() for table in found.tables], allow_nan=False)
+    # A search may end before its last evaluation.
+    assert 0.5 * experiment.work(settings) < done <= 1.5 * experiment.work(settings)
+
+
+@pytest.mark.slow
+def test_walking_people_are_estimated_better_jointly(data_dir: Path) -> None:
+    found = EXPERIMENTS["chen-joint"].run(Settings(quick=True, data=data_dir), lambda count: None)
+    rows = found.tables[0].records()
+    walking = [row for row in rows if row["data"] == "mocap, walking" and row["angle"] == "body"]
+    assert len(walking) == 4
+    assert all(float(row["high"]) < 0.0 for row in walking)  # type: ignore[arg-type]
