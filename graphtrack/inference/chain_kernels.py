@@ -37,6 +37,7 @@ class Problem(NamedTuple):
     head_directions: FloatArray
     origin: FloatArray  # (m, 2) metres, what a track's positions are counted from
     offsets: NDArray[np.int64]  # (m + 1,)
+    prior: FloatArray  # (8, 6) on the first frame: rows Λ, then η and the point d = 0; no rows: there is none
 
 
 class Result(NamedTuple):
@@ -401,6 +402,20 @@ def add_frame(
 
 
 @compiled
+def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessian: FloatArray) -> float:
+    """½·dᵀ·Λ·d − ηᵀ·d, where d is the deviation from the prior's point."""
+    cost = 0.0
+    for i in range(N):
+        slope = 0.0
+        for j in range(N):
+            slope += prior[i, j] * (state[j] - prior[N + 1, j])
+            hessian[i, j] += prior[i, j]
+        cost += (0.5 * slope - prior[N, i]) * (state[i] - prior[N + 1, i])
+        gradient[i] += slope - prior[N, i]
+    return cost
+
+
+@compiled
 def sweep_forward(
     problem: Problem, track: int, start: FloatArray, states: FloatArray, exact: bool, workspace: Workspace
 ) -> tuple[float, bool]:
@@ -425,6 +440,8 @@ def sweep_forward(
             hessians[here],
             transition,
         )
+        if k == 0 and len(problem.prior) > 0:
+            cost += add_prior(problem.prior, states[0], gradients[here], hessians[here])
         if k > 0 and definite:
             definite = eliminate(
                 hessians[before],

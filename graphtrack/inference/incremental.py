@@ -1,7 +1,7 @@
 """The online smoother: one person, one observation at a time.
 
-Two engines: ``fixed-lag`` (`FixedLag`; bounded time and memory) and ``isam2`` (`FullHistory`). An estimate
-uses only what came before it.
+Three engines: ``chain`` (`ChainWindow`; a fixed lag, compiled), ``fixed-lag`` (`FixedLag`; the same with
+GTSAM, for any list of terms) and ``isam2`` (`FullHistory`). An estimate uses only what came before it.
 """
 
 from __future__ import annotations
@@ -16,15 +16,38 @@ import numpy as np
 from graphtrack.angles import FloatArray, wrap
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry import GroundCamera
+from graphtrack.inference.chain import is_chain
+from graphtrack.inference.chain_window import ChainWindow
 from graphtrack.inference.fixed_lag import FixedLag
 from graphtrack.inference.full_history import FullHistory
+from graphtrack.inference.offline import engine_of
 from graphtrack.inference.state import Estimate, Newest, Status, Window, pack_state, unpack_state
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.steps import CHANNELS, observations, seconds_between
 from graphtrack.tracks import Track
 
-Engine = Literal["fixed-lag", "isam2"]
-ENGINES: tuple[Engine, ...] = ("fixed-lag", "isam2")
+Engine = Literal["auto", "chain", "fixed-lag", "isam2"]
+ENGINES: tuple[Engine, ...] = ("auto", "chain", "fixed-lag", "isam2")
+
+_PROMISED_DECREASE = 1e-8
+"""Of the cost, relative, below which the chain engine takes no further Newton step for an observation."""
+
+
+def online_engine(model: Model, engine: Engine = "auto") -> Engine:
+    """The engine that tracks with a model: what was asked for, or "chain" wherever that is possible.
+
+    Raises
+    ------
+    InputError
+        If the engine is unknown, or the chain was asked for and a term has no compiled kernel.
+    """
+    if engine not in ENGINES:
+        raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
+    if engine == "auto":
+        return "chain" if is_chain(model) else "fixed-lag"
+    if engine == "chain":
+        engine_of(model, "chain")
+    return engine
 
 
 class OnlineSmoother:
@@ -33,13 +56,14 @@ class OnlineSmoother:
     Parameters
     ----------
     model : a `Model`, the name of a preset or a model file
-    engine : "fixed-lag" or "isam2"
-    lag : seconds of history that the fixed lag keeps open
+    engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
+        "fixed-lag"
+    lag : seconds of history that chain and fixed lag keep open
     camera : camera of the scene, for observations in pixels
     relinearize_threshold : isam2: change of a variable beyond which it is linearised again (metres, m/s,
         radians)
-    step_tolerance : Gauss–Newton steps for an observation end when no variable changes by more than this
-        (metres, m/s, radians); by default one mostly does, and the errors are no larger for it
+    step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
+        than this (metres, m/s, radians); by default one mostly does, and the errors are no larger for it
     max_iterations : or after so many
 
     Examples
@@ -54,15 +78,13 @@ class OnlineSmoother:
         self,
         model: Model | str = "joint",
         *,
-        engine: Engine = "fixed-lag",
+        engine: Engine = "auto",
         lag: float = 2.0,
         camera: GroundCamera | None = None,
         relinearize_threshold: float = 0.01,
         step_tolerance: float = 0.5,
         max_iterations: int = 20,
     ) -> None:
-        if engine not in ENGINES:
-            raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
         if not (math.isfinite(lag) and lag > 0.0):
             raise InputError(f"lag = {lag}", "a positive number of seconds")
         if not relinearize_threshold > 0.0:
@@ -72,14 +94,16 @@ class OnlineSmoother:
         if max_iterations < 1:
             raise InputError(f"max_iterations = {max_iterations}", "at least 1")
         self.model = Model.named(model)
-        self.engine: Engine = engine
+        self.engine = online_engine(self.model, engine)
         self.lag = float(lag)
         self.camera = camera
-        self._smoother: FixedLag | FullHistory = (
-            FullHistory(self.model, relinearize_threshold, step_tolerance, max_iterations)
-            if engine == "isam2"
-            else FixedLag(self.model, self.lag, step_tolerance, max_iterations)
-        )
+        self._smoother: ChainWindow | FixedLag | FullHistory
+        if self.engine == "chain":
+            self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
+        elif self.engine == "isam2":
+            self._smoother = FullHistory(self.model, relinearize_threshold, step_tolerance, max_iterations)
+        else:
+            self._smoother = FixedLag(self.model, self.lag, step_tolerance, max_iterations)
         self._next_index = 0
         self._last: Estimate | None = None
 
@@ -290,7 +314,7 @@ def track_online(
     track: Track,
     model: Model | str = "joint",
     *,
-    engine: Engine = "fixed-lag",
+    engine: Engine = "auto",
     lag: float = 2.0,
     camera: GroundCamera | None = None,
 ) -> Track:

@@ -23,13 +23,28 @@ orientation that nothing else determines has a solution."""
 WINDOW = 0.5
 """Seconds to either side over which observed angles are averaged for the initial values."""
 
+NO_PRIOR = np.zeros((0, 6))
+
 SLOW = 0.1
 """m/s up to which a direction of travel does not stand in for an orientation, whatever the threshold."""
 
 
-def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
-    """Tracks end to end, with the records that the model's compiled terms fill in."""
-    packed = PackedTracks.of(tracks, camera)
+def pack(
+    tracks: Sequence[Track],
+    model: Model,
+    camera: GroundCamera | None = None,
+    *,
+    dt: FloatArray | None = None,
+    starts: bool = True,
+) -> PackedTracks:
+    """Tracks end to end, with the records that the model's compiled terms fill in.
+
+    A single frame that stands within a track has a ``dt`` (1,) in seconds since the frame before it, and says
+    whether the track ``starts`` there.
+    """
+    packed = (
+        PackedTracks.of(tracks, camera) if dt is None else PackedTracks.within(tracks, camera, dt, starts)
+    )
     for term in model.terms:
         if term.is_compiled:
             term.pack(packed)
@@ -50,6 +65,7 @@ def problem_of(packed: PackedTracks) -> Problem:
         unit(class_centres(HEAD_CLASSES)),
         packed.origin,
         packed.offsets,
+        NO_PRIOR,
     )
 
 

@@ -45,6 +45,21 @@ class PackedTracks:
         packed.records["dt"] = packed.dt
         return packed
 
+    @classmethod
+    def within(
+        cls, tracks: Sequence[Track], camera: GroundCamera | None, dt: FloatArray, starts: bool
+    ) -> PackedTracks:
+        """Frames from the midst of a track, ``dt`` seconds after the ones before (0: there is none).
+
+        The track ``starts`` where the prior on the first velocity stands.
+        """
+        packed = cls.of(tracks, camera)
+        packed.records["dt"] = packed.dt = dt
+        packed.is_first = dt == 0.0
+        packed.first_seen = packed.first_seen if starts else packed.first_seen[:0]
+        packed.origin = np.zeros((len(tracks), 2))
+        return packed
+
     def channel(self, name: str) -> FloatArray | None:
         """One channel (N, …) of all tracks, NaN where a track does not have it; None where none has."""
         values = [getattr(track, name) for track in self.tracks]

@@ -1,0 +1,306 @@
+"""The fixed lag on the compiled chain: what `FixedLag` does with GTSAM, in a fraction of the time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from graphtrack.angles import FloatArray, unit
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference.chain_kernels import N, Problem, workspace
+from graphtrack.inference.initial import pack
+from graphtrack.inference.marginal import MarginalPrior
+from graphtrack.inference.solution import bounded
+from graphtrack.inference.state import Angles, Newest, Window
+from graphtrack.inference.window_kernels import let_go, solve_window
+from graphtrack.model import Model, Observation, Step
+from graphtrack.model.kernels.frames import BODY, FRAME, HEAD
+from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.pose import class_centres
+from graphtrack.model.steps import CHANNELS
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
+
+_TEMPLATES = 256
+"""Kinds of frame (what was seen, how long after the last) that are remembered, packed."""
+
+
+class ChainWindow:
+    """A fixed-lag smoother of one person by compiled Newton steps.
+
+    The frames of the window stand one after another in arrays that the kernels read in place. What leaves the
+    window is eliminated with its exact curvature, and what it says about the next frame stays as a Gaussian.
+    Time and memory are bounded by the window. Whatever a method raises, it leaves the smoother as it was.
+
+    Parameters
+    ----------
+    model : a chain (see `chain.is_chain`)
+    lag : seconds that the window reaches back from its newest step
+    tolerance : the Newton steps of an observation end when the next one promises a smaller decrease of the
+        cost, relative to 1 + the cost
+    max_iterations : or after so many
+    """
+
+    def __init__(self, model: Model, lag: float, tolerance: float, max_iterations: int) -> None:
+        self._model, self._lag = model, lag
+        self._tolerance, self._max_iterations = tolerance, max_iterations
+        self._templates: dict[tuple[object, ...], PackedTracks] = {}
+        self._anchor: Angles | None = None
+        self._steps: list[Step] = []
+        self._has_prior = False
+        self._origin = np.zeros(2)
+        self._covariance = np.empty((N, N))
+        self._allocate(64)
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps of the window, oldest first."""
+        return tuple(self._steps)
+
+    def state(self, step: Step) -> tuple[float, ...]:
+        """x, y, vx, vy, body, head of a step of the window; NaN for what the model does not have."""
+        # The newest step is asked for at every observation.
+        back = 1 if step is self._steps[-1] else len(self._steps) - self._place(step)
+        return self._read(self._offsets[1] - back)
+
+    def extend(self, step: Step, state: Sequence[float]) -> Newest:
+        """Add a step whose variables start at ``state``; what is known about it then."""
+        if not self._steps:
+            self._anchor = (state[4], state[5])
+            self._origin[:] = state[:2]
+        if self._offsets[1] == len(self._states):
+            self._make_room()
+        begin, end = self._offsets.tolist()
+        before = self._states[begin:end].copy()
+        self._put(end, step, state)
+        self._offsets[1] = end + 1
+        if not self._solve():
+            self._offsets[1] = end
+            self._states[begin:end] = before
+            if not self._steps:
+                self._anchor = None
+            raise ArithmeticError("the estimate is not finite")
+        self._steps.append(step)
+        newest = self._newest()
+        self._slide()
+        return newest
+
+    def rework(self, window: Window) -> Newest:
+        """Take over a window that was changed; what is known about its newest step then."""
+        before = self.window()
+        try:
+            self.restore(window)
+            if not self._solve():
+                raise ArithmeticError("the estimate is not finite")
+        except BaseException:
+            self.restore(before)
+            raise
+        newest = self._newest()
+        self._slide()
+        return newest
+
+    def restore(self, window: Window) -> None:
+        """Take over a window as it stands."""
+        prior, origin = np.zeros((N + 2, N)), np.zeros(2)
+        if window.steps:
+            origin = np.array(window.values[window.steps[0].index][:2])
+        if window.prior is not None:
+            prior = self._from_prior(window.prior, window.steps[0], origin)
+        self._allocate(max(64, 2 * len(window.steps)))
+        self._origin[:] = origin
+        self._prior[:] = prior
+        self._has_prior, self._anchor = window.prior is not None, window.anchor
+        for k, step in enumerate(window.steps):
+            self._put(k, step, window.values[step.index])
+        self._offsets[1] = len(window.steps)
+        self._steps = list(window.steps)
+        for k in range(1, len(window.steps)):
+            # Angles go on from the step before, whatever turn they were written in.
+            turn = self._states[k, 4:] - self._states[k - 1, 4:]
+            self._states[k, 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+        if window.prior is not None and window.steps:
+            turn = self._states[0, 4:] - self._prior[N + 1, 4:]
+            self._states[: len(window.steps), 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+
+    def window(self) -> Window:
+        """What another smoother needs to go on from here."""
+        steps = tuple(self._steps)
+        values = {step.index: self._read(self._offsets[0] + k) for k, step in enumerate(steps)}
+        prior = self._to_prior(steps[0]) if steps and self._has_prior else None
+        return Window(steps, values, prior, self._anchor)
+
+    # -- arrays --------------------------------------------------------------------------------------------
+
+    def _allocate(self, n: int) -> None:
+        self._states = np.zeros((n, N))
+        self._offsets = np.zeros(2, np.int64)
+        self._prior = np.zeros((N + 2, N))
+        self._memory = workspace(n)
+        shared = self._template(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
+        self._problem = Problem(
+            np.zeros(n, FRAME),
+            shared,
+            np.zeros((n, BODY_CLASSES + 1)),
+            np.zeros((n, HEAD_CLASSES + 1)),
+            unit(class_centres(BODY_CLASSES)),
+            unit(class_centres(HEAD_CLASSES)),
+            self._origin[None],
+            self._offsets,
+            self._prior,
+        )
+
+    def _make_room(self) -> None:
+        """Move the window to the front of the arrays, or into larger ones."""
+        begin, end = self._offsets
+        old, states, prior, n = self._problem, self._states, self._prior, end - begin
+        if 2 * n > len(states):
+            self._allocate(2 * len(states))
+            self._prior[:] = prior
+        self._states[:n] = states[begin:end]
+        for new, previous in zip(self._problem[:4], old[:4], strict=True):
+            if len(new) > 1:
+                new[:n] = previous[begin:end].copy()
+        self._problem.shared[:] = old.shared
+        self._offsets[:] = 0, n
+
+    def _read(self, row: int) -> tuple[float, ...]:
+        x, y, vx, vy, body, head = self._states[row].tolist()
+        nan = float("nan")
+        return (
+            x + float(self._origin[0]),
+            y + float(self._origin[1]),
+            vx,
+            vy,
+            body if self._model.has_body else nan,
+            head if self._model.has_head else nan,
+        )
+
+    def _put(self, row: int, step: Step, state: Sequence[float]) -> None:
+        problem, seen, origin = self._problem, step.observation, self._origin
+        packed = self._template(seen, step.dt, step.starts, step.camera)
+        problem.records[row] = packed.records[0]
+        if packed.records["pixel_information"][0] > 0.0:
+            problem.shared[:] = packed.shared  # with the camera
+        record = problem.records[row]
+        record["dt"] = 0.0 if step.dt is None else step.dt
+        if step.previous is None:
+            for link in ("motion_information", "body_turn_kappa", "head_turn_kappa"):
+                record[link] = 0.0
+        if seen.position is not None:
+            record["x"], record["y"] = seen.position[0] - origin[0], seen.position[1] - origin[1]
+        for name in ("body", "head"):
+            angle = getattr(seen, name)
+            if angle is not None:
+                record[f"{name}_cos"], record[f"{name}_sin"] = np.cos(angle), np.sin(angle)
+        if len(packed.body_heights):
+            problem.body_heights[row] = packed.body_heights[0]
+        if len(packed.head_heights):
+            problem.head_heights[row] = packed.head_heights[0]
+        local = np.array(state)
+        local[:2] -= origin
+        self._states[row] = np.where(np.isfinite(local) | (np.arange(N) < BODY), local, 0.0)
+
+    def _template(
+        self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
+    ) -> PackedTracks:
+        """A frame of this kind, packed; its position and angles stand for any."""
+        kind: tuple[object, ...] | None = None
+        if seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None:
+            kind = (
+                None if dt is None else round(dt, 9),
+                starts,
+                seen.position is None,
+                seen.body is None,
+                seen.head is None,
+                seen.position_std,
+                seen.body_kappa,
+                seen.head_kappa,
+            )
+            known = self._templates.get(kind)
+            if known is not None:
+                return known
+        given = {name: getattr(seen, name) for name in CHANNELS}
+        position = given.pop("position") or (np.nan, np.nan)
+        channels: dict[str, Any] = {
+            name: np.array([value]) for name, value in given.items() if value is not None
+        }
+        track = Track(0, np.array([0]), np.array([seen.t]), np.array([position]), **channels)
+        packed = pack(
+            [track],
+            self._model,
+            camera,
+            dt=np.array([0.0 if dt is None else dt]),
+            starts=starts,
+        )
+        if kind is not None:
+            if len(self._templates) == _TEMPLATES:
+                self._templates.clear()
+            self._templates[kind] = packed
+        return packed
+
+    # -- solving -------------------------------------------------------------------------------------------
+
+    def _solve(self) -> bool:
+        return bool(
+            solve_window(
+                self._problem,
+                self._states,
+                self._max_iterations,
+                self._tolerance,
+                self._memory,
+                self._covariance,
+            )
+        )
+
+    def _newest(self) -> Newest:
+        covariance = self._covariance.copy()
+        for has, place in ((self._model.has_body, BODY), (self._model.has_head, HEAD)):
+            if not has:
+                covariance[place] = covariance[:, place] = np.nan
+        return np.array(self._read(self._offsets[1] - 1)), bounded(covariance)
+
+    def _slide(self) -> None:
+        horizon = self._steps[-1].observation.t - self._lag
+        while self._steps[0].observation.t < horizon:
+            let_go(self._problem, self._states, self._memory)
+            self._has_prior = True
+            self._steps[:2] = [replace(self._steps[1], previous=None)]
+
+    # -- priors --------------------------------------------------------------------------------------------
+
+    def _place(self, step: Step) -> int:
+        return next(k for k, known in enumerate(self._steps) if known.index == step.index)
+
+    def _keys(self, step: Step) -> list[tuple[int, slice]]:
+        """GTSAM keys of a step's variables, and their places in the state."""
+        keys = [(step.position_key, slice(0, 2)), (step.velocity_key, slice(2, 4))]
+        if self._model.has_body:
+            keys.append((step.body_key, slice(BODY, BODY + 1)))
+        if self._model.has_head:
+            keys.append((step.head_key, slice(HEAD, HEAD + 1)))
+        return keys
+
+    def _to_prior(self, step: Step) -> MarginalPrior:
+        keys = self._keys(step)
+        point = self._prior[N + 1].copy()
+        point[:2] += self._origin
+        rows = np.concatenate([np.arange(N)[part] for _, part in keys])
+        return MarginalPrior(
+            tuple(key for key, _ in keys),
+            tuple(tuple(point[part].tolist()) for _, part in keys),
+            self._prior[np.ix_(rows, rows)],
+            self._prior[N, rows],
+            0.0,
+        )
+
+    def _from_prior(self, prior: MarginalPrior, step: Step, origin: FloatArray) -> FloatArray:
+        parts = dict(self._keys(step))
+        rows = np.concatenate([np.arange(N)[parts[key]] for key in prior.keys])
+        result = np.zeros((N + 2, N))
+        result[np.ix_(rows, rows)] = prior.information
+        result[N, rows] = prior.linear
+        result[N + 1, rows] = np.concatenate([np.array(point) for point in prior.point])
+        result[N + 1, :2] -= origin
+        return result
