@@ -77,7 +77,14 @@ def test_the_term_of_ones_own_has_factors_of_its_density(names):
     assert graph_cost(with_term) - graph_cost(without) == pytest.approx(density)
 
 
-@pytest.mark.parametrize("line", command_lines())
+def is_slow(line):
+    return line.startswith("graphtrack reproduce")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [pytest.param(line, marks=[pytest.mark.slow] if is_slow(line) else []) for line in command_lines()],
+)
 def test_a_command_line_runs(line, here, monkeypatch, capsys):
     arguments = shlex.split(line)[1:]
     if arguments[0] == "demo":
