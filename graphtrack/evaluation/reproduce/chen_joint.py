@@ -145,6 +145,10 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "SALSA has a frame every 3 s: in that time 1,000 particles spread so far that few of them are within "
         "the noise of a position, and the particle filter suffers from it.",
     ]
+    notes.append(
+        "People drawn from the model follow the normalised product of dynamics and coupling, as the particle "
+        "filter has it; the graph's product is not normalised, and holds the head closer to the body than that."
+    )
     if len(found) == 1:
         notes.append("No recordings were found: only people drawn from the model.")
     return Reproduction(
