@@ -22,9 +22,9 @@ def compare(
         str,
         typer.Option(
             "--methods",
-            help="Comma-separated: kf, intentional, particle, rts, ffbs, smoother, isam2, fixed-lag.",
+            help="Comma-separated: kf, intentional, particle, rts, ffbs, smoother, chain, isam2, fixed-lag.",
         ),
-    ] = "kf,rts,smoother,isam2,fixed-lag",
+    ] = "kf,rts,smoother,chain,isam2,fixed-lag",
     model: options.ModelName = "joint",
     occlude: Annotated[
         float | None,

@@ -38,7 +38,7 @@ def demo(
     with progress_bar(observed.n_frames) as advance:
         estimates = smooth(observed, chosen, progress=advance)
     write(estimates, out / "estimates.csv")
-    methods = ["kf", "fixed-lag", "isam2", "rts", "smoother"]
+    methods = ["kf", "chain", "fixed-lag", "isam2", "rts", "smoother"]
     with progress_bar(observed.n_frames) as advance:
         comparison = compare(observed, methods, model=chosen, progress=advance)
     print_comparison(comparison)

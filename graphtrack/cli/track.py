@@ -29,9 +29,15 @@ def track(
         ),
     ] = None,
     model: options.ModelName = "joint",
-    engine: Annotated[str, typer.Option("--engine", help="fixed-lag or isam2.")] = "fixed-lag",
+    engine: Annotated[
+        str,
+        typer.Option(
+            "--engine",
+            help="auto, chain (a fixed lag, compiled), fixed-lag (the same with GTSAM) or isam2.",
+        ),
+    ] = "auto",
     lag: Annotated[
-        float, typer.Option("--lag", help="Seconds of history that the fixed lag keeps open.")
+        float, typer.Option("--lag", help="Seconds of history that chain and fixed-lag keep open.")
     ] = 2.0,
     fps: options.Fps = None,
     homography: options.Homography = None,

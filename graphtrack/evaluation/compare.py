@@ -20,7 +20,7 @@ from graphtrack.geometry import GroundCamera
 from graphtrack.model import Model
 from graphtrack.tracks import Track, TrackSet
 
-METHODS = ("kf", "rts", "smoother", "isam2", "fixed-lag")
+METHODS = ("kf", "rts", "smoother", "chain", "isam2", "fixed-lag")
 
 Group = Literal["online", "offline"]
 

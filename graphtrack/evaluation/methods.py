@@ -68,7 +68,7 @@ class OnlineGraph:
     Attributes
     ----------
     model : what is estimated
-    engine : "fixed-lag" or "isam2"; it is the name, too
+    engine : "chain", "fixed-lag" or "isam2"; it is the name, too
     lag : seconds that the fixed lag keeps open
     """
 
@@ -141,6 +141,7 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
         "smoother": lambda model: FunctionMethod(
             "smoother", False, f"{channels(model)}; past and future", model, _smoother
         ),
+        "chain": lambda model: OnlineGraph(model, "chain"),
         "isam2": lambda model: OnlineGraph(model, "isam2"),
         "fixed-lag": lambda model: OnlineGraph(model, "fixed-lag"),
     }

@@ -110,7 +110,7 @@ def test_everything_is_ready_for_json(comparison: Comparison) -> None:
 
 def test_online_and_offline_stand_apart_and_the_caption_says_what_was_used(comparison: Comparison) -> None:
     groups = {name: {row["method"] for row in comparison.group(name)} for name in ("online", "offline")}
-    assert groups == {"online": {"kf", "isam2", "fixed-lag"}, "offline": {"rts", "smoother"}}
+    assert groups == {"online": {"kf", "chain", "isam2", "fixed-lag"}, "offline": {"rts", "smoother"}}
     order = [row["group"] for row in comparison.rows]
     assert order == sorted(order, reverse=True), "online rows stand together, and first"
     for method, used in comparison.information.items():
