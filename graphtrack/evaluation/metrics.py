@@ -66,7 +66,9 @@ def position_nees(estimate: Track, truth: Track) -> FloatArray:
     error, covariance = estimate.position - truth.true_position, estimate.covariance[:, :2, :2]
     determinant = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] * covariance[:, 1, 0]
     with np.errstate(invalid="ignore"):
-        use = np.isfinite(error).all(axis=1) & (determinant > 0.0) & (covariance[:, 0, 0] > 0.0)
+        # Beyond rounding: paths of particles that share an ancestor leave a covariance of rank 1 or 0.
+        definite = determinant > 1e-12 * covariance[:, 0, 0] * covariance[:, 1, 1]
+        use = np.isfinite(error).all(axis=1) & definite & (covariance[:, 0, 0] > 0.0)
     weighted = np.linalg.solve(covariance[use], error[use, :, None])[..., 0]
     found[use] = np.sum(error[use] * weighted, axis=1)
     return found

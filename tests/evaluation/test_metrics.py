@@ -134,3 +134,11 @@ def test_the_band_holds_95_percent_and_a_track_counts_once() -> None:
     values = list(rng.chisquare(2, (30, 1)))
     once, often = consistency(values, 2), consistency([np.repeat(v, 50) for v in values], 2)
     assert (once.low, once.high, once.nees) == pytest.approx((often.low, often.high, often.nees))
+
+
+def test_a_singular_covariance_has_no_nees() -> None:
+    truth, estimate = truth_and_estimate()
+    covariance = np.tile(np.eye(6), (4, 1, 1))
+    covariance[1, :2, :2], covariance[2, :2, :2] = 0.0, np.outer([0.3, 0.1], [0.3, 0.1])
+    found = position_nees(replace(estimate, covariance=covariance), truth)
+    np.testing.assert_array_equal(np.isfinite(found), [True, False, False, True])

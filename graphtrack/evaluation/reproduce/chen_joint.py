@@ -147,7 +147,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     ]
     notes.append(
         "People drawn from the model follow the normalised product of dynamics and coupling, as the particle "
-        "filter has it; the graph's product is not normalised, and holds the head closer to the body than that."
+        "filter has it; the graph's is not normalised, and holds the head closer to the body than that."
     )
     if len(found) == 1:
         notes.append("No recordings were found: only people drawn from the model.")
