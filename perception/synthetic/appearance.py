@@ -37,7 +37,7 @@ _HAIR_SHARE = (0.34, 0.26, 0.16, 0.10, 0.10, 0.04)
 _STYLES: tuple[Hair, ...] = get_args(Hair)
 _STYLE_SHARE = (0.40, 0.20, 0.08, 0.08, 0.08, 0.06, 0.10)
 _HATS: tuple[Hat, ...] = get_args(Hat)
-_HAT_SHARE = (0.78, 0.08, 0.06, 0.04, 0.04)
+_HAT_SHARE = (0.88, 0.04, 0.04, 0.02, 0.02)
 _TEXTURES = (PLAIN, SPECKLED, STRIPED, CHECKED)
 _TEXTURE_SHARE = (0.55, 0.15, 0.18, 0.12)
 

@@ -10,22 +10,30 @@ from perception.synthetic.solids import PLAIN, SPECKLED, Builder, Solids
 NECK_BELOW = 0.10
 """Metres from the head's origin down to the neck's pivot."""
 
+CORE, EXTRA = 0, 1
+"""Groups of a head's solids: what its box encloses, and what hangs or sticks out."""
+
 _DARK = (0.03, 0.03, 0.035)
 
 
 def head_solids(look: Appearance) -> Solids:
-    """Skull, face, ears, hair, hat, glasses and beard (metres)."""
-    make = Builder()
+    """Skull, face, ears, hair, hat, glasses and beard (metres).
+
+    Group CORE is the skull with its cap of hair, the face, and hats that fit closely; group EXTRA long hair,
+    buns, brims and hoods, which say little about where the head itself is.
+    """
+    make, extra = Builder(), Builder()
     _face(make, look)
     if look.hat != "hood":
         _hair(make, look)
-    _hat(make, look)
+        _long_hair(extra, look)
+    _hat(make, extra, look)
     if look.glasses:
         for side in (-1.0, 1.0):
             make.ellipsoid((0.094, side * 0.034, 0.012), (0.010, 0.026, 0.017), _DARK)
             make.limb((0.080, side * 0.066, 0.016), (0.0, side * 0.079, 0.016), 0.004, _DARK)
         make.limb((0.104, -0.012, 0.014), (0.104, 0.012, 0.014), 0.004, _DARK)
-    return make.build().scaled(look.stretch)
+    return Solids.together(make.build(CORE), extra.build(EXTRA)).scaled(look.stretch)
 
 
 def _face(make: Builder, look: Appearance) -> None:
@@ -65,6 +73,10 @@ def _hair(make: Builder, look: Appearance) -> None:
     else:
         make.ellipsoid((-0.014, 0.0, 0.036), semi, colour, clip=line, texture=strands)
     make.ellipsoid((-0.055, 0.0, -0.030), (0.052, 0.068, 0.070), colour, texture=strands)
+
+
+def _long_hair(make: Builder, look: Appearance) -> None:
+    colour, strands = look.hair_colour, (SPECKLED, 0.22, 8.0)
     if look.hair == "long":
         make.ellipsoid((-0.052, 0.0, -0.075), (0.055, 0.088, 0.135), colour, texture=strands)
         for side in (-1.0, 1.0):
@@ -76,12 +88,12 @@ def _hair(make: Builder, look: Appearance) -> None:
         make.ellipsoid((-0.122, 0.0, -0.050), (0.024, 0.030, 0.095), colour, texture=strands)
 
 
-def _hat(make: Builder, look: Appearance) -> None:
+def _hat(make: Builder, extra: Builder, look: Appearance) -> None:
     colour, cloth = look.hat_colour, (PLAIN, 0.0, 0.0)
     dome = np.array((0.108, 0.088, 0.104))
     if look.hat == "cap":
         make.ellipsoid((-0.010, 0.0, 0.042), dome, colour, clip=(0.0, 0.0, -1.0, -0.12), texture=cloth)
-        make.ellipsoid((0.115, 0.0, 0.058), (0.070, 0.070, 0.009), np.array(colour) * 0.8)
+        extra.ellipsoid((0.115, 0.0, 0.058), (0.070, 0.070, 0.009), np.array(colour) * 0.8)
     elif look.hat == "beanie":
         make.ellipsoid(
             (-0.012, 0.0, 0.044),
@@ -92,9 +104,9 @@ def _hat(make: Builder, look: Appearance) -> None:
         )
     elif look.hat == "brim":
         make.ellipsoid((-0.010, 0.0, 0.062), (0.104, 0.086, 0.105), colour, clip=(0.0, 0.0, -1.0, 0.0))
-        make.ellipsoid((-0.008, 0.0, 0.066), (0.170, 0.152, 0.010), np.array(colour) * 0.85)
+        extra.ellipsoid((-0.008, 0.0, 0.066), (0.170, 0.152, 0.010), np.array(colour) * 0.85)
     elif look.hat == "hood":
-        make.ellipsoid((-0.020, 0.0, 0.010), (0.122, 0.100, 0.140), look.top, clip=(1.0, 0.0, 0.0, 0.35))
+        extra.ellipsoid((-0.020, 0.0, 0.010), (0.122, 0.100, 0.140), look.top, clip=(1.0, 0.0, 0.0, 0.35))
 
 
 def neck_and_shoulders(look: Appearance) -> Solids:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from graphtrack.angles import FloatArray
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
-from perception.synthetic.head import head_solids, neck_and_shoulders
+from perception.synthetic.head import CORE, EXTRA, head_solids, neck_and_shoulders
 from perception.synthetic.raycast import Cast, Light, cast
 from perception.synthetic.sensor import Image, develop, random_background, random_light, random_sensor
 from perception.synthetic.solids import Solids, rotation_roll, rotation_up, rotation_z
@@ -29,6 +29,7 @@ class HeadVariation:
     ----------
     size : least and largest height of the crop in pixels
     pan, tilt, roll : range of pan and tilt (radians), 1-σ of roll (radians)
+    tilt_deviation : 1-σ of the tilt (radians) before it is clipped to its range; None: all tilts alike
     elevation : range of the camera's height above the head, seen from the head (radians)
     shoulders : 1-σ of the body's angle to the head (radians)
     offset, scale : 1-σ of the crop's place and of the logarithm of its size, relative to the head's box
@@ -37,11 +38,12 @@ class HeadVariation:
     size: tuple[int, int] = (16, 32)
     pan: tuple[float, float] = (-np.pi, np.pi)
     tilt: tuple[float, float] = (-np.pi / 3.0, np.pi / 3.0)
+    tilt_deviation: float | None = 0.35
     roll: float = 0.07
     elevation: tuple[float, float] = (-0.05, 0.35)
     shoulders: float = 0.4
-    offset: float = 0.04
-    scale: float = 0.06
+    offset: float = 0.025
+    scale: float = 0.04
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,11 @@ def make_heads(
     people : the person of each head, to set them instead of drawing them
     """
     pan = rng.uniform(*variation.pan, count) if pan is None else np.asarray(pan, float)
-    tilt = rng.uniform(*variation.tilt, count) if tilt is None else np.asarray(tilt, float)
+    if tilt is None:
+        tilt = rng.uniform(*variation.tilt, count)
+        if variation.tilt_deviation is not None:
+            tilt = np.clip(rng.normal(0.0, variation.tilt_deviation, count), *variation.tilt)
+    tilt = np.asarray(tilt, float)
     made = [
         render_head(pan[i], tilt[i], random_appearance(rng) if people is None else people[i], rng, variation)
         for i in range(count)
@@ -99,8 +105,7 @@ def render_head(
     head = head_solids(look).moved(np.eye(3), (0.03, 0.0, 0.1)).moved(turn, (-0.03, 0.0, -0.1))
     body = neck_and_shoulders(look).moved(rotation_z(pan + rng.normal(0.0, variation.shoulders)), (0, 0, 0))
     shown = _cast(head, body, size, rng.uniform(*variation.elevation), random_light(rng))
-    first_u, last_u, first_v, last_v = shown.extent[0]
-    # Hair and hats are part of the box, as a person would draw it; the crop is off by the jitter.
+    first_u, last_u, first_v, last_v = shown.extent[CORE]
     width, height = last_u + 1.0 - first_u, last_v + 1.0 - first_v
     grow = np.exp(rng.normal(0.0, variation.scale, 2)) * 1.06
     centre = np.array([first_u + width / 2.0, first_v + height / 2.0])
@@ -113,7 +118,7 @@ def render_head(
 
 
 def _cast(head: Solids, body: Solids, size: int, elevation: float, light: Light) -> Cast:
-    """Head in group 0 and body in group 1, at about 1.6 rays a pixel and axis of a crop ``size`` high."""
+    """The head in its groups and the body in another; a crop ``size`` high gets 1.6 rays a pixel and axis."""
     side = round(1.6 * size * 2.0 * _MARGIN / 0.26)
     camera = Camera(
         (_DISTANCE * np.cos(elevation), 0.0, _DISTANCE * np.sin(elevation)),
@@ -125,9 +130,9 @@ def _cast(head: Solids, body: Solids, size: int, elevation: float, light: Light)
     return cast(
         np.array(camera.position),
         camera.rays(),
-        Solids.together(head.in_group(0), body.in_group(1)),
+        Solids.together(head, body.in_group(EXTRA + 1)),
         light,
-        n_groups=2,
+        n_groups=EXTRA + 2,
     )
 
 

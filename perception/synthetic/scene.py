@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -54,8 +54,9 @@ class Label:
 
     Attributes
     ----------
-    body_box, head_box : left, top, width, height in pixels of what would be seen without anything in front,
+    body_box : left, top, width, height in pixels of what would be seen without anything in front,
         inside the image; None when outside it
+    head_box : encloses skull, cap of hair and face, but not hanging hair, buns, brims or hoods
     body, head : world directions (radians)
     body_in_image, head_in_image : the same in the image frame: 0 faces the camera, +π/2 the image's right
     tilt : of the head (radians above the horizontal)
@@ -119,16 +120,16 @@ def render_frame(
     parts: list[Solids] = []
     for k, person in enumerate(people):
         body, head = person_solids(person.look, person.posture)
-        parts += [body.in_group(2 * k), head.in_group(2 * k + 1)]
-    parts += [_furniture(item).in_group(2 * len(people) + k) for k, item in enumerate(scene.furniture)]
-    owner = np.concatenate([np.arange(2 * len(people)) // 2, len(people) + np.arange(len(scene.furniture))])
+        parts += [body.in_group(3 * k), replace(head, group=head.group + 3 * k + 1)]
+    parts += [_furniture(item).in_group(3 * len(people) + k) for k, item in enumerate(scene.furniture)]
+    owner = np.concatenate([np.arange(3 * len(people)) // 3, len(people) + np.arange(len(scene.furniture))])
     shown = cast(
         np.array(camera.position),
         camera.rays(oversampling),
         Solids.together(Builder().build(), *parts),
         scene.light,
         ground=scene.ground,
-        n_groups=len(parts),
+        n_groups=len(owner),
         owner=owner,
     )
     w, h = camera.size
@@ -160,8 +161,8 @@ def _furniture(item: Furniture) -> Solids:
 
 
 def _label(k: int, person: Person, shown: Cast, camera: Camera, oversampling: int) -> Label:
-    body, head = shown.extent[2 * k], shown.extent[2 * k + 1]
-    found = [e for e in (body, head) if e[0] >= 0]
+    body, head, extra = shown.extent[3 * k : 3 * k + 3]
+    found = [e for e in (body, head, extra) if e[0] >= 0]
     whole = None
     if found:
         corners = np.array(found)

@@ -38,9 +38,9 @@ def random_sensor(rng: np.random.Generator) -> Sensor:
     return Sensor(
         gain=float(rng.uniform(0.55, 1.25)),
         gamma=float(rng.uniform(0.5, 0.85)),
-        blur=float(abs(rng.normal(0.0, 0.45))),
-        noise=float(rng.uniform(0.0, 6.0)),
-        jpeg_quality=int(rng.integers(35, 96)) if rng.random() < 0.7 else 0,
+        blur=float(abs(rng.normal(0.0, 0.4))),
+        noise=float(rng.uniform(0.0, 5.0)),
+        jpeg_quality=int(rng.integers(45, 96)) if rng.random() < 0.7 else 0,
     )
 
 

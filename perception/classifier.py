@@ -1,0 +1,198 @@
+"""What every pose classifier has in common: fit, log likelihoods, calibration and a file."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import log_softmax
+
+from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
+from perception.calibration import fit_temperature, reliability
+from perception.classes import PoseClasses
+from perception.images import Image
+from perception.storage import ModelCard, load_model, save_model
+
+_HELD_OUT = 0.2
+_BATCH = 256
+
+
+class Classifier(Protocol):
+    """What the pipeline needs of a pose classifier."""
+
+    classes: PoseClasses
+    card: ModelCard
+
+    def fit(self, images: Sequence[Image], labels: ArrayLike) -> Self:
+        """Learn from images and the indices (n,) of their classes."""
+        ...
+
+    def log_likelihood(self, image: Image) -> FloatArray:
+        """Log likelihood (n_classes,) of one image, up to a constant."""
+        ...
+
+    def log_likelihoods(self, images: Sequence[Image]) -> FloatArray:
+        """The same for many images at once, (n, n_classes)."""
+        ...
+
+    def save(self, path: str | Path) -> None:
+        """Write a model file."""
+        ...
+
+
+class FeatureClassifier(ABC):
+    """A classifier that scores feature vectors, calibrated by a temperature.
+
+    A fifth of the images is held out of the first fit; on it the temperature is chosen and the figures of
+    the card are measured. Then the model is fitted to all images.
+
+    Parameters
+    ----------
+    classes : the classes of the labels
+    seed : of everything random in the fit
+    """
+
+    kind: ClassVar[str]
+
+    def __init__(self, classes: PoseClasses, *, seed: int = 0) -> None:
+        self.classes, self.seed = classes, seed
+        self.temperature = 1.0
+        self.card = ModelCard(self.kind)
+
+    @abstractmethod
+    def features(self, images: Sequence[Image]) -> FloatArray:
+        """Feature vectors (n, d) of images."""
+
+    @abstractmethod
+    def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
+        """Learn from features (n, d) and labels (n,)."""
+
+    @abstractmethod
+    def scores(self, features: FloatArray) -> FloatArray:
+        """Log likelihoods (n, n_classes) before calibration."""
+
+    @abstractmethod
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What was learned, for the file."""
+
+    @abstractmethod
+    def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Take over what `arrays` gave."""
+
+    def settings(self) -> dict[str, Any]:
+        """Arguments of the constructor besides classes and seed, for the file."""
+        return {}
+
+    def fit(self, images: Sequence[Image], labels: ArrayLike) -> Self:
+        """Learn from images (h, w, 3) or (h, w) uint8 and class indices (n,).
+
+        Raises
+        ------
+        InputError
+            If the numbers of images and labels differ, a label is no class, or a class has too few images.
+        """
+        labels = check_labels(images, labels, len(self.classes))
+        rng = np.random.default_rng(self.seed)
+        features = self._all_features(images)
+        train, held_out = split(labels, _HELD_OUT, rng)
+        self.fit_features(features[train], labels[train], rng)
+        scores = self.scores(features[held_out])
+        self.temperature = fit_temperature(scores, labels[held_out])
+        found = log_softmax(scores / self.temperature, axis=1)
+        figures = {
+            "accuracy_held_out": float(np.mean(found.argmax(axis=1) == labels[held_out])),
+            "expected_calibration_error": reliability(found, labels[held_out]).expected_calibration_error,
+            "temperature": self.temperature,
+        }
+        self.card = replace(self.card, images=len(labels), figures=figures)
+        self.fit_features(features, labels, rng)
+        return self
+
+    def log_likelihood(self, image: Image) -> FloatArray:
+        """Calibrated log likelihood (n_classes,) of one image; its exponentials sum to 1."""
+        return self.log_likelihoods([image])[0]
+
+    def log_likelihoods(self, images: Sequence[Image]) -> FloatArray:
+        """The same for many images at once, (n, n_classes)."""
+        if not len(images):
+            return np.zeros((0, len(self.classes)))
+        parts = [
+            self.scores(self.features(images[start : start + _BATCH]))
+            for start in range(0, len(images), _BATCH)
+        ]
+        return np.asarray(log_softmax(np.concatenate(parts) / self.temperature, axis=1), float)
+
+    def save(self, path: str | Path) -> None:
+        """Write a model file (.npz) that `load` reads."""
+        parameters = {
+            **self.card.parameters,
+            "classes": asdict(self.classes),
+            "settings": self.settings(),
+            "seed": self.seed,
+            "temperature": self.temperature,
+        }
+        save_model(path, replace(self.card, kind=self.kind, parameters=parameters), self.arrays())
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a model file.
+
+        Raises
+        ------
+        InputError
+            If it is no model file, or one of another classifier.
+        """
+        card, arrays = load_model(path, cls.kind)
+        try:
+            parameters = card.parameters
+            model = cls(
+                PoseClasses(**parameters["classes"]), seed=parameters["seed"], **parameters["settings"]
+            )
+            model.temperature, model.card = float(parameters["temperature"]), card
+            model.set_arrays(arrays)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError("an incomplete model", f"a model of kind {cls.kind!r}", path=path) from error
+        return model
+
+    def _all_features(self, images: Sequence[Image]) -> FloatArray:
+        return np.concatenate(
+            [self.features(images[start : start + _BATCH]) for start in range(0, len(images), _BATCH)]
+        )
+
+
+def check_labels(images: Sequence[Image], labels: ArrayLike, n_classes: int) -> NDArray[np.int64]:
+    """Labels as integers (n,), after checks.
+
+    Raises
+    ------
+    InputError
+        If the numbers of images and labels differ, a label is no class, or a class has fewer than 2 images.
+    """
+    values = np.asarray(labels)
+    if values.shape != (len(images),):
+        raise InputError(f"{len(images)} images and labels of shape {values.shape}", "a label for each image")
+    if not np.issubdtype(values.dtype, np.integer):
+        raise InputError(f"labels of type {values.dtype}", "whole numbers of classes")
+    if len(values) and not 0 <= values.min() <= values.max() < n_classes:
+        raise InputError(f"labels from {values.min()} to {values.max()}", f"classes 0 to {n_classes - 1}")
+    count = np.bincount(values, minlength=n_classes)
+    if count.min() < 2:
+        raise InputError(f"{count.min()} images of class {count.argmin()}", "at least 2 of every class")
+    return values.astype(np.int64)
+
+
+def split(
+    labels: NDArray[np.int64], share: float, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of two parts, the second with about ``share`` of each class and at least one of it."""
+    second = np.zeros(len(labels), bool)
+    for k in np.unique(labels):
+        members = np.flatnonzero(labels == k)
+        second[rng.choice(members, max(1, round(share * len(members))), replace=False)] = True
+    return np.flatnonzero(~second), np.flatnonzero(second)

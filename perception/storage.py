@@ -1,0 +1,86 @@
+"""Model files: arrays and a card in one NumPy archive, which loads without running anything in it."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.io import atomic_path
+
+_CARD = "card"
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """What a model is, what it was trained on, how good it is and when it fails.
+
+    Attributes
+    ----------
+    kind : name of the classifier or detector
+    trained_on, fails_when : in words
+    images : how many it was trained on
+    parameters : settings with which it was built
+    figures : measured on images that it was not fitted to; the names carry the units
+    """
+
+    kind: str
+    trained_on: str = ""
+    fails_when: str = ""
+    images: int = 0
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """The card as lines of text."""
+        lines = [f"{self.kind}: trained on {self.images} images", f"  trained on: {self.trained_on}"]
+        lines += [f"  fails when: {self.fails_when}"] if self.fails_when else []
+        lines += [f"  {name} = {value}" for name, value in self.parameters.items()]
+        lines += [f"  {name}: {value:.4g}" for name, value in self.figures.items()]
+        return "\n".join(lines)
+
+
+def save_model(path: str | Path, card: ModelCard, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write a model file (.npz), whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written to.
+    """
+    text = json.dumps(asdict(card), sort_keys=True)
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **{_CARD: np.array(text)}, **arrays)
+
+
+def load_model(path: str | Path, kind: str | None = None) -> tuple[ModelCard, dict[str, NDArray[Any]]]:
+    """Card and arrays of a model file.
+
+    Parameters
+    ----------
+    kind : what it must be, if that matters
+
+    Raises
+    ------
+    InputError
+        If it is no model file, is damaged, or is of another kind.
+    """
+    expected = "a model file (.npz) of this program"
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        card = ModelCard(**json.loads(str(arrays.pop(_CARD))))
+    except FileNotFoundError as error:
+        raise InputError("no such file", expected, path=path) from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError("something else", expected, path=path) from error
+    if kind is not None and card.kind != kind:
+        raise InputError(f"a model of kind {card.kind!r}", f"kind {kind!r}", path=path)
+    return card, arrays

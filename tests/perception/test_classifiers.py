@@ -1,0 +1,178 @@
+"""Every classifier through the same battery."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from graphtrack.errors import InputError
+from perception.calibration import fit_temperature, reliability
+from perception.classes import PoseClasses
+from perception.classifier import FeatureClassifier, split
+from perception.evaluation import evaluate, recognition_table
+from perception.features.skin import SkinColours
+from perception.head_pose import Exemplars, Templates
+from perception.storage import ModelCard, load_model, save_model
+from perception.synthetic import HeadSet, HeadVariation, make_heads
+
+Heads = tuple[HeadSet, HeadSet]
+EIGHT = PoseClasses.circle(8)
+LARGE = HeadVariation(size=(32, 32), tilt_deviation=0.1, offset=0.01, scale=0.02)
+
+
+@pytest.fixture(scope="module")
+def heads() -> Heads:
+    return make_heads(500, np.random.default_rng(1), LARGE), make_heads(100, np.random.default_rng(2), LARGE)
+
+
+def skin_of(heads: HeadSet) -> SkinColours:
+    return SkinColours.fit(heads.images, heads.skin)
+
+
+BUILDERS: dict[str, tuple[Callable[[HeadSet], FeatureClassifier], float]] = {
+    "templates": (lambda heads: Templates(EIGHT, skin=skin_of(heads)), 35.0),
+    "templates without skin": (lambda heads: Templates(EIGHT), 50.0),
+    "templates, fisher": (lambda heads: Templates(EIGHT, skin=skin_of(heads), metric="fisher"), 35.0),
+    "exemplars": (lambda heads: Exemplars(EIGHT, exemplars=3), 50.0),
+    "exemplars, gaussian": (lambda heads: Exemplars(EIGHT, exemplars=3, density="gaussian"), 50.0),
+}
+
+
+@pytest.fixture(scope="module", params=list(BUILDERS))
+def fitted(request: pytest.FixtureRequest, heads: Heads) -> tuple[FeatureClassifier, float]:
+    build, error = BUILDERS[request.param]
+    model = build(heads[0])
+    return model.fit(heads[0].images, EIGHT.index(heads[0].pan)), error
+
+
+Fitted = tuple[FeatureClassifier, float]
+
+
+def test_it_learns(fitted: Fitted, heads: Heads) -> None:
+    scores = evaluate(fitted[0], heads[1].images, heads[1].pan)
+    assert scores.mean_error < fitted[1]  # by chance: 90°
+    assert scores.confusion.sum() == len(heads[1])
+    assert scores.accuracy <= scores.within_one
+
+
+def test_likelihoods_are_normalised(fitted: Fitted, heads: Heads) -> None:
+    images = heads[1].images[:5]
+    found = fitted[0].log_likelihoods(images)
+    assert found.shape == (5, 8)
+    np.testing.assert_allclose(np.exp(found).sum(axis=1), 1.0)
+    np.testing.assert_allclose([fitted[0].log_likelihood(image) for image in images], found, atol=1e-3)
+    assert fitted[0].log_likelihoods([]).shape == (0, 8)
+
+
+def test_a_saved_model_says_the_same(fitted: Fitted, heads: Heads, tmp_path: Path) -> None:
+    model, path = fitted[0], tmp_path / "model.npz"
+    model.save(path)
+    again = type(model).load(path)
+    images = heads[1].images[:20]
+    np.testing.assert_allclose(again.log_likelihoods(images), model.log_likelihoods(images), atol=0.05)
+    assert again.classes == model.classes
+    assert again.card.figures == model.card.figures and again.card.images == 500
+
+
+def test_the_fit_is_repeatable(fitted: Fitted, heads: Heads) -> None:
+    model = fitted[0]
+    before = model.log_likelihoods(heads[1].images[:5])
+    model.fit(heads[0].images, EIGHT.index(heads[0].pan))
+    np.testing.assert_allclose(model.log_likelihoods(heads[1].images[:5]), before, atol=1e-9)
+
+
+def test_grey_images_are_taken(fitted: Fitted, heads: Heads) -> None:
+    grey = heads[1].images[0][..., 1].copy()
+    assert np.isfinite(fitted[0].log_likelihood(grey)).all()
+
+
+def test_wrong_labels_are_refused() -> None:
+    images = [np.zeros((8, 8, 3), np.uint8)] * 4
+    for labels in ([0, 1], [0, 0, 1, 2], [0.0, 0.0, 1.0, 1.0], [0, 0, 0, 1]):
+        with pytest.raises(InputError):
+            Templates(PoseClasses.circle(2)).fit(images, labels)
+
+
+def test_wrong_settings_are_refused() -> None:
+    with pytest.raises(InputError):
+        Exemplars(density="flat")  # type: ignore[arg-type]
+    with pytest.raises(InputError):
+        Exemplars(exemplars=0)
+    with pytest.raises(InputError):
+        Templates(metric="other")  # type: ignore[arg-type]
+
+
+def test_other_files_are_no_models(tmp_path: Path) -> None:
+    path = tmp_path / "model.npz"
+    with pytest.raises(InputError):
+        load_model(path)
+    path.write_bytes(b"hello")
+    with pytest.raises(InputError):
+        load_model(path)
+    np.savez(path, a=np.zeros(3))
+    with pytest.raises(InputError):
+        load_model(path)
+    np.savez(path, card=np.array([{"kind": "x"}], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError):  # a pickle, which is not run
+        load_model(path)
+    save_model(path, ModelCard("exemplars"), {"a": np.zeros(2)})
+    assert load_model(path)[1]["a"].shape == (2,)
+    with pytest.raises(InputError):
+        Templates.load(path)
+    with pytest.raises(InputError):
+        Exemplars.load(path)
+
+
+def test_the_saturated_density_is_equation_5() -> None:
+    rng = np.random.default_rng(0)
+    model = Exemplars(PoseClasses.circle(2), exemplars=2)
+    features, labels = rng.normal(0.0, 1.0, (20, 764)), np.repeat([0, 1], 10)
+    model.fit_features(features, labels, rng)
+    stored = model.arrays()
+    z = rng.normal(0.0, 3.0, 764)
+    centre, deviation = (model.arrays()[name].astype(float) for name in ("centre", "deviation"))
+    with np.errstate(divide="ignore"):
+        terms = np.maximum(np.exp(-0.5 * ((z - centre) / deviation) ** 2), np.exp(-3.0)) / deviation
+        by_exemplar = np.log(terms).sum(axis=2) + stored["log_weight"]
+    expected = np.logaddexp.reduce(by_exemplar, axis=1)
+    np.testing.assert_allclose(model.scores(z[None])[0], expected, rtol=2e-3)
+
+
+def test_temperature_recovers_a_known_one() -> None:
+    rng = np.random.default_rng(0)
+    logits = rng.normal(0.0, 2.0, (4000, 5))
+    p = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
+    labels = (rng.random(4000)[:, None] > p.cumsum(axis=1)).sum(axis=1)
+    assert fit_temperature(7.0 * logits, labels) == pytest.approx(7.0, rel=0.05)
+    assert reliability(logits, labels).expected_calibration_error < 0.03
+    assert reliability(7.0 * logits, labels).expected_calibration_error > 0.1
+
+
+def test_classes_agree_with_the_observation_table() -> None:
+    classes = PoseClasses.circle(12, 3)
+    np.testing.assert_allclose(np.rad2deg(classes.pan[[0, 3, 6, 9]]), [0.0, 90.0, 180.0, -90.0], atol=1e-9)
+    assert classes.index(np.deg2rad([44.0, -16.0]), np.deg2rad([40.0, -40.0])).tolist() == [25, 11]
+    log_likelihood = np.log(np.full((1, 36), 1.0 / 36.0))
+    np.testing.assert_allclose(np.exp(classes.pan_log_likelihood(log_likelihood)), 1.0 / 12.0)
+
+
+def test_the_half_circle_is_the_papers() -> None:
+    classes = PoseClasses.half_circle()
+    np.testing.assert_allclose(np.rad2deg(classes.pan), np.arange(-90.0, 91.0, 22.5))
+
+
+def test_a_split_takes_its_share_of_every_class() -> None:
+    labels = np.repeat([0, 1, 2], [100, 10, 2])
+    first, second = split(labels, 0.2, np.random.default_rng(0))
+    assert sorted([*first, *second]) == list(range(112))
+    assert np.bincount(labels[second]).tolist() == [20, 2, 1]
+
+
+def test_recognition_of_004_on_a_few_people() -> None:
+    rows, confusion = recognition_table(16, [1], np.random.default_rng(0))
+    assert [(row.exemplars, row.density) for row in rows] == [(1, "gaussian"), (1, "saturated")]
+    assert all(row.rate > 0.4 for row in rows)  # by chance: 0.11
+    np.testing.assert_allclose(confusion.sum(axis=1), 100.0)

@@ -1,0 +1,135 @@
+"""Features against definitions written out another way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from graphtrack.errors import InputError
+from perception.features.gabor import SIDE, filter_bank, gabor_features, grid, rotation_invariant_gabor
+from perception.features.hog import cell_histograms, multi_level_hog
+from perception.features.skin import SkinColours
+from perception.images import as_uint8, crop, grey_stack, intersection_over_union
+
+
+def stripes(angle: float) -> np.ndarray:
+    """A picture (1, 64, 64) whose brightness grows and falls along a direction (radians, y down)."""
+    y, x = np.indices((64, 64))
+    return (127 + 100 * np.sin((x * np.cos(angle) + y * np.sin(angle)) / 3.0)).astype(np.uint8)[None]
+
+
+@pytest.mark.parametrize("k", range(9))
+def test_a_direction_votes_for_its_bin(k: int) -> None:
+    histogram = cell_histograms(stripes(np.deg2rad(20 * k + 10)), 4, 4).sum(axis=(0, 1, 2))
+    assert histogram.argmax() == k
+    assert histogram[k] > 0.6 * histogram.sum()
+
+
+def test_votes_are_the_gradients_magnitudes() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (2, 32, 32)).astype(np.uint8)
+    padded = np.pad(image.astype(float), ((0, 0), (1, 1), (1, 1)), mode="edge")
+    magnitude = np.hypot(
+        padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2], padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
+    )
+    expected = magnitude.reshape(2, 4, 8, 4, 8).sum(axis=(2, 4))
+    np.testing.assert_allclose(cell_histograms(image, 4, 4).sum(axis=3), expected, rtol=1e-5)
+
+
+def test_two_levels_give_the_papers_720_values_and_ignore_contrast() -> None:
+    image = np.random.default_rng(0).integers(60, 120, (1, 64, 64)).astype(np.uint8)
+    hog = multi_level_hog(image, ((2, 2), (4, 4)))
+    assert hog.shape == (1, 720)
+    np.testing.assert_allclose(hog, multi_level_hog(image * 2, ((2, 2), (4, 4))), atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(hog.reshape(20, 36), axis=1), 1.0, atol=1e-4)
+
+
+def test_an_even_picture_has_no_gradients() -> None:
+    assert not multi_level_hog(np.full((1, 64, 64), 9, np.uint8), ((2, 2), (4, 4))).any()
+
+
+def test_hog_of_one_image_is_that_of_the_batch() -> None:
+    images = np.random.default_rng(0).integers(0, 256, (3, 64, 64)).astype(np.uint8)
+    levels = ((2, 2), (4, 4))
+    one_by_one = np.vstack([multi_level_hog(image[None], levels) for image in images])
+    np.testing.assert_allclose(multi_level_hog(images, levels), one_by_one)
+
+
+def test_the_grid_has_the_papers_191_points_inside_the_disc() -> None:
+    points = grid()
+    assert points.shape == (191, 2)
+    assert np.hypot(*(points + 1 - 32.5).T).max() <= 31.5
+
+
+def test_the_wavelet_is_the_mean_over_orientations() -> None:
+    for sigma, frequency in ((1.0, 0.5), (2.0, 0.25), (4.0, 0.125)):
+        for x, y in ((0.0, 0.0), (1.5, -0.5), (3.0, 4.0)):
+            alpha = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
+            along = x * np.cos(alpha) - y * np.sin(alpha)
+            across = x * np.sin(alpha) + y * np.cos(alpha)
+            envelope = np.exp(-(along**2 + across**2) / (2.0 * sigma**2))
+            expected = np.mean(envelope * np.cos(2.0 * np.pi * frequency * along))
+            found = rotation_invariant_gabor(np.hypot(x, y), sigma, frequency)
+            assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_gabor_features_are_normalised_filter_by_filter() -> None:
+    images = np.random.default_rng(0).integers(0, 256, (3, SIDE, SIDE)).astype(np.uint8)
+    features = gabor_features(images).reshape(3, 4, 191)
+    np.testing.assert_allclose(features.mean(axis=2), 0.0, atol=1e-6)
+    np.testing.assert_allclose((features**2).mean(axis=2), 1.0, atol=1e-5)
+    assert filter_bank().shape == (764, 4096)
+    brighter = gabor_features((images // 2 + 40).astype(np.uint8)).reshape(3, 4, 191)
+    np.testing.assert_allclose(features, brighter, atol=0.15)  # up to the rounding of the halves
+
+
+def test_skin_colours_are_learned_and_grey_images_have_none() -> None:
+    rng = np.random.default_rng(0)
+    images, masks = [], []
+    for _ in range(10):
+        mask = rng.random((16, 16)) < 0.4
+        image = np.where(mask[..., None], (120, 150, 200), (150, 90, 60)) + rng.integers(-9, 10, (16, 16, 3))
+        images.append(image.astype(np.uint8))
+        masks.append(mask)
+    skin = SkinColours.fit(images[:5], masks[:5])
+    right = np.mean([np.mean(skin.mask(i) == m) for i, m in zip(images[5:], masks[5:], strict=True)])
+    assert right > 0.97
+    darker = np.mean([np.mean(skin.mask(i // 2) == m) for i, m in zip(images[5:], masks[5:], strict=True)])
+    assert darker > 0.9  # brightness is relative
+    assert not skin.mask(images[0][..., 0]).any()
+    assert skin.features(images).shape == (10, 400)
+
+
+def test_images_of_any_common_kind_are_taken() -> None:
+    grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    for image in (grey, grey[..., None], grey.astype(np.uint16) * 256, np.repeat(grey[..., None], 4, axis=2)):
+        np.testing.assert_array_equal(as_uint8(image), np.repeat(grey[..., None], 3, axis=2))
+    for bad in (
+        np.zeros((2, 2)),
+        np.zeros((0, 4), np.uint8),
+        np.zeros((2, 2, 2), np.uint8),
+        np.zeros(3, np.uint8),
+    ):
+        with pytest.raises(InputError):
+            as_uint8(bad)
+
+
+def test_a_crop_repeats_the_border_and_refuses_boxes_that_hold_nothing() -> None:
+    image = np.arange(20, dtype=np.uint8).reshape(4, 5)
+    np.testing.assert_array_equal(crop(image, (1, 1, 2, 2)), image[1:3, 1:3])
+    assert crop(image, (-2, 0, 4, 2))[0].tolist() == [0, 0, 0, 1]
+    for bad in ((0, 0, 0, 2), (0, 0, 2, -1), (9, 0, 2, 2), (-5, 0, 2, 2), (0, np.nan, 2, 2)):
+        with pytest.raises(InputError):
+            crop(image, bad)
+
+
+def test_overlap_of_boxes() -> None:
+    box = (0.0, 0.0, 10.0, 10.0)
+    found = intersection_over_union([box, (1.0, 0.0, 10.0, 10.0), (20.0, 0.0, 5.0, 5.0)], box)
+    np.testing.assert_allclose(found, [1.0, 90.0 / 110.0, 0.0])
+
+
+def test_grey_images_are_resized_and_equalised() -> None:
+    image = np.random.default_rng(0).integers(100, 120, (20, 30, 3)).astype(np.uint8)
+    stack = grey_stack([image, image[..., 0]], 64, 48, equalise=True)
+    assert stack.shape == (2, 48, 64)
+    assert np.ptp(stack[0]) > 200
