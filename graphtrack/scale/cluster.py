@@ -124,10 +124,14 @@ def _client(address: str, jobs: int) -> Iterator[Any]:
 
 
 async def _knock(address: str) -> None:
+    """Connect to a scheduler and hang up; raises OSError (of which TimeoutError is one) if none answers."""
+    import dask
     import distributed
 
     identity = distributed.Security().get_connection_args("client")
-    comm = await distributed.comm.connect(address, **identity)
+    seconds = dask.utils.parse_timedelta(dask.config.get("distributed.comm.timeouts.connect"))
+    # The limit of `connect` holds for the connection, not for the answer to the first message.
+    comm = await asyncio.wait_for(distributed.comm.connect(address, **identity), 2.0 * seconds)
     await comm.close()
 
 

@@ -93,7 +93,10 @@ class Dataset:
         stored = [name for name in columns if name in file.columns]
         row = 0
         with damage_told(file.path):
-            parquet = pq.ParquetFile(file.path, buffer_size=_BUFFER, page_checksum_verification=True)
+            # Without pre_buffer=False a row group's columns are fetched whole, whatever the buffer's size.
+            parquet = pq.ParquetFile(
+                file.path, buffer_size=_BUFFER, pre_buffer=False, page_checksum_verification=True
+            )
         with parquet:
             batches = parquet.iter_batches(BLOCK, columns=stored)
             while True:

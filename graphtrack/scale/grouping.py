@@ -22,7 +22,7 @@ from graphtrack.scale.dataset import Dataset
 RUN = 4
 """Batches whose rows are sorted in memory at a time."""
 
-_PENDING = 2**20
+_PENDING = 2**18
 """Track ids that are gathered before they are counted together."""
 
 
