@@ -179,7 +179,7 @@ def fitted(case: Case, progress: Progress) -> dict[str, Estimator]:
         progress(1)
         return found
 
-    tracking, of_particles = model(*best(graph, 0.2, 3.0)), best(particles, 0.2, 1.0)
+    tracking, of_particles = model(*best(graph, 0.2, 3.0)), best(particles, 0.2, 10.0)
     sampling = model(*of_particles)
     return {
         **({"kf": in_steps(None)} if case.in_steps else {}),
