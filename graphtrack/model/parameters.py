@@ -1,9 +1,9 @@
 """Parameters of the model, with their units. They are what a model file holds.
 
-The defaults of motion, orientation and coupling were fitted to motion capture of people who walk, turn and run
-(30 Hz; positions with 0.1 m of noise, body κ = 1.2, head κ = 2.3, as in 002's Table 2): q by the likelihood of the
-true positions under the smoother's covariance, the others by the mean angular errors of `separate` and `joint`,
-on every other clip. docs/model.md has the errors on the clips that were left out.
+The defaults of motion, orientation and coupling were fitted to motion capture of people who walk, turn and
+run (30 Hz; positions with 0.1 m of noise, body κ = 1.2, head κ = 2.3, as in 002's Table 2): q by the likelihood
+of the true positions under the smoother's covariance, the others by the mean angular errors of `separate` and
+`joint`, on every other clip. docs/model.md has the errors on the clips that were left out.
 """
 
 from __future__ import annotations
@@ -27,20 +27,24 @@ def _check(owner: object, name: str, low: float, high: float, *, open_low: bool 
 
 @dataclass(frozen=True)
 class MotionParameters:
-    """White-noise acceleration (MODEL term 1).
+    """White-noise acceleration and intentional motion (MODEL terms 1 and 5).
 
     Attributes
     ----------
     acceleration_density : q in m²/s³; Q(Δt) = q·[[Δt³/3, Δt²/2], [Δt²/2, Δt]] on each axis
     initial_speed_std : m/s, 1-σ of each axis of the velocity where the track begins
+    head_rate : λ in 1/s at which the velocity turns to where the head points, in the presets that have it;
+        0: it does not
     """
 
     acceleration_density: float = 0.15
     initial_speed_std: float = 1.5
+    head_rate: float = 2.0
 
     def __post_init__(self) -> None:
         _check(self, "acceleration_density", 0.0, 1e6, open_low=True)
         _check(self, "initial_speed_std", 0.0, 1e3, open_low=True)
+        _check(self, "head_rate", 0.0, 1e3)
 
 
 @dataclass(frozen=True)
