@@ -1,9 +1,9 @@
 """Parameters of the model, with their units. They are what a model file holds.
 
 The defaults of motion, orientation and coupling were fitted to motion capture of people who walk, turn and
-run (30 Hz; positions with 0.1 m of noise, body κ = 1.2, head κ = 2.3, as in 002's Table 2), on every other clip:
-q by the likelihood of the true positions under the smoother's covariance, the others by the mean angular
-errors of `separate` and `joint`. docs/model.md has the errors on the clips that were left out.
+run (30 Hz; 0.1 m of noise on positions, body κ = 1.2, head κ = 2.3, as in 002's Table 2), on every other
+clip: q by the likelihood of the true positions under the smoother's covariance, the others by the mean
+angular errors of `separate` and `joint`. docs/model.md has the errors on the clips that were left out.
 """
 
 from __future__ import annotations
