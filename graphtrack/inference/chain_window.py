@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -193,14 +194,14 @@ class ChainWindow:
         for name in ("body", "head"):
             angle = getattr(seen, name)
             if angle is not None:
-                record[f"{name}_cos"], record[f"{name}_sin"] = np.cos(angle), np.sin(angle)
+                record[f"{name}_cos"], record[f"{name}_sin"] = math.cos(angle), math.sin(angle)
         if len(packed.body_heights):
             problem.body_heights[row] = packed.body_heights[0]
         if len(packed.head_heights):
             problem.head_heights[row] = packed.head_heights[0]
-        local = np.array(state)
-        local[:2] -= origin
-        self._states[row] = np.where(np.isfinite(local) | (np.arange(N) < BODY), local, 0.0)
+        x, y, vx, vy, body, head = state
+        known = (body if math.isfinite(body) else 0.0, head if math.isfinite(head) else 0.0)
+        self._states[row] = (x - origin[0], y - origin[1], vx, vy, *known)
 
     def _template(
         self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None

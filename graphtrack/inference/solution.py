@@ -64,6 +64,8 @@ class Failure:
 
 def bounded(covariance: FloatArray) -> FloatArray:
     """Covariances (..., 6, 6) with no angle less certain than the uniform density on the circle."""
+    if not (covariance[..., (4, 5), (4, 5)] > UNIFORM_STD**2).any():
+        return covariance
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
     shrink = np.ones_like(variance)
     with np.errstate(invalid="ignore"):
