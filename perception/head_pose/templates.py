@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 from scipy.optimize import minimize
 from scipy.special import log_softmax
 
@@ -20,6 +19,7 @@ from graphtrack.errors import InputError
 from perception.classes import PoseClasses
 from perception.classifier import FeatureClassifier
 from perception.features.hog import multi_level_hog
+from perception.features.projection import fisher_projection
 from perception.features.skin import MASK_SIDE, SkinColours
 from perception.images import Image, grey_stack
 
@@ -27,8 +27,6 @@ _SIDE = 64
 _LEVELS = ((2, 2), (4, 4))
 _TEXTURE = 720
 _FOLDS = 5
-_SHRINKAGE = 0.1
-_DIRECTIONS = 30
 _COLOUR_SCALE = 0.1
 """A skin mask's 400 values weigh as much as this before the projection; 0.1–0.4 give the same errors."""
 
@@ -89,7 +87,7 @@ class Templates(FeatureClassifier):
         The projection is learned once, from all samples, so its λ is too sure; the temperature mends that.
         """
         if self.metric == "fisher":
-            self._projection = _fisher_projection(features * _scale(), labels)
+            self._projection = fisher_projection(features * _scale(), labels)
         fold = rng.permutation(len(labels)) % _FOLDS
         distances = np.zeros((len(labels), 2, len(self.classes)))
         for k in range(_FOLDS):
@@ -153,24 +151,6 @@ class Templates(FeatureClassifier):
 
 def _scale() -> FloatArray:
     return np.concatenate([np.ones(_TEXTURE), np.full(MASK_SIDE**2, _COLOUR_SCALE)])
-
-
-def _fisher_projection(features: FloatArray, labels: NDArray[np.int64]) -> FloatArray:
-    """The directions (d, k) that separate the classes best, with unit spread within the classes."""
-    count = np.bincount(labels)
-    used = np.flatnonzero(count)
-    means = np.array([features[labels == k].mean(axis=0) for k in used])
-    within = features - means[np.searchsorted(used, labels)]
-    covariance = within.T @ within / len(features)
-    size = len(covariance)
-    covariance *= 1.0 - _SHRINKAGE
-    covariance[np.diag_indices(size)] += _SHRINKAGE * np.trace(covariance) / size + 1e-9
-    # One Cholesky factor and an SVD of a few columns: a general eigensolver takes twenty times as long.
-    factor = linalg.cholesky(covariance, lower=True)
-    spread = np.sqrt(count[used] / len(features)) * (means - features.mean(axis=0)).T
-    white = linalg.solve_triangular(factor, spread, lower=True)
-    left = np.linalg.svd(white, full_matrices=False)[0][:, : min(_DIRECTIONS, len(used) - 1)]
-    return np.asarray(linalg.solve_triangular(factor.T, left), float)
 
 
 def _best_weights(distances: FloatArray, labels: NDArray[np.int64]) -> FloatArray:

@@ -1,0 +1,64 @@
+"""Sparse representation against scikit-learn, and body pose on rendered people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sklearn.decomposition import sparse_encode
+
+from perception.body_pose import BodyPose
+from perception.evaluation import evaluate
+from perception.features.projection import fisher_projection
+from perception.features.sparse import sparse_weights
+from perception.synthetic import PedestrianVariation, make_pedestrians
+
+EASY = PedestrianVariation(size=(80, 100), occluded=0.0, elevation=(0.0, 0.1), offset=0.01, scale=0.02)
+
+
+def test_sparse_weights_are_those_of_coordinate_descent() -> None:
+    rng = np.random.default_rng(0)
+    dictionary = rng.normal(size=(12, 20))
+    dictionary /= np.linalg.norm(dictionary, axis=1, keepdims=True)
+    samples = np.abs(rng.normal(size=(5, 12))) @ dictionary
+    expected = sparse_encode(
+        samples, dictionary, algorithm="lasso_cd", alpha=0.3, positive=True, max_iter=5000
+    )
+    found = sparse_weights(samples, dictionary, 0.3, iterations=2000)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert (found >= 0.0).all()
+
+
+def test_the_projection_finds_what_separates_and_makes_the_rest_unit() -> None:
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 3, 6000)
+    features = rng.normal(size=(6000, 5)) * (1.0, 9.0, 1.0, 1.0, 1.0)
+    features[:, 2] += 4.0 * labels
+    projection = fisher_projection(features, labels)
+    assert projection.shape == (5, 2)
+    direction = projection[:, 0] / np.linalg.norm(projection[:, 0])
+    assert abs(direction[2]) > 0.99
+
+
+@pytest.fixture(scope="module")
+def fitted() -> BodyPose:
+    people = make_pedestrians(240, np.random.default_rng(1), EASY)
+    model = BodyPose(samples=25)
+    return model.fit(people.images, model.classes.index(people.body))
+
+
+def test_it_learns_the_direction_of_the_body(fitted: BodyPose) -> None:
+    people = make_pedestrians(60, np.random.default_rng(2), EASY)
+    scores = evaluate(fitted, people.images, people.body)
+    assert scores.mean_error < 60.0  # by chance: 90°
+    found = fitted.log_likelihoods(people.images)
+    np.testing.assert_allclose(np.exp(found).sum(axis=1), 1.0)
+
+
+def test_a_saved_model_says_the_same(fitted: BodyPose, tmp_path: Path) -> None:
+    people = make_pedestrians(5, np.random.default_rng(3), EASY)
+    fitted.save(tmp_path / "body.npz")
+    again = BodyPose.load(tmp_path / "body.npz")
+    before = fitted.log_likelihoods(people.images)
+    np.testing.assert_allclose(again.log_likelihoods(people.images), before, atol=0.05)
