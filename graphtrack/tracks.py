@@ -104,6 +104,10 @@ class Track:
                 raise InputError(f"{name} of shape {value.shape}", f"shape {(len(frame), *tail)}")
             if np.isinf(value).any():
                 raise InputError(f"an infinite {name}", f"finite values or NaN in track {self.track_id}")
+            if name == "position_std" and np.any(value <= 0.0):
+                raise InputError("a position_std that is not positive", f"metres in track {self.track_id}")
+            if name in ("body_kappa", "head_kappa") and np.any(value < 0.0):
+                raise InputError(f"a negative {name}", f"0 or more in track {self.track_id}")
             self._set(name, value)
         if np.any(np.diff(self.frame) <= 0):
             raise InputError(
