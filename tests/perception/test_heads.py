@@ -1,0 +1,145 @@
+"""Boosting and head localisation against brute force, and on rendered people."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from graphtrack.errors import InputError
+from perception.boosting import Quantised, reweighted
+from perception.features.blocks import block_corners, block_histograms, corner_sums, integral_histogram
+from perception.head_detector import BoostedBlocks, Weak
+from perception.heads import HeadCandidates, HeadLocaliser, non_maximum_suppression, select_along_track
+from perception.images import intersection_over_union
+from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedestrians
+
+People = tuple[PedestrianSet, PedestrianSet]
+EASY = PedestrianVariation(size=(80, 110), occluded=0.0)
+
+
+def test_there_are_441_different_blocks() -> None:
+    assert len(np.unique(block_corners(), axis=0)) == 441
+
+
+def test_block_histograms_are_sums_over_the_pixels() -> None:
+    rng = np.random.default_rng(0)
+    grey = rng.integers(0, 40, (48, 60)).astype(np.uint8)
+    integral = integral_histogram(grey)
+    votes = np.diff(np.diff(integral, axis=0), axis=1)
+    corners = corner_sums(integral, np.array([[6.0, 3.0, 36.0, 42.0]]))
+    found = block_histograms(corners)[0]
+    for k in rng.integers(0, 441, 10):
+        top, bottom, left, right = block_corners()[k]
+        inside = votes[3 + 7 * top : 3 + 7 * bottom, 6 + 6 * left : 6 + 6 * right].sum(axis=(0, 1))
+        np.testing.assert_allclose(found[k], inside / (inside.sum() + 1.0), atol=1e-3)
+
+
+def test_the_best_stump_is_that_of_brute_force() -> None:
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(80, 6)).astype(np.float32)
+    labels = np.where(features[:, 3] + 0.5 * rng.normal(size=80) > 0.2, 1, -1)
+    weights = rng.random(80)
+    weights /= weights.sum()
+    quantised = Quantised(features)
+    stump, votes = quantised.best_stump(weights, labels)
+    errors = [
+        min(np.sum(weights[p * np.where(features[:, j] > t, 1, -1) != labels]) for p in (-1, 1))
+        for j in range(6)
+        for t in quantised.thresholds[:, j]
+    ]
+    error = np.sum(weights[votes != labels])
+    assert error == pytest.approx(min(errors), abs=1e-9)
+    assert stump.weight == pytest.approx(0.5 * np.log((1 - error) / error), rel=1e-3)
+    expected = stump.polarity * np.where(features[:, stump.feature] > stump.threshold, 1, -1)
+    np.testing.assert_array_equal(votes, expected)
+    after = reweighted(weights, labels, votes, stump.weight)
+    assert np.sum(after[votes != labels]) == pytest.approx(0.5, abs=1e-3)  # of no use in the next round
+
+
+@pytest.mark.parametrize("weak", ["differential", "fisher"])
+def test_scores_are_the_weighted_votes(weak: Weak) -> None:
+    rng = np.random.default_rng(0)
+    integral = integral_histogram(rng.integers(0, 40, (60, 60)).astype(np.uint8))
+    windows = np.column_stack([rng.uniform(0, 20, (60, 2)), np.full((60, 2), 24.0)])
+    corners = corner_sums(integral, windows)
+    histograms = block_histograms(corners)
+    labels = np.where(rng.random(60) < 0.5, 1, -1)
+    model = BoostedBlocks.fit(histograms, labels, weak, rounds=12)
+    values = np.einsum("ntb,tb->nt", histograms[:, model.block], model.direction)
+    votes = np.where(values > model.threshold, 1.0, -1.0)
+    expected = votes @ model.weight / model.weight.sum()
+    np.testing.assert_allclose(model.scores(corners), expected, atol=0.02)
+    assert np.mean(np.sign(expected) == labels) > 0.8
+    nonzero = np.count_nonzero(model.direction, axis=1)
+    assert (nonzero == 2).all() if weak == "differential" else (nonzero > 2).all()
+
+
+@pytest.fixture(scope="module")
+def people() -> People:
+    return make_pedestrians(80, np.random.default_rng(1), EASY), make_pedestrians(
+        15, np.random.default_rng(2), EASY
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted(people: People) -> HeadLocaliser:
+    return HeadLocaliser(rounds=60).fit(people[0].images, people[0].head_box)
+
+
+def test_it_finds_heads(fitted: HeadLocaliser, people: People) -> None:
+    found = [fitted.locate(image) for image in people[1].images]
+    overlap = [intersection_over_union(f.boxes[0], b) for f, b in zip(found, people[1].head_box, strict=True)]
+    assert np.mean(overlap) > 0.5
+    assert all(len(f.boxes) >= 1 and (np.diff(f.scores) <= 0).all() for f in found)
+
+
+def test_there_is_a_head_in_anything(fitted: HeadLocaliser) -> None:
+    assert len(fitted.locate(np.full((60, 30), 90, np.uint8)).boxes) >= 1
+
+
+def test_boxes_grow_with_the_picture(fitted: HeadLocaliser, people: People) -> None:
+    image = people[1].images[0]
+    twice = np.repeat(np.repeat(image, 2, axis=0), 2, axis=1)
+    small, large = fitted.locate(image).boxes[0], fitted.locate(twice).boxes[0]
+    assert intersection_over_union(small * 2.0, large) > 0.5
+
+
+def test_a_saved_model_says_the_same(fitted: HeadLocaliser, people: People, tmp_path: Path) -> None:
+    fitted.save(tmp_path / "heads.npz")
+    again = HeadLocaliser.load(tmp_path / "heads.npz")
+    for image in people[1].images[:3]:
+        np.testing.assert_allclose(again.locate(image).boxes, fitted.locate(image).boxes)
+
+
+def test_wrong_use_is_refused() -> None:
+    with pytest.raises(InputError):
+        HeadLocaliser().locate(np.zeros((20, 10), np.uint8))
+    with pytest.raises(InputError):
+        HeadLocaliser().fit([np.zeros((20, 10), np.uint8)], np.zeros((2, 4)))
+    with pytest.raises(InputError):
+        BoostedBlocks.fit(np.zeros((4, 441, 9), np.float32), np.ones(4, np.int64), "differential")
+
+
+def test_suppression_keeps_the_best_of_each_heap() -> None:
+    boxes = np.array([[0, 0, 10, 10], [1, 0, 10, 10], [30, 0, 10, 10], [31, 1, 10, 10]], float)
+    assert non_maximum_suppression(boxes, np.array([0.5, 0.9, 0.8, 0.7]), 0.3) == [1, 2]
+
+
+def test_selection_along_a_track_is_the_best_of_all_paths() -> None:
+    rng = np.random.default_rng(0)
+    frames = [
+        HeadCandidates(rng.uniform((0, 0, 10, 10), (20, 20, 30, 30), (3, 4)), np.sort(rng.random(3))[::-1])
+        for _ in range(4)
+    ]
+
+    def value(path: tuple[int, ...]) -> float:
+        boxes = [f.boxes[k] for f, k in zip(frames, path, strict=True)]
+        steps = sum(np.linalg.norm(b - a) / b[3] for a, b in pairwise(boxes))
+        return sum(f.scores[k] for f, k in zip(frames, path, strict=True)) - 0.3 * steps
+
+    best = max(np.ndindex(3, 3, 3, 3), key=value)
+    expected = [f.boxes[k] for f, k in zip(frames, best, strict=True)]
+    np.testing.assert_allclose(select_along_track(frames, smoothness=0.3), expected)
