@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphtrack.angles import FloatArray, direction, wrap
+from graphtrack.angles import FloatArray, direction, unit, wrap
 from graphtrack.errors import InputError
 from graphtrack.model import Model, Parameters
+from graphtrack.model.coupling import BodyFollowsMotion
+from graphtrack.model.intentional import IntentionalMotion, smooth_speed, steered_step
 from graphtrack.model.motion import process_noise, transition_matrix
-from graphtrack.model.parameters import CouplingParameters
+from graphtrack.model.parameters import CouplingParameters, OrientationParameters
 from graphtrack.scenario import scenario
 from graphtrack.tracks import Track, TrackSet
 
@@ -19,6 +21,8 @@ __all__ = ["sample_motion", "sample_orientations", "scenario", "simulate", "von_
 
 SCENE_SIZE = 20.0
 """Metres: tracks begin anywhere in a square of this side around the origin."""
+
+NO_COUPLING = CouplingParameters(motion_body_kappa=0.0, head_body_kappa=0.0)
 
 
 def simulate(
@@ -35,7 +39,8 @@ def simulate(
 ) -> TrackSet:
     """Sample people from the model: states from its dynamics, observations from its likelihoods.
 
-    Motion is white-noise acceleration, sampled exactly. An orientation is sampled from the *normalised*
+    Motion is white-noise acceleration, or steered by the head in the presets that have that, sampled exactly.
+    An orientation is sampled from the *normalised*
     product of the von Mises of its dynamics and that of its coupling (002 eq. 8 and 10 as its particle
     filter samples them); the factor graph holds the product without the normalisation. Terms of your own
     are not sampled.
@@ -43,7 +48,7 @@ def simulate(
     Parameters
     ----------
     model : a `Model`, the name of a preset or a model file; "position" has no orientations, "separate" has
-        them without couplings
+        them without couplings, "intentional" has a head only
     n_tracks, n_steps : people, and frames of each
     fps : frames a second
     rng : source of all randomness; None: a new one, different every time
@@ -79,13 +84,20 @@ def simulate(
 
     frame = np.arange(n_steps)
     t = frame / fps
-    position, velocity = sample_motion(t, n_tracks, model.parameters, rng)
+    coupled = any(isinstance(term, BodyFollowsMotion) for term in model.terms)
     truth = {}
-    if model.has_body or model.has_head:
-        coupled = model.preset == "joint"
-        truth["body"], truth["head"] = sample_orientations(
-            t, velocity, model.parameters, rng, coupled=coupled
+    if any(isinstance(term, IntentionalMotion) for term in model.terms):
+        position, truth["body"], truth["head"] = sample_intentional(
+            t, n_tracks, model.parameters, rng, coupled=coupled
         )
+    else:
+        position, velocity = sample_motion(t, n_tracks, model.parameters, rng)
+        if model.has_body or model.has_head:
+            truth["body"], truth["head"] = sample_orientations(
+                t, velocity, model.parameters, rng, coupled=coupled
+            )
+    if not model.has_body:
+        truth.pop("body", None)
     noisy = position + position_std * rng.standard_normal(position.shape)
     noisy[_missing(rng, n_tracks, n_steps, missing)] = np.nan
     observed = {}
@@ -128,6 +140,36 @@ def sample_motion(
     return state[..., :2], state[..., 2:]
 
 
+def sample_intentional(
+    t: FloatArray, n_tracks: int, parameters: Parameters, rng: np.random.Generator, *, coupled: bool = True
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions (n_tracks, n, 2), body and head (n_tracks, n) of people steered by the head (term 5)."""
+    motion, n = parameters.motion, len(t)
+    coupling = parameters.coupling if coupled else NO_COUPLING
+    position, velocity = np.empty((2, n_tracks, n, 2))
+    body, head = np.zeros((2, n_tracks, n))
+    position[:, 0] = rng.uniform(-0.5 * SCENE_SIZE, 0.5 * SCENE_SIZE, (n_tracks, 2))
+    velocity[:, 0] = motion.initial_speed_std * rng.standard_normal((n_tracks, 2))
+    steps: list[float | None] = [None, *np.diff(t).tolist()]
+    for k, dt in enumerate(steps):
+        if dt is not None:
+            keep, reach, place, cross, spread = steered_step(dt, motion.head_rate)
+            aim = smooth_speed(velocity[:, k - 1])[:, None] * unit(head[:, k - 1])
+            root = np.linalg.cholesky(
+                motion.acceleration_density * np.array([[place, cross], [cross, spread]])
+            )
+            noise = np.einsum("ab,mbd->mad", root, rng.standard_normal((n_tracks, 2, 2)))
+            position[:, k] = (
+                position[:, k - 1] + reach * velocity[:, k - 1] + (dt - reach) * aim + noise[:, 0]
+            )
+            velocity[:, k] = keep * velocity[:, k - 1] + (1.0 - keep) * aim + noise[:, 1]
+        before = max(k - 1, 0)
+        body[:, k], head[:, k] = _turn(
+            dt, velocity[:, k], body[:, before], head[:, before], parameters.orientation, coupling, rng
+        )
+    return position, body, head
+
+
 def sample_orientations(
     t: FloatArray,
     velocity: FloatArray,
@@ -141,25 +183,36 @@ def sample_orientations(
     Each is sampled from the normalised product of its dynamics and, if ``coupled``, its coupling; the first
     from the coupling alone (the uniform density without one).
     """
-    turning, coupling = parameters.orientation, parameters.coupling
-    if not coupled:
-        coupling = CouplingParameters(motion_body_kappa=0.0, head_body_kappa=0.0)
+    coupling = parameters.coupling if coupled else NO_COUPLING
     # Zeros, not empty memory: the first frame reads its predecessor with weight 0, and 0·NaN is NaN.
     body, head = np.zeros(velocity.shape[:2]), np.zeros(velocity.shape[:2])
-    course = direction(velocity)
-    excess = np.maximum(np.linalg.norm(velocity, axis=-1) - coupling.speed_threshold, 0.0)
     steps: list[float | None] = [None, *np.diff(t).tolist()]
     for k, dt in enumerate(steps):
-        weight = coupling.weight(dt)
-        body_dynamics = 0.0 if dt is None else 1.0 / (turning.body_diffusion * dt)
-        head_dynamics = 0.0 if dt is None else 1.0 / (turning.head_diffusion * dt)
-        pull = weight * coupling.motion_body_kappa * excess[:, k] ** 2
-        mean, kappa = von_mises_product(body[:, max(k - 1, 0)], body_dynamics, course[:, k], pull)
-        body[:, k] = wrap(rng.vonmises(mean, kappa))
-        pull = np.full(len(body), weight * coupling.head_body_kappa)
-        mean, kappa = von_mises_product(head[:, max(k - 1, 0)], head_dynamics, body[:, k], pull)
-        head[:, k] = wrap(rng.vonmises(mean, kappa))
+        before = max(k - 1, 0)
+        body[:, k], head[:, k] = _turn(
+            dt, velocity[:, k], body[:, before], head[:, before], parameters.orientation, coupling, rng
+        )
     return body, head
+
+
+def _turn(
+    dt: float | None,
+    velocity: FloatArray,
+    body: FloatArray,
+    head: FloatArray,
+    turning: OrientationParameters,
+    coupling: CouplingParameters,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Body and head (m,) ``dt`` seconds (None: the first) on; ``velocity`` (m, 2) is the new one."""
+    weight = coupling.weight(dt)
+    body_dynamics = 0.0 if dt is None else 1.0 / (turning.body_diffusion * dt)
+    head_dynamics = 0.0 if dt is None else 1.0 / (turning.head_diffusion * dt)
+    excess = np.maximum(np.linalg.norm(velocity, axis=-1) - coupling.speed_threshold, 0.0)
+    pull = weight * coupling.motion_body_kappa * excess**2
+    body = wrap(rng.vonmises(*von_mises_product(body, body_dynamics, direction(velocity), pull)))
+    pull = np.full(len(body), weight * coupling.head_body_kappa)
+    return body, wrap(rng.vonmises(*von_mises_product(head, head_dynamics, body, pull)))
 
 
 def von_mises_product(

@@ -15,13 +15,12 @@ from graphtrack.baselines.isotropic import FilteredStates, Transition, filter_tr
 from graphtrack.baselines.kalman import GaussianStates, as_track, position_std
 from graphtrack.errors import InputError, SolveError
 from graphtrack.inference.initial import observed_vectors
+from graphtrack.model.intentional import steered_step
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks import Track
 
 HEAD_RATE = 2.0
 """λ in 1/s at which the head draws the velocity, learned on turning walks."""
-
-_SMALL = 1e-3
 
 
 def intentional_transition(
@@ -37,19 +36,7 @@ def intentional_transition(
     head : (m,) radians; read only where λ > 0
     density : q in m²/s³
     """
-    x = rate * dt
-    keep = np.exp(-x)
-    small = x < _SMALL
-    safe = np.where(small, 1.0, rate)
-    # The closed forms cancel for a small λΔt: there, their series.
-    reach = np.where(small, dt * (1.0 - x / 2.0 + x**2 / 6.0), -np.expm1(-x) / safe)
-    spread = np.where(small, dt * (1.0 - x + 2.0 * x**2 / 3.0), -np.expm1(-2.0 * x) / (2.0 * safe))
-    cross = np.where(small, dt**2 / 2.0 * (1.0 - x + 7.0 * x**2 / 12.0), np.expm1(-x) ** 2 / (2.0 * safe**2))
-    place = np.where(
-        small,
-        dt**3 / 3.0 * (1.0 - 0.75 * x + 0.35 * x**2),
-        (dt + 2.0 * np.expm1(-x) / safe - np.expm1(-2.0 * x) / (2.0 * safe)) / safe**2,
-    )
+    keep, reach, place, cross, spread = steered_step(dt, rate)
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     aim = speed * unit(np.where(rate > 0.0, head, 0.0))
     return Transition(

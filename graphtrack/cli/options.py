@@ -26,7 +26,10 @@ Output = Annotated[
     Path, typer.Option("--output", "-o", help="File to write: .csv, .csv.gz, .parquet or .txt (MOT).")
 ]
 ModelName = Annotated[
-    str, typer.Option("--model", help="position, separate, joint, or a model file (.toml).")
+    str,
+    typer.Option(
+        "--model", help="position, separate, joint, intentional, joint-intentional, or a model file (.toml)."
+    ),
 ]
 Format = Annotated[
     str | None,

@@ -17,7 +17,7 @@ from graphtrack.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.coupling import add_body_follows_motion, add_head_follows_body
 from graphtrack.model.kernels.frames import BODY, HEAD
-from graphtrack.model.kernels.motion import add_first_velocity, add_motion
+from graphtrack.model.kernels.motion import add_first_velocity, add_motion, add_steered_motion
 from graphtrack.model.kernels.orientation import add_turn
 from graphtrack.model.kernels.pose import add_angle, add_classes
 from graphtrack.model.kernels.position import add_pixel, add_position
@@ -250,7 +250,22 @@ def add_frame(
     now = trigonometry[k]
     now[0], now[1], now[2], now[3] = body_cos, body_sin, head_cos, head_sin
     cost = 0.0
-    if frame.motion_information > 0.0:
+    if frame.steer_gain > 0.0 and frame.motion_information > 0.0:
+        then = trigonometry[k - 1]
+        cost += add_steered_motion(
+            frame,
+            states[k - 1],
+            state,
+            then[2],
+            then[3],
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    elif frame.motion_information > 0.0:
         cost += add_motion(
             states[k - 1],
             state,

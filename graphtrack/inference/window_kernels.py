@@ -20,7 +20,7 @@ from graphtrack.inference.chain_kernels import (
 )
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import BODY, HEAD
-from graphtrack.model.kernels.motion import add_motion
+from graphtrack.model.kernels.motion import add_motion, add_steered_motion
 from graphtrack.model.kernels.orientation import add_turn
 
 
@@ -106,7 +106,21 @@ def marginalise(problem: Problem, states: FloatArray, exact: bool, workspace: Wo
         transition,
     )
     add_prior(problem.prior, states[0], gradient, hessian)
-    if after.motion_information > 0.0:
+    if after.steer_gain > 0.0 and after.motion_information > 0.0:
+        add_steered_motion(
+            after,
+            states[0],
+            states[1],
+            math.cos(states[0, HEAD]),
+            math.sin(states[0, HEAD]),
+            exact,
+            gradient,
+            gradient_after,
+            hessian,
+            hessian_after,
+            transition,
+        )
+    elif after.motion_information > 0.0:
         add_motion(
             states[0],
             states[1],

@@ -14,6 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.intentional import IntentionalMotion
 from graphtrack.model.motion import Motion
 from graphtrack.model.orientation import BodyDynamics, HeadDynamics
 from graphtrack.model.parameters import Parameters
@@ -30,8 +31,11 @@ presets: dict[str, tuple[type[Term], ...]] = {
     "position": _POSITION,
     "separate": _SEPARATE,
     "joint": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody),
+    "intentional": (IntentionalMotion, PositionLikelihood, HeadDynamics, HeadLikelihood),
+    "joint-intentional": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody),
 }
-"""Name → the terms of the model: positions only; orientations too, each for itself; all coupled (002)."""
+"""Name → the terms of the model: positions only; orientations too, each for itself; all coupled (002);
+positions and the head that steers them (000); all of these."""
 
 
 class Model:

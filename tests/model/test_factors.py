@@ -23,6 +23,7 @@ from graphtrack.model import (
     FactorShapeError,
     LikelihoodParameters,
     Model,
+    MotionParameters,
     Parameters,
     States,
     Step,
@@ -31,6 +32,7 @@ from graphtrack.model import (
 )
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.custom import numerical_jacobians
+from graphtrack.model.intentional import IntentionalMotion
 from graphtrack.model.motion import Motion
 from graphtrack.model.orientation import BodyDynamics, HeadDynamics
 from graphtrack.model.pose import (
@@ -65,6 +67,26 @@ def motion_density(states: States, track: Track, parameters: Parameters) -> floa
         transition = both[4:, 4:].T
         noise = transition @ both[:4, 4:]
         deviation = state[k + 1] - transition @ state[k]
+        total += -0.5 * deviation @ np.linalg.solve(noise, deviation)
+    return float(total)
+
+
+def steered_density(states: States, track: Track, parameters: Parameters) -> float:
+    """The noise of position and velocity about an aim that holds for the step, by the matrix exponential."""
+    rate, epsilon = parameters.motion.head_rate, 0.01
+    drift, diffusion = np.zeros((6, 6)), np.zeros((6, 6))
+    drift[:2, 2:4], drift[2:4, 2:4], drift[2:4, 4:] = np.eye(2), -rate * np.eye(2), rate * np.eye(2)
+    diffusion[2:4, 2:4] = parameters.motion.acceleration_density * np.eye(2)
+    total = np.sum(stats.norm.logpdf(states.velocity[0], scale=parameters.motion.initial_speed_std))
+    for k, dt in enumerate(np.diff(track.t)):
+        both = expm(np.block([[-drift, diffusion], [np.zeros((6, 6)), drift.T]]) * dt)
+        transition = both[6:, 6:].T
+        noise = (transition @ both[:6, 6:])[:4, :4]
+        speed = np.hypot(np.linalg.norm(states.velocity[k]), epsilon) - epsilon
+        aim = speed * np.array([np.cos(states.head[k]), np.sin(states.head[k])])
+        before = np.concatenate([states.position[k], states.velocity[k], aim])
+        after = np.concatenate([states.position[k + 1], states.velocity[k + 1]])
+        deviation = after - (transition @ before)[:4]
         total += -0.5 * deviation @ np.linalg.solve(noise, deviation)
     return float(total)
 
@@ -161,6 +183,10 @@ def coupling(**values: Any) -> Parameters:
     return Parameters(coupling=CouplingParameters(**values))
 
 
+def steering(rate: float) -> Parameters:
+    return Parameters(motion=MotionParameters(head_rate=rate))
+
+
 SHARP = likelihood(body_kappa=1e4, head_kappa=1e4, outlier_probability=0.05)
 OUTLIERS = likelihood(outlier_probability=0.1)
 NO_CLASS_OUTLIERS = likelihood(class_outlier_probability=0.0)
@@ -173,6 +199,10 @@ MIXED_BODY: dict[str, Any] = {"least_squares": False, "channels": ("body",)}
 
 CASES = [
     Case("motion", Motion, density=motion_density),
+    Case("intentional motion", IntentionalMotion, density=steered_density),
+    Case("intentional motion, strong", IntentionalMotion, steering(20.0), density=steered_density),
+    Case("intentional motion, weak", IntentionalMotion, steering(1e-3), density=steered_density),
+    Case("intentional motion, none", IntentionalMotion, steering(0.0), density=motion_density),
     Case("body dynamics", BodyDynamics, density=turning_density("body")),
     Case("head dynamics", HeadDynamics, density=turning_density("head")),
     Case("body follows motion", BodyFollowsMotion),

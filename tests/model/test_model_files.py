@@ -29,7 +29,7 @@ ROBUST = st.sampled_from(["none", "huber", "cauchy"])
 
 PARAMETERS = st.builds(
     Parameters,
-    motion=st.builds(MotionParameters, POSITIVE, POSITIVE),
+    motion=st.builds(MotionParameters, POSITIVE, POSITIVE, st.floats(0.0, 1e3)),
     orientation=st.builds(OrientationParameters, POSITIVE, POSITIVE),
     coupling=st.builds(CouplingParameters, NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE),
     likelihood=st.builds(
@@ -125,6 +125,8 @@ def test_presets_estimate_the_orientations_that_they_name() -> None:
         "position": (False, False),
         "separate": (True, True),
         "joint": (True, True),
+        "intentional": (False, True),
+        "joint-intentional": (True, True),
     }
 
 

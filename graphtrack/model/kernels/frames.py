@@ -11,6 +11,11 @@ FRAME = np.dtype(
     [
         ("dt", float),  # seconds since the person's frame before; 0 at the first
         ("motion_information", float),  # 1/q in s³/m²; 0 at the first frame
+        ("steer_gain", float),  # share of the velocity that turns to the head; 0: white-noise acceleration
+        ("steer_reach", float),  # seconds that the old velocity carries on
+        ("steer_place", float),  # information on position, both and velocity
+        ("steer_cross", float),
+        ("steer_spread", float),
         ("velocity_information", float),  # of the prior on the velocity, where it stands
         ("x", float),  # observed position, metres from the track's origin
         ("y", float),

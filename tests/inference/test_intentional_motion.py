@@ -1,0 +1,205 @@
+"""The head that steers the velocity, in both engines and online."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_tracks import random_parameters, random_track
+from test_batch import cost_around, free, hessian, moved, states_of
+from walks import walk, without
+
+from graphtrack.angles import unit
+from graphtrack.degrade import withhold
+from graphtrack.inference import SolverOptions, smooth_track
+from graphtrack.inference.batch import smooth_graph
+from graphtrack.inference.chain_kernels import clear, workspace
+from graphtrack.inference.incremental import track_online
+from graphtrack.inference.initial import pack, problem_of
+from graphtrack.inference.window_kernels import marginalise
+from graphtrack.model import Model, MotionParameters, Parameters, States
+from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.kernels.frames import HEAD
+from graphtrack.model.kernels.motion import add_steered_motion
+from graphtrack.simulation import simulate
+from graphtrack.tracks import Track
+
+EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)
+STEERED = pytest.mark.parametrize("preset", ["intentional", "joint-intentional"])
+UNSTEERED = Parameters(MotionParameters(head_rate=0.0))
+
+
+def of_step(two: np.ndarray, model: Model, dt: float, exact: bool) -> tuple[float, np.ndarray, np.ndarray]:
+    """Cost, gradient (12,) and curvature (12, 12) of the kernel at the states (2, 6) of two frames."""
+    track = replace(walk(2), t=np.array([0.0, dt]))
+    frame = pack([track], model).records[1]
+    gradient, blocks = np.zeros((2, 6)), np.zeros((3, 6, 6))
+    clear(gradient[0], blocks[0], blocks[2])
+    head = two[0, HEAD]
+    cost = add_steered_motion(
+        frame, two[0], two[1], np.cos(head), np.sin(head), exact, *gradient, blocks[0], blocks[1], blocks[2]
+    )
+    full = np.block([[np.tril(blocks[0]), np.zeros((6, 6))], [blocks[2].T, np.tril(blocks[1])]])
+    return cost, gradient.ravel(), full + np.tril(full, -1).T
+
+
+def random_pair(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    two = rng.normal(0.0, 1.0, (2, 6))
+    two[0, 2:4] *= rng.choice([1e-4, 0.01, 0.3, 1.0, 3.0])  # standing, too
+    two[:, 4:] *= np.pi
+    return two
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_kernel_has_the_derivatives_of_its_cost(seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    model = Model("intentional", Parameters(MotionParameters(0.5, 1.5, rng.choice([0.1, 2.0, 10.0]))))
+    two, dt = random_pair(seed), rng.choice([0.03, 0.1, 1.0])
+    _, gradient, curvature = of_step(two, model, dt, True)
+    for i in range(12):
+        delta = np.zeros(12)
+        delta[i] = 1e-5
+        delta = delta.reshape(2, 6)
+        above, below = (of_step(two + sign * delta, model, dt, True) for sign in (1.0, -1.0))
+        scale = 1.0 + np.abs(curvature).max()
+        assert gradient[i] == pytest.approx((above[0] - below[0]) / 2e-5, abs=1e-5 * scale)
+        np.testing.assert_allclose(curvature[i], (above[1] - below[1]) / 2e-5, atol=1e-4 * scale)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_other_curvature_is_never_negative_and_that_of_the_factor(seed: int) -> None:
+    model = Model("intentional")
+    _, gradient, curvature = of_step(random_pair(seed), model, 0.1, False)
+    values = np.linalg.eigvalsh(curvature)
+    assert values[0] > -1e-9 * values[-1]
+    # Four residuals, so four directions that cost anything.
+    assert np.sum(values > 1e-9 * values[-1]) == 4
+    exact = of_step(random_pair(seed), model, 0.1, True)
+    np.testing.assert_array_equal(gradient, exact[1])
+
+
+def test_the_optimum_is_that_of_gtsams_graph() -> None:
+    compared = same = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        track, parameters = random_track(rng), random_parameters(rng)
+        motion = replace(parameters.motion, head_rate=rng.choice([0.2, 2.0, 8.0]))
+        model = Model(["intentional", "joint-intentional"][seed % 2], replace(parameters, motion=motion))
+        found = smooth_track(track, model, engine="chain")
+        cost = model.cost(states_of(found.track), track)
+        assert found.converged
+        assert found.cost == pytest.approx(cost, rel=1e-9, abs=1e-5)
+        graph = smooth_graph(track, model, None, EXACTLY)
+        compared += 1
+        if cost > model.cost(states_of(graph.track), track) - 1e-8 * (1.0 + abs(cost)):
+            same += 1
+            assert graph.cost == pytest.approx(found.cost, rel=1e-7, abs=1e-7), seed
+            assert np.abs(graph.track.position - found.track.position).max() < 1e-4
+    # Else GTSAM ended in another basin, which costs more.
+    assert same >= 0.8 * compared
+
+
+@STEERED
+def test_covariances_are_the_inverse_of_the_cost_differences(preset: str) -> None:
+    track, model = walk(7, seed=3, uneven=True, noise=0.15), Model(preset)
+    found = smooth_track(track, model, None, EXACTLY, engine="chain").track
+    used = free(model)
+    covariance = np.linalg.inv(hessian(cost_around(states_of(found), track, model), len(used) * len(track)))
+    assert found.covariance is not None
+    for k, block in enumerate(found.covariance):
+        rows = slice(len(used) * k, len(used) * (k + 1))
+        scale = np.sqrt(np.diag(covariance[rows, rows]))
+        np.testing.assert_allclose(
+            block[np.ix_(used, used)] / scale[:, None] / scale,
+            covariance[rows, rows] / scale[:, None] / scale,
+            atol=5e-4,
+        )
+
+
+def test_without_a_rate_it_is_white_noise_acceleration() -> None:
+    track = walk(20, uneven=True)
+    steered = smooth_track(track, Model("joint-intentional", UNSTEERED)).track
+    plain = smooth_track(track, Model("joint")).track
+    np.testing.assert_array_equal(steered.position, plain.position)
+    np.testing.assert_array_equal(steered.head, plain.head)
+    tiny = Parameters(MotionParameters(head_rate=1e-7))
+    nearly = smooth_track(track, Model("joint-intentional", tiny)).track
+    np.testing.assert_allclose(nearly.position, plain.position, atol=1e-6)
+
+
+def test_somebody_who_looks_aside_is_expected_to_go_there() -> None:
+    n, dt = 30, 0.1
+    t = dt * np.arange(n)
+    track = replace(
+        walk(n), t=t, position=1.2 * t[:, None] * unit(0.0), head=np.where(t < 1.5, 0.0, 1.2), body=None
+    )
+    hidden = withhold(track, t > 1.5)
+    ahead, steered = (track_online(hidden, preset) for preset in ("position", "intentional"))
+    assert abs(ahead.position[-1, 1]) < 1e-3
+    assert steered.position[-1, 1] > 0.3
+    assert smooth_track(hidden, Model("intentional")).track.position[-1, 1] > 0.3
+
+
+@STEERED
+def test_what_leaves_the_window_is_what_elimination_leaves(preset: str) -> None:
+    """The prior on the second of two frames against the Schur complement of the curvature of both."""
+    model, both = Model(preset), walk(2, seed=4)
+    for name in ("position", "body", "head"):
+        both = without(both, name, [1])  # the second frame has no terms but its links, and no couplings:
+    found, memory = smooth_track(both, model, None, EXACTLY).track, workspace(2)
+    here, columns = states_of(found), free(model)
+    packed = pack([both], model)
+    states = np.column_stack(
+        [here.position - packed.origin, here.velocity, np.nan_to_num(here.body), here.head]
+    )
+    assert marginalise(problem_of(packed)._replace(prior=np.zeros((8, 6))), states, True, memory)
+
+    def cost(vector: np.ndarray) -> float:
+        # Without what the couplings say about the second frame itself.
+        return cost_around(here, both, model)(vector) - couplings(vector)
+
+    def couplings(vector: np.ndarray) -> float:
+        offset = np.zeros((2, 6))
+        offset[:, columns] = vector.reshape(2, len(columns))
+        there = moved(here, offset)
+        total = 0.0
+        for term in model.terms:
+            if isinstance(term, BodyFollowsMotion | HeadFollowsBody):
+                alone = States(*(value[:1] for value in vars(there).values()))
+                first = Track(1, both.frame[:1], both.t[:1], both.position[:1])
+                total += term.cost(there, both) - term.cost(alone, first)
+        return total
+
+    whole, n = hessian(cost, 2 * len(columns)), len(columns)
+    expected = whole[n:, n:] - whole[n:, :n] @ np.linalg.solve(whole[:n, :n], whole[:n, n:])
+    left = memory.scratch[2][np.ix_(columns, columns)]
+    np.testing.assert_allclose(np.tril(left), np.tril(expected), rtol=1e-3, atol=1e-4 * expected.max())
+
+
+@STEERED
+def test_the_compiled_window_and_gtsams_agree(preset: str) -> None:
+    track = walk(60, seed=2, noise=0.05)
+    chain, graph = (track_online(track, preset, engine=engine, lag=1.0) for engine in ("chain", "fixed-lag"))
+    # They differ by the curvature that what has left the window is summed up with.
+    assert np.abs(chain.position - graph.position).max() < 0.01
+
+
+@STEERED
+def test_people_who_are_steered_are_simulated_so(preset: str) -> None:
+    tracks = simulate(preset, n_tracks=300, n_steps=30, fps=10.0, rng=np.random.default_rng(1))
+    assert all((track.body is None) == (preset == "intentional") for track in tracks)
+    towards = [
+        [
+            np.dot(track.true_position[k + 2] - track.true_position[k], unit(track.true_head[k]))
+            for k in (0, 27)
+        ]
+        for track in tracks
+    ]
+    first, last = np.mean(towards, axis=0)
+    if preset == "intentional":
+        # They begin anyhow, and come to go where they look.
+        assert last > first + 0.1
+    else:
+        assert min(first, last) > 0.1
