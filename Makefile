@@ -1,6 +1,6 @@
 # make demo   the main job on the embedded default, with its report
 # make test   linter, type checker and tests      make test-all   the slow tests too
-# make bench  speed, against peers in the same run
+# make bench  speed, against peers in the same run and against tests/benchmarks/baseline.json
 # make notebooks, make pictures   run them again and store what they show
 PYTHON ?= python3
 VENV ?= .venv
