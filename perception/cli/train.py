@@ -1,0 +1,88 @@
+"""`perception train`, `perception card` and `perception contact-sheet`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from graphtrack.cli.console import console
+from graphtrack.cli.options import Seed, check_outputs
+
+Name = Annotated[str, typer.Argument(help="templates, exemplars, body_pose or head_localiser.")]
+
+
+def train(
+    name: Name,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.npz).")],
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            "--images", help="Folder of your images; without it, rendered ones.", exists=True, file_okay=False
+        ),
+    ] = None,
+    labels: Annotated[
+        Path | None,
+        typer.Option(
+            "--labels",
+            help="CSV with a column image and pan_deg, tilt_deg (head pose), body_deg (body_pose), "
+            "or left, top, width, height (head_localiser).",
+            exists=True,
+            dir_okay=False,
+        ),
+    ] = None,
+    count: Annotated[int, typer.Option("--count", min=100, help="Rendered images to train on.")] = 6000,
+    seed: Seed = 0,
+) -> None:
+    """Train a model on your labelled images, or on rendered ones."""
+    from graphtrack.errors import InputError
+    from perception.training import train_on_files, train_on_rendered
+
+    check_outputs(output)
+    if (images is None) != (labels is None):
+        raise InputError("one of --images and --labels", "both or neither")
+    if images is not None and labels is not None:
+        model = train_on_files(name, images, labels, seed=seed)
+    else:
+        model = train_on_rendered(name, images=count, seed=seed)
+    model.save(output)
+    console.print(model.card.text(), markup=False)
+    console.print(f"wrote {output}", markup=False)
+
+
+def card(
+    model: Annotated[str, typer.Argument(help="Name of a model of the package, or a model file.")],
+) -> None:
+    """Print a model's card: what it was trained on, how good it is, when it fails."""
+    from perception.models import NAMES, model_path
+    from perception.storage import load_model
+
+    print(load_model(model_path(model) if model in NAMES else model)[0].text())
+
+
+def sheet(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write (.png).")],
+    size: Annotated[int, typer.Option("--size", min=8, max=96, help="Height of a head in pixels.")] = 32,
+    rows: Annotated[int, typer.Option("--rows", min=1, max=40, help="Heads at each of twelve pans.")] = 6,
+    seed: Seed = 0,
+) -> None:
+    """Draw rendered heads at twelve pans, to look at."""
+    import cv2
+    import numpy as np
+
+    from graphtrack.io import atomic_path
+    from perception.synthetic import HeadVariation, contact_sheet, make_heads
+
+    check_outputs(output)
+    pans = np.arange(-180, 180, 30)
+    heads = make_heads(
+        12 * rows,
+        np.random.default_rng(seed),
+        HeadVariation(size=(size, size)),
+        pan=np.tile(np.deg2rad(pans), rows),
+    )
+    picture = contact_sheet(heads.images, 12, titles=[f"{pan}" for pan in pans])
+    with atomic_path(output) as temporary:
+        temporary.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    console.print(f"wrote {output}", markup=False)

@@ -1,0 +1,50 @@
+"""The models that ship with the package, trained on rendered people by `perception train`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from graphtrack.errors import InputError
+from perception.body_pose import BodyPose
+from perception.classifier import FeatureClassifier
+from perception.head_pose import Exemplars, Templates
+from perception.heads import HeadLocaliser
+
+CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
+    "templates": Templates,
+    "exemplars": Exemplars,
+    "body_pose": BodyPose,
+}
+HEAD_POSE = ("templates", "exemplars")
+NAMES = (*CLASSIFIERS, HeadLocaliser.kind)
+
+
+def model_path(name: str) -> Path:
+    """Where the model of that name is in the package.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    if name not in NAMES:
+        raise InputError(f"model {name!r}", f"one of {', '.join(NAMES)}")
+    return Path(__file__).parent / f"{name}.npz"
+
+
+def load_classifier(name: str, path: str | Path | None = None) -> FeatureClassifier:
+    """A pose classifier by name, from the package or from a file.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name, or the file is no such model.
+    """
+    if name not in CLASSIFIERS:
+        raise InputError(f"classifier {name!r}", f"one of {', '.join(CLASSIFIERS)}")
+    return CLASSIFIERS[name].load(path or model_path(name))
+
+
+def load_head_localiser(path: str | Path | None = None) -> HeadLocaliser:
+    """The head localiser of the package or of a file."""
+    return HeadLocaliser.load(path or model_path(HeadLocaliser.kind))
