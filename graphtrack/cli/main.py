@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from graphtrack.cli import compare, demo, info, reproduce, simulate, smooth, track
+from graphtrack.cli import compare, demo, fit, info, reproduce, simulate, smooth, track
 from graphtrack.cli.console import BAD_INPUT, fail
 from graphtrack.errors import GraphtrackError
 
@@ -44,6 +44,7 @@ def start(
 app.command("smooth")(smooth.smooth)
 app.command("track")(track.track)
 app.command("compare")(compare.compare)
+app.command("fit")(fit.fit)
 app.command("reproduce")(reproduce.reproduce)
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)

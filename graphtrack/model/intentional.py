@@ -139,6 +139,14 @@ class IntentionalMotion(Motion):
         start = np.sum(states.velocity[0] ** 2) / motion.initial_speed_std**2
         return 0.5 * float(squares.sum() + start)
 
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """½·log det 2πQ(Δt, λ) of each step, and the same of the first velocity."""
+        motion = self.parameters.motion
+        moments = steered_step(np.diff(track.t), motion.head_rate)
+        determinant = moments.place * moments.spread - moments.cross**2
+        steps = np.log((2.0 * np.pi * motion.acceleration_density) ** 2 * determinant)
+        return float(steps.sum() + np.log(2.0 * np.pi * motion.initial_speed_std**2))
+
     def pack(self, packed: PackedTracks) -> None:
         """What white-noise acceleration packs, and the moments of each steered step."""
         super().pack(packed)

@@ -70,6 +70,10 @@ class Model:
     def __reduce__(self) -> tuple[Any, ...]:
         return Model, (self.preset, self.parameters, self._extra)
 
+    def with_parameters(self, parameters: Parameters) -> Model:
+        """The same terms with other parameters."""
+        return Model(self.preset, parameters, self._extra)
+
     def factors(self, step: Step) -> list[gtsam.NonlinearFactor]:
         """All factors that arrive with a step."""
         return [factor for term in self.terms for factor in term.factors(step)]

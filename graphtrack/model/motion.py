@@ -61,6 +61,12 @@ class Motion(Term):
         first = states.velocity[int(np.argmax(seen)) if seen.any() else 0]
         return 0.5 * float(squares.sum() + (first**2).sum() / motion.initial_speed_std**2)
 
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """½·log det 2πQ(Δt) of each step, and the same of the first velocity."""
+        motion, dt = self.parameters.motion, np.diff(track.t)
+        steps = np.log((2.0 * np.pi * motion.acceleration_density * dt**2) ** 2 / 12.0)
+        return float(steps.sum() + np.log(2.0 * np.pi * motion.initial_speed_std**2))
+
     def pack(self, packed: PackedTracks) -> None:
         """1/q between frames, and the prior on the first velocity."""
         motion = self.parameters.motion

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import gtsam
 import numpy as np
+from scipy import special
 
 from graphtrack.angles import FloatArray
 from graphtrack.geometry import GroundCamera
@@ -36,6 +37,12 @@ def _turn_kappa(dt: FloatArray, diffusion: float) -> FloatArray:
     return np.divide(1.0, diffusion * dt, out=np.zeros_like(dt), where=dt > 0.0)
 
 
+def _turns_normaliser(track: Track, diffusion: float) -> float:
+    """log 2π·I₀(κ)·e^−κ of each turn, and log 2π of the first orientation, which may be any."""
+    kappa = 1.0 / (diffusion * np.diff(track.t))
+    return float(np.log(2.0 * np.pi * special.i0e(kappa)).sum() + np.log(2.0 * np.pi))
+
+
 class BodyDynamics(Term):
     """V(θ_t; θ_{t−1}, 1/(diffusion·Δt)) (002 eq. 8, first factor)."""
 
@@ -52,6 +59,10 @@ class BodyDynamics(Term):
         """Σ κ(Δt)·(1 − cos Δθ)."""
         kappa = 1.0 / (self.parameters.orientation.body_diffusion * np.diff(track.t))
         return float(np.sum(kappa * (1.0 - np.cos(np.diff(states.body)))))
+
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """Of the von Mises densities of the turns."""
+        return _turns_normaliser(track, self.parameters.orientation.body_diffusion)
 
     def pack(self, packed: PackedTracks) -> None:
         """κ between frames."""
@@ -74,6 +85,10 @@ class HeadDynamics(Term):
         """Σ κ(Δt)·(1 − cos Δα)."""
         kappa = 1.0 / (self.parameters.orientation.head_diffusion * np.diff(track.t))
         return float(np.sum(kappa * (1.0 - np.cos(np.diff(states.head)))))
+
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """Of the von Mises densities of the turns."""
+        return _turns_normaliser(track, self.parameters.orientation.head_diffusion)
 
     def pack(self, packed: PackedTracks) -> None:
         """κ between frames."""

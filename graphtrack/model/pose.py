@@ -192,6 +192,27 @@ class _PoseLikelihood(Term):
                 total += mixture.negative_log_density(float(angles[k])) + mixture.offset
         return total
 
+    def _log_normaliser(self, track: Track) -> float:
+        """log ∫ exp(−cost) of each observation: for mixtures, minus the offset that their factors carry."""
+        likelihood, n = self.parameters.likelihood, len(track)
+        angle, classes = getattr(track, self.name), getattr(track, f"{self.name}_likelihood")
+        by_class = np.zeros(n, bool) if classes is None else np.isfinite(classes).all(axis=1)
+        total = 0.0
+        if classes is not None:
+            kappa, uniform = class_kappa(classes.shape[1]), likelihood.class_outlier_probability
+            heights = uniform + (1.0 - uniform) / special.i0e(kappa)
+            says = classes[by_class].sum(axis=1) > 0.0
+            total -= float(np.sum(np.where(says, np.log(heights), 0.0) - np.log(2.0 * np.pi) + 2.0 * kappa))
+        if angle is not None:
+            default = likelihood.body_kappa if self.name == "body" else likelihood.head_kappa
+            given = getattr(track, f"{self.name}_kappa")
+            kappas = np.full(n, default) if given is None else np.where(np.isfinite(given), given, default)
+            kappas = kappas[np.isfinite(angle) & ~by_class]
+            uniform = likelihood.outlier_probability
+            highest = np.log((uniform + (1.0 - uniform) / special.i0e(kappas)) / (2.0 * np.pi))
+            total -= float(np.sum(highest + (2.0 * kappas if uniform > 0.0 else 0.0)))
+        return total
+
     def _pack(self, packed: PackedTracks, heights: FloatArray | None) -> None:
         likelihood, records, name = self.parameters.likelihood, packed.records, self.name
         angle, kappa = packed.channel(name), packed.channel(f"{name}_kappa")
@@ -231,6 +252,10 @@ class BodyLikelihood(_PoseLikelihood):
     name: ClassVar[Variable] = "body"
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
 
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """Of what was observed of the body."""
+        return self._log_normaliser(track)
+
     def pack(self, packed: PackedTracks) -> None:
         """Observed angles or classes of the body."""
         heights = self._heights(packed)
@@ -244,6 +269,10 @@ class HeadLikelihood(_PoseLikelihood):
 
     name: ClassVar[Variable] = "head"
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
+
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """Of what was observed of the head."""
+        return self._log_normaliser(track)
 
     def pack(self, packed: PackedTracks) -> None:
         """Observed angles or classes of the head."""

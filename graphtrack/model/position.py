@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 
 from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.homography import apply_homography, jacobian
 from graphtrack.model.custom import custom_factor, unit_noise
@@ -37,6 +38,21 @@ def robust_noise(noise: gtsam.noiseModel.Base, likelihood: LikelihoodParameters)
     if likelihood.robust == "cauchy":
         return gtsam.noiseModel.Robust.Create(estimators.Cauchy.Create(likelihood.robust_threshold), noise)
     return noise
+
+
+def _mass(likelihood: LikelihoodParameters) -> float:
+    """∫ exp(−ρ(d))·d dd from 0: the mass of the loss over that of a Gaussian in the plane."""
+    square = likelihood.robust_threshold**2
+    if likelihood.robust == "huber":
+        return 1.0 + float(np.exp(-0.5 * square)) / square
+    if likelihood.robust == "cauchy":
+        if square <= 2.0:
+            raise InputError(
+                f"likelihood.robust_threshold = {likelihood.robust_threshold:g} with the Cauchy loss",
+                "more than √2, below which it is no density",
+            )
+        return square / (square - 2.0)
+    return 1.0
 
 
 class PositionLikelihood(Term):
@@ -82,6 +98,25 @@ class PositionLikelihood(Term):
             residual[seen] = (predicted - camera.undistort(track.pixel[seen])) / likelihood.pixel_std
         residual = residual[np.isfinite(residual).all(axis=1)]
         return float(robust_loss(np.linalg.norm(residual, axis=1), likelihood).sum())
+
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """log 2πσ² of each observed position, with the mass of the robust loss's tails.
+
+        Raises
+        ------
+        InputError
+            For a Cauchy loss with k² ≤ 2, whose tails have no finite mass.
+        """
+        likelihood = self.parameters.likelihood
+        std = np.full(len(track), likelihood.position_std)
+        if track.position_std is not None:
+            std = np.where(np.isfinite(track.position_std), track.position_std, std)
+        seen = np.isfinite(track.position).all(axis=1)
+        if likelihood.image_frame and track.pixel is not None and camera is not None:
+            in_image = np.isfinite(track.pixel).all(axis=1)
+            std[in_image] = likelihood.pixel_std
+            seen |= in_image
+        return float(np.log(2.0 * np.pi * std[seen] ** 2).sum() + seen.sum() * np.log(_mass(likelihood)))
 
     def pack(self, packed: PackedTracks) -> None:
         """Observed positions or pixels with their information, and the robust loss."""

@@ -45,6 +45,19 @@ class Term(ABC):
         """Fill in what the term's compiled kernel reads, where it has one; see `is_compiled`."""
         raise NotImplementedError(f"{type(self).__name__} has no compiled kernel")
 
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """log ∫ exp(−cost) over what the term is a density of: what `cost` leaves out, for whole tracks.
+
+        It depends on the parameters and on what the track has, not on the states. Parameters can be learned
+        without a truth from terms that state it.
+        """
+        raise NotImplementedError(f"{type(self).__name__} states no normaliser")
+
+    @property
+    def is_normalised(self) -> bool:
+        """Whether the class itself, not a parent, states its `log_normaliser`."""
+        return "log_normaliser" in vars(type(self))
+
     @property
     def is_compiled(self) -> bool:
         """Whether the chain solver knows the term: the class itself, not a parent, states its `pack`."""

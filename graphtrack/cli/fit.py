@@ -1,0 +1,125 @@
+"""`graphtrack fit`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import console, print_table
+from graphtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from graphtrack.learning import Fit
+
+
+def fit(
+    inputs: options.Inputs,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.toml).")],
+    model: options.ModelName = "separate",
+    criterion: Annotated[
+        str | None,
+        typer.Option("--criterion", help="truth or evidence; by default the truth, where there is one."),
+    ] = None,
+    hold_out: Annotated[
+        float, typer.Option("--hold-out", min=0.0, max=0.9, help="Share of the tracks that only judge.")
+    ] = 0.25,
+    max_frames: Annotated[
+        int, typer.Option("--max-frames", min=2, help="Person-frames to learn from at most.")
+    ] = 20_000,
+    report: Annotated[
+        Path | None, typer.Option("--report", help="Write what changed and what it bought as HTML.")
+    ] = None,
+    json_path: options.Json = None,
+    format: options.Format = None,
+    fps: options.Fps = None,
+    select: options.Select = None,
+    seed: options.Seed = 0,
+) -> None:
+    """Learn the parameters of a model from tracks, with their truth or without.
+
+    If it is interrupted, the same command goes on from the progress file beside the output.
+    """
+    from graphtrack.io import atomic_path
+    from graphtrack.learning import fit as learn
+
+    if criterion not in (None, "truth", "evidence"):
+        raise InputError(f"criterion {criterion!r}", "truth or evidence")
+    if output.suffix != ".toml":
+        raise InputError(f"output {output.name!r}", "a name that ends in .toml", path=output)
+    options.check_outputs(output, report, json_path)
+    tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
+    journal = output.with_name(output.name + ".progress")
+    if journal.is_file():
+        console.print(f"  going on from {journal}, if it is of the same data and options", markup=False)
+    with console.status("learning") as status:
+        found = learn(
+            tracks,
+            model,
+            criterion=criterion,  # type: ignore[arg-type]
+            hold_out=hold_out,
+            seed=seed,
+            max_frames=max_frames,
+            journal=journal,
+            progress=lambda count: status.update(f"learning: {count} evaluations"),
+        )
+    found.model.save(output)
+    print_table("Parameters", parameter_rows(found))
+    print_table("What it bought: log density a frame", score_rows(found))
+    console.print(caption(found), markup=False)
+    console.print(f"wrote {output}", markup=False)
+    if json_path is not None:
+        with atomic_path(json_path) as temporary:
+            temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
+        console.print(f"wrote {json_path}", markup=False)
+    if report is not None:
+        write_page(found, report)
+        console.print(f"wrote {report}", markup=False)
+
+
+def parameter_rows(found: Fit) -> list[dict[str, object]]:
+    """What changed, a row for each parameter."""
+    return [
+        {
+            "parameter": one.name,
+            "before": one.start,
+            "after": one.value,
+            "95 % from": one.low,
+            "to": one.high,
+            "": one.note,
+        }
+        for one in found.learned
+    ]
+
+
+def score_rows(found: Fit) -> list[dict[str, object]]:
+    """What it bought, a row for each part of the tracks."""
+    return [
+        {"tracks": name, "n": n, "before": before, "after": after, "gain": after - before}
+        for (name, (before, after)), n in zip(found.scores.items(), found.tracks, strict=False)
+    ]
+
+
+def caption(found: Fit) -> str:
+    """What was made great, in words."""
+    what = {
+        "truth": "the likelihood of the true positions and angles under the smoother's covariances",
+        "evidence": "the Laplace evidence of the observations",
+    }[found.criterion]
+    return f"Learned by {what}; preset {found.model.preset}, {found.evaluations} evaluations."
+
+
+def write_page(found: Fit, path: Path) -> None:
+    """The tables as one HTML file."""
+    from graphtrack.report.content import Note, Report, Section, Table
+    from graphtrack.report.html import write_report
+
+    items = (
+        Note(caption(found)),
+        Table.from_records("What changed", parameter_rows(found)),
+        Table.from_records("What it bought: log density a frame", score_rows(found)),
+    )
+    write_report(path, Report("Learned parameters", sections=(Section("Learning", items),)))

@@ -1,0 +1,277 @@
+"""`fit`: the parameters that a set of tracks makes most probable, with their uncertainty."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference.offline import engine_of
+from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature
+from graphtrack.learning.free import Free, free_parameters, with_values
+from graphtrack.learning.journal import Journal
+from graphtrack.learning.objective import Objective, in_blocks
+from graphtrack.model import Model
+from graphtrack.tracks import Track, TrackSet
+
+Criterion = Literal["truth", "evidence"]
+
+MAX_FRAMES = 20_000
+"""Person-frames that are learned from; of more, tracks are chosen at random."""
+
+BLOCKS = 40
+FLAT = 0.05
+"""A parameter that changes the log density by less, a factor of 1.5 either way, is not in the data."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """One parameter: where it started, its value, and the 95 % interval.
+
+    ``note`` says why it was not learned; then the value is the one it started from.
+    """
+
+    name: str
+    start: float
+    value: float
+    low: float
+    high: float
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What was learned.
+
+    Attributes
+    ----------
+    model, start : with the learned parameters, and with those before
+    criterion : "truth" or "evidence"
+    learned : every parameter of the preset's terms
+    covariance : (p, p) of those without a note, on the scale of their logarithms (log odds of probabilities)
+    scores : "learned from" and "held out" → log density a frame before and after
+    tracks : numbers of tracks learned from and held out
+    evaluations : how often the tracks were solved
+    """
+
+    model: Model
+    start: Model
+    criterion: Criterion
+    learned: tuple[Learned, ...]
+    covariance: FloatArray
+    scores: dict[str, tuple[float, float]]
+    tracks: tuple[int, int]
+    evaluations: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything in plain types, ready for JSON."""
+        return {
+            "criterion": self.criterion,
+            "model": self.model.to_dict(),
+            "start": self.start.to_dict(),
+            "learned": [asdict(one) for one in self.learned],
+            "scores": {name: list(pair) for name, pair in self.scores.items()},
+            "tracks": list(self.tracks),
+            "evaluations": self.evaluations,
+        }
+
+
+def fit(
+    tracks: TrackSet,
+    model: Model | str | Path = "separate",
+    *,
+    criterion: Criterion | None = None,
+    hold_out: float = 0.25,
+    seed: int = 0,
+    max_frames: int = MAX_FRAMES,
+    journal: Path | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Fit:
+    """Learn the parameters of a model.
+
+    With the truth, what grows is the likelihood of the true positions and angles under the smoother's
+    covariances, frame by frame; frames are not independent, so the uncertainty comes from how the tracks
+    differ (the sandwich estimate). Without it, the Laplace evidence: the log density at the optimum, with
+    its normaliser, and ½·log of 2π over the determinant of the Hessian; the uncertainty is its curvature.
+
+    Parameters
+    ----------
+    tracks : observations
+    model : where to begin; what is 0 there stays 0
+    criterion : None: by the truth, where any track has one
+    hold_out : share of the tracks that only judge, in [0, 0.9]
+    seed : of the choice of tracks
+    max_frames : person-frames to learn from at most
+    journal : file that keeps what was found; a run that was interrupted goes on from it
+    progress : called after each evaluation with the number so far
+
+    Raises
+    ------
+    InputError
+        If the model is no chain, nothing can be learned from the tracks, or no truth is known and a term of
+        the model is not normalised.
+    """
+    model = Model.named(model)
+    engine_of(model, "chain")
+    if not 0.0 <= hold_out <= 0.9:
+        raise InputError(f"hold_out = {hold_out!r}", "a share in [0, 0.9]")
+    usable = [track for track in tracks if len(track) > 1 and np.isfinite(track.position).any()]
+    if criterion is None:
+        criterion = "truth" if any(track.has_truth for track in usable) else "evidence"
+    usable = _require(usable, model, criterion)
+    training, held = _split(usable, hold_out, seed, max_frames)
+    free = every = free_parameters(model, training)
+    mark = _fingerprint(training, model, criterion, tracks.camera)
+    search = _Search(training, model, tracks.camera, criterion, Journal(journal, mark), progress)
+    start = np.array([one.to_scale(one.get(model)) for one in free])
+    shown = search.shown_by_data(free, start)
+    free = tuple(one for one, good in zip(free, shown, strict=True) if good)
+    absent = [one for one in every if one not in free]
+    if not free:
+        raise InputError("tracks that say nothing about any parameter", "observations of several frames")
+    start = np.array([one.to_scale(one.get(model)) for one in free])
+    x, covariance = search.run(free, start)
+    vague = (np.sqrt(np.diag(covariance)) > 0.5 * PRIOR_STD) | (np.abs(x - start) > REACH - 1e-6)
+    if vague.any() and not vague.all():
+        absent += [one for one, bad in zip(free, vague, strict=True) if bad]
+        free = tuple(one for one, bad in zip(free, vague, strict=True) if not bad)
+        start = start[~vague]
+        x, covariance = search.run(free, start)
+    best = with_values(model, free, x)
+    spread = 1.96 * np.sqrt(np.diag(covariance))
+    learned = [
+        Learned(one.name, one.get(model), one.get(best), one.from_scale(a), one.from_scale(b))
+        for one, a, b in zip(free, x - spread, x + spread, strict=True)
+    ]
+    note = "not identified by these tracks: kept"
+    learned += [Learned(o.name, o.get(model), o.get(model), np.nan, np.nan, note) for o in absent]
+    scores = {"learned from": _score(training, model, best, tracks.camera, criterion)}
+    if held:
+        scores["held out"] = _score(held, model, best, tracks.camera, criterion)
+    search.journal.remove()
+    counts = (len(training), len(held))
+    return Fit(best, model, criterion, tuple(learned), covariance, scores, counts, len(search.journal))
+
+
+class _Search:
+    """The evaluations of one run, each kept in the journal."""
+
+    def __init__(
+        self,
+        tracks: Sequence[Track],
+        model: Model,
+        camera: GroundCamera | None,
+        criterion: Criterion,
+        journal: Journal,
+        progress: Callable[[int], None] | None,
+    ) -> None:
+        self.tracks, self.model, self.camera, self.journal = tracks, model, camera, journal
+        self._by_truth, self._progress = criterion == "truth", progress
+        # Blocks of tracks are enough for the sandwich, and keep the journal small.
+        self._blocks = min(BLOCKS, len(tracks))
+
+    def values_about(
+        self, centre: Model, free: Sequence[Free], stage: str
+    ) -> Callable[[FloatArray], FloatArray]:
+        """Log densities of the blocks, evaluated from the optimum of ``centre``."""
+        objective = Objective(self.tracks, centre, self.camera, by_truth=self._by_truth)
+
+        def values(x: FloatArray) -> FloatArray:
+            known = self.journal.get(stage, x)
+            if known is None:
+                known = in_blocks(objective(with_values(self.model, free, x)), self._blocks)
+                self.journal.put(stage, x, known)
+            if self._progress is not None:
+                self._progress(len(self.journal))
+            return known
+
+        return values
+
+    def shown_by_data(self, free: Sequence[Free], start: FloatArray) -> list[bool]:
+        """Which parameters change the log density at all."""
+        values, found = self.values_about(self.model, free, "shown"), []
+        middle = values(start).sum()
+        for unit in np.log(1.5) * np.eye(len(free)):
+            found.append(max(abs(values(start + side * unit).sum() - middle) for side in (-1, 1)) > FLAT)
+        return found
+
+    def run(self, free: Sequence[Free], start: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The best place and its covariance: a climb, and another from the optimum that it found."""
+        names = ",".join(one.name for one in free)
+        x = climb(self.values_about(self.model, free, f"1 {names}"), start, start)
+        values = self.values_about(with_values(self.model, free, x), free, f"2 {names}")
+        x = climb(values, x, start)
+        hessian, slopes = curvature(values, x, start)
+        # At the edge of what is allowed the curvature can be anything; there, the prior is all there is.
+        sizes, axes = np.linalg.eigh(hessian)
+        covariance = (axes / np.maximum(sizes, PRIOR_STD**-2)) @ axes.T
+        if self._by_truth and self._blocks > len(x) + 1:
+            spread = slopes - slopes.mean(axis=0)
+            scatter = spread.T @ spread * self._blocks / (self._blocks - 1)
+            covariance = covariance @ scatter @ covariance
+        return x, covariance
+
+
+def _require(tracks: Sequence[Track], model: Model, criterion: Criterion) -> list[Track]:
+    if criterion == "evidence":
+        for term in model.terms:
+            if not term.is_normalised:
+                raise InputError(
+                    f"no truth, and the term {type(term).__name__}, which is no normalised density",
+                    "tracks with a truth (columns true_x, true_y, …), or the model position, separate or "
+                    "intentional",
+                )
+        found = list(tracks)
+    else:
+        found = [track for track in tracks if track.has_truth]
+    if not found:
+        raise InputError(
+            "no tracks to learn from" + (" (none has true positions)" if criterion == "truth" else ""),
+            "tracks of at least two frames with positions",
+        )
+    return found
+
+
+def _split(
+    tracks: Sequence[Track], hold_out: float, seed: int, max_frames: int
+) -> tuple[list[Track], list[Track]]:
+    order = np.random.default_rng(seed).permutation(len(tracks)).tolist()
+    held = min(round(hold_out * len(tracks)), len(tracks) - 1)
+    parts = []
+    for chosen in (order[held:], order[:held]):
+        sizes = np.cumsum([len(tracks[i]) for i in chosen])
+        count = max(1, int(np.searchsorted(sizes, max_frames, side="right"))) if chosen else 0
+        parts.append([tracks[i] for i in sorted(chosen[:count])])
+    return parts[0], parts[1]
+
+
+def _score(
+    tracks: Sequence[Track], before: Model, after: Model, camera: GroundCamera | None, criterion: Criterion
+) -> tuple[float, float]:
+    frames = sum(len(track) for track in tracks)
+    values = [
+        Objective(tracks, model, camera, by_truth=criterion == "truth")(model).sum() / frames
+        for model in (before, after)
+    ]
+    return float(values[0]), float(values[1])
+
+
+def _fingerprint(
+    tracks: Sequence[Track], model: Model, criterion: Criterion, camera: GroundCamera | None
+) -> str:
+    digest = hashlib.sha256(repr((model, criterion)).encode())
+    for track in tracks:
+        for field in fields(track):
+            value = getattr(track, field.name)
+            if isinstance(value, np.ndarray):
+                digest.update(field.name.encode() + np.ascontiguousarray(value).tobytes())
+    if camera is not None:
+        digest.update(np.ascontiguousarray(camera.homography).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,93 @@
+"""Which parameters a model has to learn, on scales without limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from graphtrack.angles import FloatArray
+from graphtrack.model import Model, Term
+from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.intentional import IntentionalMotion
+from graphtrack.model.motion import Motion
+from graphtrack.model.orientation import BodyDynamics, HeadDynamics
+from graphtrack.model.pose import BodyLikelihood, HeadLikelihood
+from graphtrack.model.position import PositionLikelihood
+from graphtrack.tracks import Track
+
+_OF_TERM: dict[type[Term], tuple[str, ...]] = {
+    Motion: ("motion.acceleration_density", "motion.initial_speed_std"),
+    IntentionalMotion: ("motion.acceleration_density", "motion.initial_speed_std", "motion.head_rate"),
+    BodyDynamics: ("orientation.body_diffusion",),
+    HeadDynamics: ("orientation.head_diffusion",),
+    BodyFollowsMotion: ("coupling.motion_body_kappa", "coupling.speed_threshold"),
+    HeadFollowsBody: ("coupling.head_body_kappa",),
+    PositionLikelihood: (
+        "likelihood.position_std",
+        "likelihood.pixel_std",
+        "likelihood.robust_threshold",
+    ),
+    BodyLikelihood: (
+        "likelihood.body_kappa",
+        "likelihood.outlier_probability",
+        "likelihood.class_outlier_probability",
+    ),
+    HeadLikelihood: (
+        "likelihood.head_kappa",
+        "likelihood.outlier_probability",
+        "likelihood.class_outlier_probability",
+    ),
+}
+"""What a term has to learn. The couplings' correlation time is not: at one frame rate, only κ/T counts."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter to be learned: its name, as ``group.key``, and its scale."""
+
+    name: str
+
+    @property
+    def is_probability(self) -> bool:
+        """Whether it is learned by its log odds; else by its logarithm."""
+        return self.name.endswith("probability")
+
+    def get(self, model: Model) -> float:
+        """Its value in a model."""
+        group, key = self.name.split(".")
+        return float(getattr(getattr(model.parameters, group), key))
+
+    def to_scale(self, value: float) -> float:
+        """Logarithm, or log odds of a probability."""
+        return math.log(value / (1.0 - value)) if self.is_probability else math.log(value)
+
+    def from_scale(self, x: float) -> float:
+        """The inverse of `to_scale`, within what the parameter may be."""
+        if self.is_probability:
+            return min(1.0 / (1.0 + math.exp(-x)), 0.999)
+        return min(math.exp(x), 1e3)
+
+
+def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
+    """What a model has to learn from such tracks; what is 0 in it is switched off, and stays so."""
+    names = dict.fromkeys(name for term in model.terms for name in _OF_TERM.get(type(term), ()))
+    absent = {
+        "likelihood.robust_threshold": model.parameters.likelihood.robust == "none",
+        "likelihood.pixel_std": all(track.pixel is None for track in tracks),
+        "likelihood.class_outlier_probability": all(
+            track.body_likelihood is None and track.head_likelihood is None for track in tracks
+        ),
+    }
+    free = (Free(name) for name in names if not absent.get(name, False))
+    return tuple(one for one in free if one.get(model) > 0.0)
+
+
+def with_values(model: Model, free: Sequence[Free], x: FloatArray) -> Model:
+    """The model with the values at ``x`` (p,), on the parameters' scales."""
+    parameters = model.parameters
+    for one, value in zip(free, x.tolist(), strict=True):
+        group, key = one.name.split(".")
+        changed = replace(getattr(parameters, group), **{key: one.from_scale(value)})
+        parameters = replace(parameters, **{group: changed})
+    return model.with_parameters(parameters)

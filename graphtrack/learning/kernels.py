@@ -1,0 +1,29 @@
+"""The volume of the posterior about an optimum, compiled."""
+
+from __future__ import annotations
+
+import math
+
+from graphtrack.angles import FloatArray
+from graphtrack.inference.chain_kernels import N, Problem, Workspace, sweep_forward
+from graphtrack.model.kernels.compiled import compiled
+
+
+@compiled
+def log_determinants(
+    problem: Problem, begin: int, end: int, states: FloatArray, workspace: Workspace, found: FloatArray
+) -> None:
+    """log det of the Hessians of tracks ``begin`` to ``end`` at their states, from the Cholesky factors.
+
+    The Hessian is exact where that is positive definite, else that of Gauss–Newton.
+    """
+    for track in range(begin, end):
+        a, b = problem.offsets[track], problem.offsets[track + 1]
+        here = states[a:b]
+        if not sweep_forward(problem, track, here[0].copy(), here, True, workspace)[1]:
+            sweep_forward(problem, track, here[0].copy(), here, False, workspace)
+        total = 0.0
+        for k in range(b - a):
+            for i in range(N):
+                total -= 2.0 * math.log(workspace.inverse[k, i, i])
+        found[track] = total
