@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from graphtrack.inference.chain_kernels import Result, workspace
+from graphtrack.inference.chain_kernels import NOT_FINITE, N, Problem, Result, workspace
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.inference.initial_kernels import initialise
 from graphtrack.inference.restart_kernels import solve_tracks
 from graphtrack.model import Model
-from graphtrack.model.kernels.frames import BODY, HEAD
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.frames import BODY, HEAD, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 
 CHUNK = 20_000
@@ -61,6 +63,7 @@ def solve_packed(
         if not linear:
             memory = workspace(int(frames.max()))
             solve_tracks(problem, begin, end, max_iterations, tolerance, restart, memory, result)
+        finish(problem, begin, end, model.has_body, model.has_head, result)
         return int(frames.sum())
 
     ranges = _work(packed)
@@ -68,13 +71,26 @@ def solve_packed(
         for done in (pool.map if jobs > 1 else map)(solve_range, ranges):
             if progress is not None:
                 progress(done)
-    result.states[:, :2] += np.repeat(packed.origin, np.diff(packed.offsets), axis=0)
-    for has, place in ((model.has_body, BODY), (model.has_head, HEAD)):
-        if not has:
-            result.states[:, place] = np.nan
-            result.covariance[:, place] = np.nan
-            result.covariance[:, :, place] = np.nan
     return result
+
+
+@compiled
+def finish(problem: Problem, begin: int, end: int, has_body: bool, has_head: bool, result: Result) -> None:
+    """States back in the world's frame, and NaN for what the model does not have or was not found."""
+    for track in range(begin, end):
+        failed = result.status[track] == NOT_FINITE
+        for k in range(problem.offsets[track], problem.offsets[track + 1]):
+            state, covariance = result.states[k], result.covariance[k]
+            state[X] += problem.origin[track, X]
+            state[Y] += problem.origin[track, Y]
+            for place, has in ((BODY, has_body), (HEAD, has_head)):
+                if not has:
+                    state[place] = math.nan
+                    for i in range(N):
+                        covariance[place, i] = math.nan
+                        covariance[i, place] = math.nan
+            if failed:
+                covariance[:] = math.nan
 
 
 def _work(packed: PackedTracks) -> list[tuple[int, int]]:

@@ -114,11 +114,10 @@ def require_position(track: Track) -> None:
 
 
 def empty_result(packed: PackedTracks) -> Result:
-    """Room for the solution of packed tracks; covariances are NaN until they are found."""
+    """Room for the solution of packed tracks."""
     n, m = len(packed.records), len(packed.tracks)
-    covariance = np.full((n, 6, 6), np.nan)
     ended = np.zeros(m, np.int64)
-    return Result(np.zeros((n, 6)), covariance, np.zeros(m), np.zeros(m), ended.copy(), ended)
+    return Result(np.zeros((n, 6)), np.empty((n, 6, 6)), np.zeros(m), np.zeros(m), ended.copy(), ended)
 
 
 def observed_vectors(track: Track, name: str) -> FloatArray:
