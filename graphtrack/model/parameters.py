@@ -39,7 +39,7 @@ class MotionParameters:
 
     acceleration_density: float = 0.15
     initial_speed_std: float = 1.5
-    head_rate: float = 2.0
+    head_rate: float = 1.3
 
     def __post_init__(self) -> None:
         _check(self, "acceleration_density", 0.0, 1e6, open_low=True)
