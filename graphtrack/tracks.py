@@ -40,6 +40,8 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "head_likelihood": (HEAD_CLASSES,),
     "velocity": (2,),
     "covariance": (6, 6),
+    "aligned_p": (),
+    "gait_offset": (),
     "true_position": (2,),
     "true_body": (),
     "true_head": (),
@@ -64,6 +66,8 @@ class Track:
         Class likelihoods; class k is centred on 360·k/n degrees. A row is all finite or all NaN.
     velocity : (n, 2) metres a second (estimates)
     covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated
+    aligned_p : (n,) probability that the body faces where the motion goes (estimates)
+    gait_offset : (n,) radians from the direction of motion to the body, as expected (estimates)
     true_position, true_body, true_head : the truth, where it is known
     label : a name for people to read, such as the clip
     """
@@ -82,6 +86,8 @@ class Track:
     head_likelihood: FloatArray | None = None
     velocity: FloatArray | None = None
     covariance: FloatArray | None = None
+    aligned_p: FloatArray | None = None
+    gait_offset: FloatArray | None = None
     true_position: FloatArray | None = None
     true_body: FloatArray | None = None
     true_head: FloatArray | None = None

@@ -28,7 +28,8 @@ Output = Annotated[
 ModelName = Annotated[
     str,
     typer.Option(
-        "--model", help="position, separate, joint, intentional, joint-intentional, or a model file (.toml)."
+        "--model",
+        help="position, separate, joint, intentional, joint-intentional, full, or a model file (.toml).",
     ),
 ]
 Format = Annotated[

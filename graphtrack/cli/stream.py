@@ -159,6 +159,9 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     for name, value in zip(STATE, std, strict=True):
         angle = name in _CLASSES
         row[f"{name}_std_deg" if angle else f"{name}_std"] = _null(math.degrees(value) if angle else value)
+    if math.isfinite(estimate.aligned_p):
+        row["aligned_p"] = estimate.aligned_p
+        row["gait_offset_deg"] = math.degrees(estimate.gait_offset)
     row["status"] = estimate.status
     if estimate.reason:
         row["reason"] = estimate.reason

@@ -9,16 +9,22 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from graphtrack.inference.chain_kernels import NOT_FINITE, N, Problem, Result, workspace
+from graphtrack.inference.gait_kernels import renew_tracks
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.inference.initial_kernels import initialise
 from graphtrack.inference.restart_kernels import solve_tracks
 from graphtrack.model import Model
+from graphtrack.model.gait import gait_of
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import BODY, HEAD, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 
 CHUNK = 20_000
 """Frames that a thread takes at a time."""
+
+PASSES = 2
+"""Times that the modes of the couplings, and the states with them, are found anew; a third changes
+nothing that the errors on motion capture would show."""
 
 
 def is_chain(model: Model) -> bool:
@@ -51,10 +57,15 @@ def solve_packed(
     -------
     Result
         States in the world's frame, angles not wrapped. Covariances are those of the exact curvature where
-        that is positive definite. NaN for what the model does not have.
+        that is positive definite. NaN for what the model does not have. Where couplings have modes, they are
+        weighed by the modes' probabilities, and costs and covariances are those given these weights.
     """
     result, problem, seen = empty_result(packed), problem_of(packed), seen_in(packed, model)
     linear = not (model.has_body or model.has_head) and packed.is_linear
+    gait = gait_of(model.parameters.gait) if model.has_modes else None
+    if gait is not None:
+        # Without couplings first: from there both the modes and the states are found.
+        problem.records["motion_body_kappa"] = problem.records["head_body_kappa"] = 0.0
 
     def solve_range(tracks: tuple[int, int]) -> int:
         begin, end = tracks
@@ -63,6 +74,11 @@ def solve_packed(
         if not linear:
             memory = workspace(int(frames.max()))
             solve_tracks(problem, begin, end, max_iterations, tolerance, restart, memory, result)
+            for _ in range(PASSES):
+                if gait is None:
+                    break
+                renew_tracks(problem, begin, end, result.states, gait, result.modes)
+                solve_tracks(problem, begin, end, max_iterations, tolerance, False, memory, result)
         finish(problem, begin, end, model.has_body, model.has_head, result)
         return int(frames.sum())
 

@@ -49,6 +49,7 @@ class Result(NamedTuple):
     cost: FloatArray  # (m,)
     iterations: NDArray[np.int64]  # (m,)
     status: NDArray[np.int64]  # (m,) see CONVERGED
+    modes: FloatArray  # (N, 2) probability of an aligned body, and its offset from the motion in radians
 
 
 class Workspace(NamedTuple):
@@ -339,10 +340,12 @@ def add_frame(
             transition,
         )
     if frame.motion_body_kappa > 0.0:
+        # A body turned back by the offset is what follows the motion; likewise below for the head.
+        along, across = frame.motion_body_cos, frame.motion_body_sin
         cost += add_body_follows_motion(
             state,
-            body_cos,
-            body_sin,
+            body_cos * along + body_sin * across,
+            body_sin * along - body_cos * across,
             frame.motion_body_kappa,
             shared.speed_threshold,
             exact,
@@ -350,8 +353,16 @@ def add_frame(
             hessian,
         )
     if frame.head_body_kappa > 0.0:
+        along, across = frame.head_body_cos, frame.head_body_sin
         cost += add_head_follows_body(
-            body_cos, body_sin, head_cos, head_sin, frame.head_body_kappa, exact, gradient, hessian
+            body_cos,
+            body_sin,
+            head_cos * along + head_sin * across,
+            head_sin * along - head_cos * across,
+            frame.head_body_kappa,
+            exact,
+            gradient,
+            hessian,
         )
     if frame.body_kappa > 0.0:
         cost += add_angle(

@@ -17,7 +17,9 @@ from graphtrack.inference.marginal import MarginalPrior
 from graphtrack.inference.solution import bounded
 from graphtrack.inference.state import Angles, Newest, Window
 from graphtrack.inference.window_kernels import let_go, solve_window
+from graphtrack.inference.window_modes import WindowModes
 from graphtrack.model import Model, Observation, Step
+from graphtrack.model.gait import gait_of
 from graphtrack.model.kernels.frames import BODY, FRAME, HEAD
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.pose import class_centres
@@ -53,6 +55,7 @@ class ChainWindow:
         self._has_prior = False
         self._origin = np.zeros(2)
         self._covariance = np.empty((N, N))
+        self._modes = WindowModes(gait_of(model.parameters.gait)) if model.has_modes else None
         self._allocate(64)
 
     @property
@@ -65,6 +68,11 @@ class ChainWindow:
         # The newest step is asked for at every observation.
         back = 1 if step is self._steps[-1] else len(self._steps) - self._place(step)
         return self._read(self._offsets[1] - back)
+
+    @property
+    def modes(self) -> tuple[float, float]:
+        """Probability of an aligned body, and its offset from the motion, in the newest frame; or NaN."""
+        return (float("nan"), float("nan")) if self._modes is None else self._modes.newest
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
         """Add a step whose variables start at ``state``; what is known about it then."""
@@ -113,6 +121,8 @@ class ChainWindow:
         self._origin[:] = origin
         self._prior[:] = prior
         self._has_prior, self._anchor = window.prior is not None, window.anchor
+        if self._modes is not None and window.modes is not None:
+            self._modes.before = np.array(window.modes)
         for k, step in enumerate(window.steps):
             self._put(k, step, window.values[step.index])
         self._offsets[1] = len(window.steps)
@@ -130,7 +140,8 @@ class ChainWindow:
         steps = tuple(self._steps)
         values = {step.index: self._read(self._offsets[0] + k) for k, step in enumerate(steps)}
         prior = self._to_prior(steps[0]) if steps and self._has_prior else None
-        return Window(steps, values, prior, self._anchor)
+        modes = None if self._modes is None else self._modes.before.copy()
+        return Window(steps, values, prior, self._anchor, modes)
 
     # -- arrays --------------------------------------------------------------------------------------------
 
@@ -244,6 +255,8 @@ class ChainWindow:
     # -- solving -------------------------------------------------------------------------------------------
 
     def _solve(self) -> bool:
+        if self._modes is not None:
+            self._modes.renew(self._problem, self._states)
         return bool(
             solve_window(
                 self._problem,
@@ -266,6 +279,8 @@ class ChainWindow:
         horizon = self._steps[-1].observation.t - self._lag
         while self._steps[0].observation.t < horizon:
             let_go(self._problem, self._states, self._memory)
+            if self._modes is not None:
+                self._modes.let_go()
             self._has_prior = True
             self._steps[:2] = [replace(self._steps[1], previous=None)]
 

@@ -20,7 +20,7 @@ from graphtrack.inference.chain import is_chain
 from graphtrack.inference.chain_window import ChainWindow
 from graphtrack.inference.fixed_lag import FixedLag
 from graphtrack.inference.full_history import FullHistory
-from graphtrack.inference.offline import engine_of
+from graphtrack.inference.offline import engine_of, refuse_only_compiled
 from graphtrack.inference.state import Estimate, Newest, Status, Window, pack_state, unpack_state
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.steps import CHANNELS, observations, seconds_between
@@ -39,14 +39,17 @@ def online_engine(model: Model, engine: Engine = "auto") -> Engine:
     Raises
     ------
     InputError
-        If the engine is unknown, or the chain was asked for and a term has no compiled kernel.
+        If the engine is unknown, the chain was asked for and a term has no compiled kernel, or another one
+        was and a term has nothing else.
     """
     if engine not in ENGINES:
         raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
     if engine == "auto":
-        return "chain" if is_chain(model) else "fixed-lag"
+        engine = "chain" if is_chain(model) else "fixed-lag"
     if engine == "chain":
         engine_of(model, "chain")
+    else:
+        refuse_only_compiled(model, engine)
     return engine
 
 
@@ -239,6 +242,8 @@ class OnlineSmoother:
 
     def _estimate(self, newest: Newest, observation: Observation, status: Status) -> Estimate:
         state, covariance = newest
+        smoother = self._smoother
+        aligned, offset = smoother.modes if isinstance(smoother, ChainWindow) else (math.nan, math.nan)
         self._last = Estimate(
             t=observation.t,
             frame=observation.frame,
@@ -248,6 +253,8 @@ class OnlineSmoother:
             head=float(wrap(state[5])),
             covariance=covariance,
             status=status,
+            aligned_p=aligned,
+            gait_offset=offset,
         )
         return self._last
 
@@ -335,6 +342,8 @@ def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track
         body=np.array([e.body for e in found]) if model.has_body else None,
         head=np.array([e.head for e in found]) if model.has_head else None,
         covariance=np.array([e.covariance for e in found]),
+        aligned_p=np.array([e.aligned_p for e in found]) if model.has_modes else None,
+        gait_offset=np.array([e.gait_offset for e in found]) if model.has_modes else None,
         position_std=None,
         pixel=None,
         body_kappa=None,

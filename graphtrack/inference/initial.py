@@ -117,7 +117,9 @@ def empty_result(packed: PackedTracks) -> Result:
     """Room for the solution of packed tracks."""
     n, m = len(packed.records), len(packed.tracks)
     ended = np.zeros(m, np.int64)
-    return Result(np.zeros((n, 6)), np.empty((n, 6, 6)), np.zeros(m), np.zeros(m), ended.copy(), ended)
+    modes = np.full((n, 2), np.nan)
+    covariance = np.empty((n, 6, 6))
+    return Result(np.zeros((n, 6)), covariance, np.zeros(m), np.zeros(m), ended.copy(), ended, modes)
 
 
 def observed_vectors(track: Track, name: str) -> FloatArray:

@@ -37,10 +37,13 @@ def engine_of(model: Model, engine: Engine | Literal["auto"] = "auto") -> Engine
     Raises
     ------
     InputError
-        If the chain engine was asked for and a term has no compiled kernel; the message names it.
+        If the chain engine was asked for and a term has no compiled kernel, or GTSAM and a term has nothing
+        else; the message names it.
     """
     if engine not in ("auto", "chain", "gtsam"):
         raise InputError(f"engine {engine!r}", "auto, chain or gtsam")
+    if engine == "gtsam" or not is_chain(model):
+        refuse_only_compiled(model, "gtsam")
     if engine == "gtsam" or (engine == "auto" and not is_chain(model)):
         return "gtsam"
     for term in model.terms:
@@ -50,6 +53,16 @@ def engine_of(model: Model, engine: Engine | Literal["auto"] = "auto") -> Engine
                 "engine 'auto' or 'gtsam'",
             )
     return "chain"
+
+
+def refuse_only_compiled(model: Model, engine: str) -> None:
+    """Raise InputError if a term of the model is for the compiled chain only, which ``engine`` is not."""
+    for term in model.terms:
+        if term.only_compiled:
+            raise InputError(
+                f"engine {engine!r} and the term {type(term).__name__}",
+                "engine 'chain', and no other term without a compiled kernel",
+            )
 
 
 def solve(
@@ -186,7 +199,7 @@ def _solve_chains(
         else:
             answers.append(
                 Solution(
-                    estimated_track(track, found.states[a:b], covariance[a:b]),
+                    estimated_track(track, found.states[a:b], covariance[a:b], found.modes[a:b]),
                     float(found.first_cost[m]),
                     float(found.cost[m]),
                     int(found.iterations[m]),

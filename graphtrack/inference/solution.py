@@ -74,11 +74,15 @@ def bounded(covariance: FloatArray) -> FloatArray:
     return covariance * shrink[..., :, None] * shrink[..., None, :]
 
 
-def estimated_track(track: Track, states: FloatArray, covariance: FloatArray) -> Track:
+def estimated_track(
+    track: Track, states: FloatArray, covariance: FloatArray, modes: FloatArray | None = None
+) -> Track:
     """The track with estimates, (n, 6) states and (n, 6, 6) covariances, in place of its observations.
 
-    Orientations that are NaN throughout are absent.
+    Orientations and ``modes`` (n, 2), as in `chain_kernels.Result`, that are NaN throughout are absent.
     """
+    if modes is not None and np.isnan(modes).all():
+        modes = None
     body, head = wrap(states[:, 4]), wrap(states[:, 5])
     return replace(
         track,
@@ -87,6 +91,8 @@ def estimated_track(track: Track, states: FloatArray, covariance: FloatArray) ->
         body=None if np.isnan(body).all() else body,
         head=None if np.isnan(head).all() else head,
         covariance=covariance,
+        aligned_p=None if modes is None else modes[:, 0],
+        gait_offset=None if modes is None else modes[:, 1],
         position_std=None,
         pixel=None,
         body_kappa=None,

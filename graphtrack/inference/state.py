@@ -16,7 +16,7 @@ from graphtrack.geometry import GroundCamera
 from graphtrack.inference.marginal import MarginalPrior
 from graphtrack.model import Model, Observation, Step
 
-STATE_VERSION = 1
+STATE_VERSION = 2
 
 Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed"]
 Angles = tuple[float, float]
@@ -39,6 +39,8 @@ class Estimate:
         was left out. "too-late": it was older than the window and left out. "waiting": no position has been
         seen yet, so it was left out. "failed": it could not be used; the state is the one before it.
     reason : why it failed
+    aligned_p : probability that the body faces where the motion goes; NaN without modes
+    gait_offset : radians from the direction of motion to the body, as expected; NaN without modes
     """
 
     t: float
@@ -50,6 +52,8 @@ class Estimate:
     covariance: FloatArray
     status: Status
     reason: str = ""
+    aligned_p: float = math.nan
+    gait_offset: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +66,14 @@ class Window:
     values : index of a step → linearisation point x, y, vx, vy, body, head (metres, m/s, radians)
     prior : what remains of the steps before; None if there were none
     anchor : else the angles (radians) that hold the first orientations; see `batch.anchors`
+    modes : probabilities of the couplings' modes before the window; see `WindowModes`
     """
 
     steps: tuple[Step, ...]
     values: dict[int, tuple[float, ...]]
     prior: MarginalPrior | None
     anchor: Angles | None
+    modes: FloatArray | None = None
 
 
 def insert_step(values: gtsam.Values, step: Step, model: Model, state: Sequence[float]) -> None:
@@ -122,6 +128,7 @@ def pack_state(window: Window, last: Estimate | None, next_index: int) -> dict[s
             "constant": prior.constant,
         },
         "anchor": None if window.anchor is None else _nulls(window.anchor),
+        "modes": None if window.modes is None else window.modes.tolist(),
         "last": None
         if last is None
         else {
@@ -129,6 +136,7 @@ def pack_state(window: Window, last: Estimate | None, next_index: int) -> dict[s
             "frame": last.frame,
             "state": _nulls((*last.position, *last.velocity, last.body, last.head)),
             "covariance": [_nulls(row) for row in last.covariance],
+            "modes": _nulls((last.aligned_p, last.gait_offset)),
         },
     }
 
@@ -173,6 +181,7 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> tuple[Wi
         if state["last"] is not None:
             saved = state["last"]
             last_state = _nans(saved["state"])
+            aligned, offset = _nans(saved["modes"]).tolist()
             covariance = np.array([_nans(row) for row in saved["covariance"]]).reshape(6, 6)
             last = Estimate(
                 saved["t"],
@@ -183,8 +192,13 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> tuple[Wi
                 float(last_state[5]),
                 covariance,
                 "new",
+                aligned_p=aligned,
+                gait_offset=offset,
             )
-        return Window(tuple(steps), values, prior, anchor), last, int(state["next_index"])
+        modes = None
+        if state["modes"] is not None:
+            modes = np.array(state["modes"], dtype=float).reshape(2, -1)
+        return Window(tuple(steps), values, prior, anchor, modes), last, int(state["next_index"])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, GraphtrackError) as error:
         raise InputError(f"a damaged state ({error!r})", "what a smoother saved") from error
 

@@ -84,6 +84,8 @@ COLUMNS: tuple[Column, ...] = (
     _spread("vy_std", "vy"),
     _spread("body_std_deg", "body"),
     _spread("head_std_deg", "head"),
+    Column("aligned_p", "aligned_p", (), 0.0, 1.0),
+    _angle("gait_offset_deg", "gait_offset"),
     Column("true_x", "true_position", (0,)),
     Column("true_y", "true_position", (1,)),
     _angle("true_body_deg", "true_body"),

@@ -4,6 +4,7 @@ from graphtrack.model.custom import FactorShapeError, custom_factor
 from graphtrack.model.model import Model, presets
 from graphtrack.model.parameters import (
     CouplingParameters,
+    GaitParameters,
     LikelihoodParameters,
     MotionParameters,
     OrientationParameters,
@@ -15,6 +16,7 @@ from graphtrack.model.term import Term
 __all__ = [
     "CouplingParameters",
     "FactorShapeError",
+    "GaitParameters",
     "LikelihoodParameters",
     "Model",
     "MotionParameters",

@@ -79,6 +79,7 @@ class BodyFollowsMotion(Term):
         coupling = self.parameters.coupling
         weights = _weights(coupling, packed.dt)
         packed.records["motion_body_kappa"] = coupling.motion_body_kappa * weights
+        packed.records["motion_body_cos"] = 1.0
         packed.shared["speed_threshold"] = coupling.speed_threshold
 
 
@@ -103,3 +104,4 @@ class HeadFollowsBody(Term):
         """κ₂ with the frames' weights."""
         coupling = self.parameters.coupling
         packed.records["head_body_kappa"] = coupling.head_body_kappa * _weights(coupling, packed.dt)
+        packed.records["head_body_cos"] = 1.0

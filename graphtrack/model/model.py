@@ -14,6 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.gait import GaitOffsets
 from graphtrack.model.intentional import IntentionalMotion
 from graphtrack.model.motion import Motion
 from graphtrack.model.orientation import BodyDynamics, HeadDynamics
@@ -33,9 +34,10 @@ presets: dict[str, tuple[type[Term], ...]] = {
     "joint": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody),
     "intentional": (IntentionalMotion, PositionLikelihood, HeadDynamics, HeadLikelihood),
     "joint-intentional": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody),
+    "full": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody, GaitOffsets),
 }
 """Name → the terms of the model: positions only; orientations too, each for itself; all coupled (002);
-positions and the head that steers them (000); all of these."""
+positions and the head that steers them (000); all of these; `joint` whose couplings have modes."""
 
 
 class Model:
@@ -62,6 +64,7 @@ class Model:
         self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self._extra))
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used
+        self.has_modes = any(isinstance(term, GaitOffsets) for term in self.terms)
 
     def __repr__(self) -> str:
         extra = "".join(f", {kind.__name__}" for kind in self._extra)

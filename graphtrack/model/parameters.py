@@ -95,6 +95,51 @@ class CouplingParameters:
 
 
 @dataclass(frozen=True)
+class GaitParameters:
+    """Modes of the couplings (MODEL, "Where the papers need care"): aligned, or free with an offset.
+
+    Attributes
+    ----------
+    body_aligned : probability, in the long run, that the body faces where the motion goes
+    body_switching : 1/s, the sum of the rates at which the mode changes to and fro
+    body_spread : radians, 1-σ of the offset that an aligned body has all the same
+    body_drift : rad²/s by which an offset between motion and body diffuses
+    body_strength, body_free_strength : κ₁ where the body is aligned, and about an offset, as multiples of
+        ``motion_body_kappa``
+    body_lead : seconds by which the body turns before the motion does
+    head_evidence : how much the head counts, 0 to 1, when the body's mode is judged
+    head_aligned, head_switching, head_spread, head_drift : the same of the head against the body
+    head_strength, head_free_strength : κ₂, as multiples of ``head_body_kappa``
+    head_lead : seconds by which the head turns before the body does
+    """
+
+    body_aligned: float = 0.36
+    body_switching: float = 0.009
+    body_spread: float = 0.07
+    body_drift: float = 0.003
+    body_strength: float = 3.3
+    body_free_strength: float = 0.42
+    body_lead: float = 0.13
+    head_evidence: float = 0.2
+    head_aligned: float = 0.17
+    head_switching: float = 0.011
+    head_spread: float = 0.07
+    head_drift: float = 0.004
+    head_strength: float = 4.3
+    head_free_strength: float = 7.8
+    head_lead: float = 0.35
+
+    def __post_init__(self) -> None:
+        for name in ("body_aligned", "head_aligned", "head_evidence"):
+            _check(self, name, 0.0, 1.0)
+        for name in ("body_lead", "head_lead"):
+            _check(self, name, 0.0, 10.0)
+        for side in ("body", "head"):
+            for name in ("switching", "spread", "drift", "strength", "free_strength"):
+                _check(self, f"{side}_{name}", 0.0, 1e6)
+
+
+@dataclass(frozen=True)
 class LikelihoodParameters:
     """Position and orientation likelihoods (MODEL terms 6 and 7).
 
@@ -140,6 +185,7 @@ class Parameters:
     motion: MotionParameters = field(default_factory=MotionParameters)
     orientation: OrientationParameters = field(default_factory=OrientationParameters)
     coupling: CouplingParameters = field(default_factory=CouplingParameters)
+    gait: GaitParameters = field(default_factory=GaitParameters)
     likelihood: LikelihoodParameters = field(default_factory=LikelihoodParameters)
 
     @classmethod

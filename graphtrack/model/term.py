@@ -26,9 +26,11 @@ class Term(ABC):
     ----------
     parameters : all parameters of the model
     uses : the orientations that the term acts on; a model estimates those that some term acts on
+    only_compiled : whether the term says what factors cannot, so that GTSAM does not solve its models
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset()
+    only_compiled: ClassVar[bool] = False
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters

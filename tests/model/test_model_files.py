@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from graphtrack.errors import InputError
 from graphtrack.model import (
     CouplingParameters,
+    GaitParameters,
     LikelihoodParameters,
     Model,
     MotionParameters,
@@ -32,6 +33,13 @@ PARAMETERS = st.builds(
     motion=st.builds(MotionParameters, POSITIVE, POSITIVE, st.floats(0.0, 1e3)),
     orientation=st.builds(OrientationParameters, POSITIVE, POSITIVE),
     coupling=st.builds(CouplingParameters, NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE),
+    gait=st.builds(
+        GaitParameters,
+        body_aligned=PROBABILITY,
+        body_drift=NOT_NEGATIVE,
+        body_lead=st.floats(0.0, 10.0),
+        head_strength=NOT_NEGATIVE,
+    ),
     likelihood=st.builds(
         LikelihoodParameters,
         position_std=POSITIVE,
@@ -127,6 +135,7 @@ def test_presets_estimate_the_orientations_that_they_name() -> None:
         "joint": (True, True),
         "intentional": (False, True),
         "joint-intentional": (True, True),
+        "full": (True, True),
     }
 
 
@@ -148,7 +157,7 @@ def test_a_preset_that_is_none_is_named(tmp_path: Path, value: str) -> None:
 def test_an_unknown_table_is_named(tmp_path: Path, text: str) -> None:
     error = refused(tmp_path, text)
     assert "table 'mot" in error.found
-    assert "motion, orientation, coupling, likelihood" in error.expected
+    assert "motion, orientation, coupling, gait, likelihood" in error.expected
 
 
 @pytest.mark.parametrize("table", ["motion", "orientation", "coupling", "likelihood"])

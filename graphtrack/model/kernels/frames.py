@@ -27,6 +27,14 @@ FRAME = np.dtype(
         ("head_turn_kappa", float),
         ("motion_body_kappa", float),  # κ₁ with the frame's weight
         ("head_body_kappa", float),  # κ₂ with the frame's weight
+        ("motion_body_cos", float),  # of the angle from motion to body at which their coupling rests
+        ("motion_body_sin", float),
+        ("head_body_cos", float),  # of the angle from body to head
+        ("head_body_sin", float),
+        ("body_aligned_kappa", float),  # κ₁ and κ₂ with the weight, where modes choose how much of them holds
+        ("head_aligned_kappa", float),
+        ("body_information", float),  # Fisher information of what was seen of the body, and of the head
+        ("head_information", float),
         ("body_cos", float),  # direction, concentration and ε/2π of an observed body angle
         ("body_sin", float),
         ("body_kappa", float),

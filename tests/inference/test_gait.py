@@ -1,0 +1,402 @@
+"""Modes of the couplings: people who side-step, people who do not, and the recursion behind it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import graphtrack as gt
+from graphtrack.angles import difference, direction, mean_absolute_error, unit, wrap
+from graphtrack.degrade import add_noise
+from graphtrack.errors import InputError
+from graphtrack.inference import smooth_track, solve
+from graphtrack.inference.chain_kernels import add_frame
+from graphtrack.inference.gait_kernels import leading_angles
+from graphtrack.inference.incremental import OnlineSmoother, track_online
+from graphtrack.inference.initial import pack, problem_of
+from graphtrack.model import GaitParameters, Model, Parameters
+from graphtrack.model.gait import angle_information, class_information, gait_of
+from graphtrack.model.kernels.gait import BINS, NEAR, ROW, infer_modes, switch, switch_back
+from graphtrack.model.pose import class_centres, class_kappa
+from graphtrack.model.steps import observations
+from graphtrack.tracks import Track, TrackSet
+
+FPS = 30.0
+GAIT = gait_of(Parameters().gait)
+
+
+def people(offset: float, count: int, seed: int, seconds: float = 6.0, head: float = 0.0) -> TrackSet:
+    """People who walk in a bend with the body at an angle from the motion, and the head from the body."""
+    rng = np.random.default_rng(seed)
+    tracks = []
+    for i in range(count):
+        t = np.arange(int(seconds * FPS)) / FPS
+        course = rng.uniform(-np.pi, np.pi) + rng.uniform(-0.3, 0.3) * t
+        position = np.cumsum(1.2 * unit(course) / FPS, axis=0)
+        body = wrap(course + offset)
+        tracks.append(Track(i, np.arange(len(t)), t, position, body=body, head=wrap(body + head)))
+    return add_noise(TrackSet(tuple(tracks)), position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=rng)
+
+
+def errors(tracks: TrackSet, found: list) -> np.ndarray:
+    """Mean errors of body and head in degrees."""
+    return np.degrees(
+        np.mean(
+            [
+                [mean_absolute_error(e.body, t.true_body), mean_absolute_error(e.head, t.true_head)]
+                for t, e in zip(tracks, found, strict=True)
+            ],
+            axis=0,
+        )
+    )
+
+
+def smoothed(tracks: TrackSet, model: str) -> list[Track]:
+    return [result.track for result in solve(tracks, model)]
+
+
+# People.
+
+
+@pytest.mark.parametrize("degrees", [40.0, -75.0, 120.0, 180.0])
+def test_the_offset_of_people_who_side_step_is_found(degrees: float) -> None:
+    found = smoothed(people(np.radians(degrees), 8, seed=1), "full")
+    offsets = np.concatenate([one.gait_offset[15:-15] for one in found])
+    assert np.degrees(np.abs(difference(offsets, np.radians(degrees)))).mean() < 12.0
+    assert np.mean([one.aligned_p.mean() for one in found]) < 0.2
+    for one in found:
+        implied = one.body - direction(one.velocity)
+        assert np.degrees(np.abs(difference(implied, np.radians(degrees)))).mean() < 20.0
+
+
+@pytest.mark.parametrize("degrees", [60.0, -100.0, 180.0])
+def test_side_stepping_is_never_worse_than_separate_and_joint_is(degrees: float) -> None:
+    tracks = people(np.radians(degrees), 12, seed=2)
+    full, separate, joint = (errors(tracks, smoothed(tracks, m)) for m in ("full", "separate", "joint"))
+    assert (full < separate).all()
+    assert joint[0] > 2.0 * separate[0]
+
+
+def test_aligned_people_are_as_good_as_with_joint() -> None:
+    tracks = people(0.0, 16, seed=3)
+    full, joint, separate = (errors(tracks, smoothed(tracks, m)) for m in ("full", "joint", "separate"))
+    # Nobody here is off their course at all, which joint takes for granted.
+    assert (full < joint + 1.0).all()
+    assert full[0] < 0.7 * separate[0]
+    aligned = [one.aligned_p.mean() for one in smoothed(tracks, "full")]
+    assert np.median(aligned) > 0.6
+
+
+def test_a_head_that_looks_aside_does_not_turn_the_body() -> None:
+    tracks = people(0.0, 12, seed=4, head=np.radians(80.0))
+    full, joint = (errors(tracks, smoothed(tracks, m)) for m in ("full", "joint"))
+    assert (full < 0.8 * joint).all()
+
+
+def test_a_change_of_mode_is_followed() -> None:
+    first, second = people(0.0, 6, seed=5), people(np.radians(150.0), 6, seed=6)
+    for one, other in zip(first, second, strict=True):
+        n = len(one)
+        shift = one.true_position[-1] - other.true_position[0]
+        both = replace(
+            one,
+            frame=np.arange(2 * n),
+            t=np.arange(2 * n) / FPS,
+            position=np.vstack([one.position, other.position + shift]),
+            true_position=np.vstack([one.true_position, other.true_position + shift]),
+            **{
+                name: np.concatenate([getattr(one, name), getattr(other, name)])
+                for name in (
+                    "position_std",
+                    "body",
+                    "body_kappa",
+                    "head",
+                    "head_kappa",
+                    "true_body",
+                    "true_head",
+                )
+            },
+        )
+        found = smooth_track(both, Model("full")).track
+        assert found.aligned_p[n + 30 :].mean() < 0.3
+        assert found.aligned_p[: n - 30].mean() > found.aligned_p[n + 30 :].mean() + 0.2
+
+
+def test_without_anything_seen_of_the_body_it_follows_the_motion() -> None:
+    track = replace(
+        next(iter(people(0.0, 1, seed=7))), body=None, body_kappa=None, head=None, head_kappa=None
+    )
+    found = smooth_track(track, Model("full")).track
+    assert np.degrees(np.abs(difference(found.body, direction(found.velocity)))).max() < 20.0
+    np.testing.assert_allclose(found.aligned_p, Parameters().gait.body_aligned, atol=1e-6)
+
+
+def test_classes_tell_the_mode_as_angles_do() -> None:
+    tracks = people(np.radians(120.0), 4, seed=8)
+
+    def classified(track: Track) -> Track:
+        scores = {}
+        for name, n, kappa in (("body", 8, 1.2), ("head", 12, 2.3)):
+            apart = getattr(track, name)[:, None] - class_centres(n)
+            scores[f"{name}_likelihood"] = np.exp(kappa * np.cos(apart))
+        none = dict.fromkeys(("body", "head", "body_kappa", "head_kappa"))
+        return replace(track, **none, **scores)
+
+    found = smoothed(tracks.map(classified), "full")
+    offsets = np.concatenate([one.gait_offset[15:-15] for one in found])
+    assert np.degrees(np.abs(difference(offsets, np.radians(120.0)))).mean() < 15.0
+
+
+def test_a_track_does_not_depend_on_those_beside_it_nor_on_the_threads() -> None:
+    tracks = people(np.radians(70.0), 5, seed=9)
+    together = solve(tracks, "full", jobs=2)
+    for track, one in zip(tracks, together, strict=True):
+        alone = smooth_track(track, Model("full"))
+        np.testing.assert_array_equal(alone.track.body, one.track.body)
+        np.testing.assert_array_equal(alone.track.gait_offset, one.track.gait_offset)
+
+
+def test_a_turned_world_is_a_turned_answer() -> None:
+    (track,) = people(np.radians(50.0), 1, seed=10)
+    angle = 1.234
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    turned = replace(
+        track,
+        position=track.position @ turn.T,
+        body=wrap(track.body + angle),
+        head=wrap(track.head + angle),
+    )
+    one, other = (smooth_track(each, Model("full")).track for each in (track, turned))
+    np.testing.assert_allclose(difference(other.body, one.body + angle), 0.0, atol=1e-5)
+    np.testing.assert_allclose(other.aligned_p, one.aligned_p, atol=1e-5)
+    np.testing.assert_allclose(difference(other.gait_offset, one.gait_offset), 0.0, atol=1e-5)
+
+
+# Files and engines.
+
+
+def test_modes_stand_in_the_files(tmp_path: Path) -> None:
+    tracks = people(np.radians(90.0), 2, seed=11, seconds=2.0)
+    estimates = gt.smooth(tracks, "full")
+    for name in ("out.csv", "out.parquet"):
+        gt.write(estimates, tmp_path / name)
+        for back, one in zip(gt.read(tmp_path / name), estimates, strict=True):
+            np.testing.assert_array_equal(back.aligned_p, one.aligned_p)
+            np.testing.assert_allclose(back.gait_offset, one.gait_offset, rtol=1e-14)
+    table = estimates.to_table()
+    np.testing.assert_allclose(
+        table["gait_offset_deg"], np.degrees(np.concatenate([one.gait_offset for one in estimates]))
+    )
+    assert "aligned_p" not in gt.smooth(tracks, "joint").to_table()
+
+
+def test_gtsam_says_that_it_has_no_modes() -> None:
+    (track,) = people(0.0, 1, seed=12, seconds=1.0)
+    with pytest.raises(InputError, match="GaitOffsets"):
+        smooth_track(track, Model("full"), engine="gtsam")
+    for engine in ("isam2", "fixed-lag"):
+        with pytest.raises(InputError, match="GaitOffsets"):
+            OnlineSmoother("full", engine=engine)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("body_aligned", 1.5), ("head_drift", -1.0), ("body_lead", 11.0), ("head_evidence", 2)]
+)
+def test_parameters_out_of_range_are_named(key: str, value: float) -> None:
+    with pytest.raises(InputError, match=rf"gait\.{key}"):
+        Model.from_dict({"preset": "full", "gait": {key: value}})
+
+
+# Online.
+
+
+def test_online_the_offset_is_found_from_the_past() -> None:
+    tracks = people(np.radians(100.0), 6, seed=13)
+    full = [track_online(track, "full") for track in tracks]
+    joint = [track_online(track, "joint") for track in tracks]
+    assert errors(tracks, full)[0] < 0.7 * errors(tracks, joint)[0]
+    ends = np.concatenate([one.gait_offset[-60:] for one in full])
+    assert np.degrees(np.abs(difference(ends, np.radians(100.0)))).mean() < 20.0
+
+
+def test_a_saved_state_goes_on_as_if_nothing_had_happened() -> None:
+    (track,) = people(np.radians(100.0), 1, seed=14)
+    seen = list(observations(track))
+    smoother = OnlineSmoother("full", lag=1.0)
+    for one in seen[:100]:
+        smoother.update(one)
+    again = OnlineSmoother.from_state(smoother.state(), "full", lag=1.0)
+    assert again.state() == smoother.state()
+    for one in seen[100:]:
+        expected, found = smoother.update(one), again.update(one)
+        np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
+        assert difference(found.body, expected.body) == pytest.approx(0.0, abs=1e-6)
+        assert found.aligned_p == pytest.approx(expected.aligned_p, abs=1e-6)
+
+
+def test_the_past_of_a_window_is_not_forgotten() -> None:
+    # After a window without anything seen of body and head the mode is known from before.
+    (track,) = people(np.radians(100.0), 1, seed=15, seconds=8.0)
+    hidden = np.arange(len(track)) >= 150
+    channels = {name: np.where(hidden, np.nan, getattr(track, name)) for name in ("body", "head")}
+    found = track_online(replace(track, **channels), "full", lag=1.0)
+    assert found.aligned_p[149] < 0.1
+    assert found.aligned_p[-1] < 0.3
+    assert abs(difference(found.gait_offset[-1], found.gait_offset[149])) < np.radians(15.0)
+
+
+def test_a_late_observation_is_worked_in() -> None:
+    (track,) = people(np.radians(100.0), 1, seed=16)
+    seen = list(observations(track))
+    seen[80], seen[81] = seen[81], seen[80]
+    smoother, ordered = OnlineSmoother("full"), OnlineSmoother("full")
+    found = [smoother.update(one) for one in seen]
+    expected = [ordered.update(one) for one in observations(track)]
+    assert found[81].status == "late"
+    assert difference(found[-1].body, expected[-1].body) == pytest.approx(0.0, abs=1e-3)
+    assert found[-1].aligned_p == pytest.approx(expected[-1].aligned_p, abs=1e-3)
+
+
+# The recursion and the kernels, against what they say.
+
+
+def transition(modes: object, dt: float) -> np.ndarray:
+    """Matrix P[i, j] from state i to j, from the definition: diffusion, and a change drawn anew."""
+    eye = np.eye(ROW)
+    columns = []
+    for i in range(ROW):
+        row = eye[i].copy()
+        switch(row, modes, dt, np.empty(BINS))
+        columns.append(row)
+    return np.array(columns)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1 / 30, 1.0, 100.0])
+def test_switching_keeps_probability_and_its_adjoint_is_its_transpose(dt: float) -> None:
+    matrix = transition(GAIT.body, dt)
+    np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-12)
+    assert (matrix >= 0.0).all()
+    ahead = np.random.default_rng(0).random(ROW)
+    back = ahead.copy()
+    switch_back(back, GAIT.body, dt, np.empty(BINS))
+    np.testing.assert_allclose(back, matrix @ ahead, rtol=1e-12)
+    longrun = np.r_[np.full(BINS, (1 - GAIT.body.aligned) / BINS), GAIT.body.aligned * GAIT.body.share]
+    np.testing.assert_allclose(longrun @ matrix, longrun, rtol=1e-12)
+
+
+def test_drift_has_the_variance_it_says() -> None:
+    modes = GAIT.body._replace(switching=0.0, drift=0.05)
+    row = transition(modes, 2.0)[0, :BINS]
+    angles = 2.0 * np.pi * np.arange(BINS) / BINS
+    # A diffused point has the mean resultant length exp(−variance/2), up to the width of a bin.
+    assert np.log(row @ np.cos(angles)) == pytest.approx(-0.5 * 0.05 * 2.0, rel=0.02)
+
+
+def test_modes_are_those_of_summing_over_all_courses() -> None:
+    rng = np.random.default_rng(1)
+    n, modes = 6, GAIT.body._replace(switching=0.8, drift=0.3)
+    dt = np.r_[0.0, rng.uniform(0.02, 1.5, n - 1)]
+    logs = rng.normal(0.0, 2.0, (n, ROW))
+    start = np.r_[np.full(BINS, (1 - modes.aligned) / BINS), modes.aligned * modes.share]
+    matrices = [transition(modes, step) for step in dt[1:]]
+    forward = [start * np.exp(logs[0])]
+    for k in range(1, n):
+        forward.append((forward[-1] @ matrices[k - 1]) * np.exp(logs[k]))
+    backward = [np.ones(ROW)]
+    for k in range(n - 1, 0, -1):
+        backward.insert(0, matrices[k - 1] @ (np.exp(logs[k]) * backward[0]))
+    filtered, smoothed_p = np.empty((n, ROW)), np.empty((n, ROW))
+    infer_modes(dt, logs.copy(), modes, np.zeros(ROW), filtered, smoothed_p)
+    for k in range(n):
+        np.testing.assert_allclose(filtered[k], forward[k] / forward[k].sum(), rtol=1e-9)
+        both = forward[k] * backward[k]
+        np.testing.assert_allclose(smoothed_p[k], both / both.sum(), rtol=1e-9)
+    # In two parts, the second from what the first has filtered.
+    second, ignored = np.empty((3, ROW)), np.empty((3, ROW))
+    infer_modes(dt[3:], logs[3:].copy(), modes, filtered[2], second, ignored)
+    np.testing.assert_allclose(second, filtered[3:], rtol=1e-9)
+
+
+@pytest.mark.parametrize("lead", [0.0, 0.2, 1.7, -0.4, 50.0])
+def test_leading_angles_are_interpolated_and_end_with_the_last(lead: float) -> None:
+    rng = np.random.default_rng(2)
+    dt = np.r_[0.0, rng.uniform(0.02, 0.5, 30)]
+    t, states = np.cumsum(dt), rng.normal(0.0, 0.5, (31, 6))
+    smooth = states[:, 4].copy()
+    states[:, 4] += 2.0 * np.pi * rng.integers(-1, 2, 31)
+    body, motion = np.empty(31), np.empty(31)
+    leading_angles(dt, states, lead, False, body)
+    leading_angles(dt, states, lead, True, motion)
+    np.testing.assert_allclose(difference(body, np.interp(t + lead, t, smooth)), 0.0, atol=1e-9)
+    velocity = np.stack([np.interp(t + lead, t, states[:, 2 + axis]) for axis in range(2)], axis=1)
+    np.testing.assert_allclose(difference(motion, direction(velocity)), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_gradient_and_hessian_of_couplings_about_an_offset(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    packed = pack([next(iter(people(0.0, 1, seed=0, seconds=0.1)))[:1]], Model("joint"))
+    record = packed.records
+    for name in ("motion_body", "head_body"):
+        offset = rng.uniform(-np.pi, np.pi)
+        record[f"{name}_cos"], record[f"{name}_sin"] = np.cos(offset), np.sin(offset)
+        record[f"{name}_kappa"] = rng.uniform(0.5, 5.0)
+    problem, state = problem_of(packed), rng.normal(0.0, 2.0, (1, 6))
+
+    def evaluate(at: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        gradient, hessian, none = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6))
+        memory = np.zeros((1, 4))
+        start = state[0].copy()
+        cost = add_frame(
+            problem, 0, 0, start, at, True, memory, np.zeros(6), gradient, none.copy(), hessian, none
+        )
+        lower = np.tril(hessian)
+        return cost, gradient, lower + np.tril(hessian, -1).T
+
+    _, gradient, hessian = evaluate(state)
+    step = 1e-5
+    for i in range(6):
+        sides = [evaluate(state + sign * step * np.eye(6)[i]) for sign in (1.0, -1.0)]
+        assert (sides[0][0] - sides[1][0]) / (2 * step) == pytest.approx(gradient[i], rel=1e-5, abs=1e-6)
+        np.testing.assert_allclose((sides[0][1] - sides[1][1]) / (2 * step), hessian[i], rtol=1e-5, atol=1e-5)
+
+
+def test_information_is_the_variance_of_the_slope() -> None:
+    kappa, angles = 1.7, 2.0 * np.pi * np.arange(4000) / 4000
+    density = np.exp(kappa * np.cos(angles))
+    expected = np.sum((kappa * np.sin(angles)) ** 2 * density) / density.sum()
+    assert angle_information(np.array([kappa]))[0] == pytest.approx(expected, rel=1e-9)
+    one = np.zeros((1, 9))
+    one[0, 3] = 1.0
+    assert class_information(one)[0] == pytest.approx(
+        angle_information(np.array([class_kappa(8)]))[0], rel=1e-6
+    )
+    assert class_information(np.full((1, 9), np.nan))[0] == 0.0
+    assert NEAR % 2 == 1  # or no small offset is 0
+
+
+# Real people.
+
+
+def test_people_of_every_gait_on_motion_capture(data_dir: Path) -> None:
+    clips = gt.read(data_dir / "mocap" / "tracks_30hz.csv.gz")
+    odd = [one for i, one in enumerate(clips) if i % 2]
+
+    def is_ordinary(track: Track) -> bool:
+        kind = track.label.split("_")[1]
+        return kind in ("walk", "run") or kind.startswith(("walk-turn", "run-turn"))
+
+    for ordinary in (True, False):
+        tracks = clips.with_tracks(one for one in odd if is_ordinary(one) == ordinary)
+        noisy = add_noise(
+            tracks, position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=np.random.default_rng(11)
+        )
+        full, joint, separate = (errors(noisy, smoothed(noisy, m)) for m in ("full", "joint", "separate"))
+        assert (full <= separate).all()
+        assert (full <= joint).all()
+
+
+def test_the_defaults_are_a_model_file(tmp_path: Path) -> None:
+    Model("full", Parameters(gait=GaitParameters(body_aligned=0.5))).save(tmp_path / "model.toml")
+    assert Model.load(tmp_path / "model.toml").parameters.gait.body_aligned == 0.5
