@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
 from graphtrack.model import Model, Term
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.intentional import IntentionalMotion
@@ -70,7 +71,19 @@ class Free:
 
 
 def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
-    """What a model has to learn from such tracks; what is 0 in it is switched off, and stays so."""
+    """What a model has to learn from such tracks; what is 0 in it is switched off, and stays so.
+
+    Raises
+    ------
+    InputError
+        For a term whose parameters cannot be learned.
+    """
+    for term in model.terms:
+        if type(term) not in _OF_TERM:
+            raise InputError(
+                f"the term {type(term).__name__}, whose parameters cannot be learned",
+                "the model position, separate, joint, intentional or joint-intentional",
+            )
     names = dict.fromkeys(name for term in model.terms for name in _OF_TERM.get(type(term), ()))
     absent = {
         "likelihood.robust_threshold": model.parameters.likelihood.robust == "none",

@@ -203,6 +203,11 @@ def test_couplings_are_not_learned_without_a_truth() -> None:
         fit(TrackSet((replace(walk(10), true_position=None),)), "joint")
 
 
+def test_modes_are_not_learned() -> None:
+    with pytest.raises(InputError, match="GaitOffsets"):
+        fit(TrackSet((walk(10),)), "full")
+
+
 def test_nothing_to_learn_from_is_refused() -> None:
     with pytest.raises(InputError, match="no tracks to learn from"):
         fit(TrackSet(()), "position")
