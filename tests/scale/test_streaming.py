@@ -61,7 +61,7 @@ LAYOUTS = {
 }
 
 
-@pytest.mark.parametrize("model", ["position", "joint"])
+@pytest.mark.parametrize("model", ["position", "joint", "full"])
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("batch_frames", [1, 50, 100_000])
 def test_the_bytes_of_the_in_memory_result(table, layout, batch_frames, model, tmp_path, monkeypatch):
