@@ -32,6 +32,7 @@ from graphtrack.tracks import Track, TrackSet
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
 PRESETS = sorted(name for name in presets if not Model(name).has_modes)  # those that GTSAM solves
 EVERY_PRESET = pytest.mark.parametrize("preset", PRESETS)
+SYMMETRIC = pytest.mark.parametrize("preset", ["joint", "position", "separate"])
 ORIENTED = pytest.mark.parametrize("preset", ["separate", "joint"])
 
 
@@ -254,7 +255,7 @@ def assert_equivariant(model: Model, track: Track, angle: float, shift: tuple[fl
     assert there.cost == pytest.approx(here.cost, rel=1e-7)
 
 
-@EVERY_PRESET
+@SYMMETRIC  # a head that steers does so forwards in time only
 def test_a_walk_seen_backwards_is_the_walk_backwards(preset: str) -> None:
     """Where no prior tells the first frame from the last; body and head turn with the motion."""
     parameters = Parameters(
@@ -408,8 +409,9 @@ def test_frames_without_any_observation_are_bridged(preset: str) -> None:
     assert miss[gap].max() < 0.3
     spread = found.std("x")
     assert spread is not None
-    assert np.argmax(spread) in range(14, 18)
-    assert spread[15] > 1.2 * spread[10]
+    # Among the inner frames: where the head steers, the ends of the track are less certain than the gap.
+    assert 5 + np.argmax(spread[5:25]) in range(14, 18)
+    assert spread[15] > 1.1 * spread[10]
     for name in ("body", "head"):
         estimate, spread = getattr(found, name), found.std(name)
         if estimate is not None:
