@@ -213,8 +213,9 @@ class _PoseLikelihood(Term):
             total -= float(np.sum(highest + (2.0 * kappas if uniform > 0.0 else 0.0)))
         return total
 
-    def _pack(self, packed: PackedTracks, heights: FloatArray | None) -> None:
+    def _pack(self, packed: PackedTracks) -> None:
         likelihood, records, name = self.parameters.likelihood, packed.records, self.name
+        heights = self._heights(packed)
         angle, kappa = packed.channel(name), packed.channel(f"{name}_kappa")
         if angle is not None:
             default = likelihood.body_kappa if name == "body" else likelihood.head_kappa
@@ -231,6 +232,7 @@ class _PoseLikelihood(Term):
             seen = np.isfinite(heights[:, 0])
             records[f"{name}_class_kappa"][seen] = class_kappa(heights.shape[1] - 1)
             records[f"{name}_kappa"][seen] = 0.0
+            setattr(packed, f"{name}_heights", heights)
 
     def _heights(self, packed: PackedTracks) -> FloatArray | None:
         """Class likelihoods and the outliers' part (N, classes + 1), as densities over their sum."""
@@ -258,10 +260,7 @@ class BodyLikelihood(_PoseLikelihood):
 
     def pack(self, packed: PackedTracks) -> None:
         """Observed angles or classes of the body."""
-        heights = self._heights(packed)
-        self._pack(packed, heights)
-        if heights is not None:
-            packed.body_heights = heights
+        self._pack(packed)
 
 
 class HeadLikelihood(_PoseLikelihood):
@@ -276,7 +275,4 @@ class HeadLikelihood(_PoseLikelihood):
 
     def pack(self, packed: PackedTracks) -> None:
         """Observed angles or classes of the head."""
-        heights = self._heights(packed)
-        self._pack(packed, heights)
-        if heights is not None:
-            packed.head_heights = heights
+        self._pack(packed)
