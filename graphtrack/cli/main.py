@@ -64,8 +64,13 @@ def fail_usage(error: Any) -> None:
 
 def main() -> None:
     """Entry point of the command line."""
+    run(app, "graphtrack")
+
+
+def run(program: typer.Typer, name: str) -> None:
+    """Run a program's command line: wrong use and bad input end with one line and exit status 2."""
     try:
-        code = app(prog_name="graphtrack", standalone_mode=False)
+        code = program(prog_name=name, standalone_mode=False)
         raise SystemExit(code or 0)
     except UsageError as error:
         fail_usage(error)
