@@ -15,6 +15,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.model import Model
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.intentional import IntentionalMotion, steered_step
 from graphtrack.model.motion import Motion as MotionTerm
 from graphtrack.model.orientation import BodyDynamics, HeadDynamics
 from graphtrack.model.pose import BodyLikelihood, HeadLikelihood, class_centres, class_kappa
@@ -25,6 +26,7 @@ PoseModel = Literal["smooth", "closest"]
 
 KNOWN = (
     MotionTerm,
+    IntentionalMotion,
     PositionLikelihood,
     BodyDynamics,
     HeadDynamics,
@@ -42,10 +44,13 @@ class Motion(NamedTuple):
     """Dynamics, a row for each frame k: of the step from k − 1 to k.
 
     ``root`` (n, 3) is the Cholesky factor [[a, 0], [b, c]] of the noise of position and velocity on each
-    axis.
+    axis. Of the velocity ``keep`` (n,) remains, and it carries the position on for ``reach`` (n,) seconds;
+    for the rest of the step the head steers. Where it does not, they are 1 and the whole step.
     """
 
     dt: FloatArray
+    keep: FloatArray
+    reach: FloatArray
     root: FloatArray
     body_turn_kappa: FloatArray
     head_turn_kappa: FloatArray
@@ -131,16 +136,20 @@ def _motion(track: Track, model: Model) -> Motion:
     parameters = model.parameters
     dt = np.diff(track.t, prepend=track.t[:1])
     q = parameters.motion.acceleration_density
-    place = np.sqrt(q * dt**3 / 3.0)
-    cross = np.sqrt(0.75 * q * dt)
-    with np.errstate(divide="ignore"):
+    moments = steered_step(dt, parameters.motion.head_rate if IntentionalMotion in kinds else 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        place = np.sqrt(q * moments.place)
+        cross = q * moments.cross / place
+        spread = np.sqrt(q * moments.spread - cross**2)
         body_turn = 1.0 / (parameters.orientation.body_diffusion * dt)
         head_turn = 1.0 / (parameters.orientation.head_diffusion * dt)
     coupling = parameters.coupling
     weight = np.array([coupling.weight(None), *(coupling.weight(step) for step in dt[1:].tolist())])
     return Motion(
         dt,
-        np.stack([place, cross, np.sqrt(0.25 * q * dt)], axis=1),
+        moments.keep,
+        moments.reach,
+        np.stack([place, cross, spread], axis=1),
         body_turn,
         head_turn,
         weight * (coupling.motion_body_kappa if BodyFollowsMotion in kinds else 0.0),

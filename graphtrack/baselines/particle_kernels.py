@@ -24,6 +24,7 @@ from graphtrack.baselines.resampling import (
     normalise,
     systematic_ancestors,
 )
+from graphtrack.model.kernels.motion import STANDSTILL
 
 PROPAGATE, FIRST, RECOVERED = 0, 1, 2
 """How a run begins: from the frame before; with positions and velocities drawn already, angles from their
@@ -68,23 +69,38 @@ def draw_angles(
 
 
 @compiled
+def aim(vx: float, vy: float, head: float) -> tuple[float, float]:
+    """The velocity of the same speed in the direction of the head, as `IntentionalMotion` has it."""
+    square = vx * vx + vy * vy
+    speed = square / (math.sqrt(square + STANDSTILL * STANDSTILL) + STANDSTILL)
+    return speed * math.cos(head), speed * math.sin(head)
+
+
+@compiled
 def draw_motion(
     rng: np.random.Generator,
-    dt: float,
-    root: FloatArray,
+    k: int,
+    motion: Motion,
     before: FloatArray,
     ancestors: NDArray[np.int64],
     after: FloatArray,
 ) -> None:
-    """Positions and velocities (n, …) by white-noise acceleration over ``dt`` seconds."""
-    a, b, c = root
+    """Positions and velocities (n, …) at frame k by white-noise acceleration, or steered by the head."""
+    keep, reach = motion.keep[k], motion.reach[k]
+    gain, far = 1.0 - keep, motion.dt[k] - reach
+    a, b, c = motion.root[k]
+    towards = (0.0, 0.0)
     for i in range(len(after)):
         source = ancestors[i]
+        if gain > 0.0:
+            towards = aim(before[source, 2], before[source, 3], before[source, 5])
         for axis in range(2):
             first = rng.standard_normal()
             velocity = before[source, 2 + axis]
-            after[i, axis] = before[source, axis] + dt * velocity + a * first
-            after[i, 2 + axis] = velocity + b * first + c * rng.standard_normal()
+            after[i, axis] = before[source, axis] + reach * velocity + far * towards[axis] + a * first
+            after[i, 2 + axis] = (
+                keep * velocity + gain * towards[axis] + b * first + c * rng.standard_normal()
+            )
 
 
 @compiled
@@ -213,7 +229,7 @@ def run(
                     ancestors[i] = i
             before, after = particles[half], particles[1 - half]
             half = 1 - half
-            draw_motion(rng, motion.dt[k], motion.root[k], before, ancestors, after)
+            draw_motion(rng, k, motion, before, ancestors, after)
             if motion.has_body or motion.has_head:
                 for i in range(n):
                     draw_angles(rng, k, False, before[ancestors[i]], after[i], motion)

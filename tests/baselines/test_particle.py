@@ -16,6 +16,7 @@ from walks import walk, without
 from graphtrack.angles import difference, von_mises_log_density, wrap
 from graphtrack.baselines.kalman import filter_states, rauch_tung_striebel
 from graphtrack.baselines.particle import ParticleOptions, particle_filter, particle_smoother
+from graphtrack.baselines.particle_backward import backward
 from graphtrack.baselines.particle_data import prepare
 from graphtrack.baselines.particle_densities import (
     add_pose_log_density,
@@ -23,7 +24,7 @@ from graphtrack.baselines.particle_densities import (
     log_i0e,
     sample_von_mises,
 )
-from graphtrack.baselines.particle_kernels import draw_angles, summarise
+from graphtrack.baselines.particle_kernels import draw_angles, draw_motion, summarise
 from graphtrack.baselines.resampling import (
     effective_sample_size,
     generator,
@@ -216,6 +217,68 @@ def test_angles_are_drawn_from_the_normalised_product(speed: float) -> None:
     # Each head has its own law, given its body: their probabilities must be uniform.
     levels = [stats.vonmises(c).cdf(d) for c, d in zip(kappa, difference(after[:, 5], mean), strict=True)]
     assert stats.kstest(levels, stats.uniform().cdf).pvalue > 0.01
+
+
+def steered(rate: float, preset: str = "intentional") -> Model:
+    return Model(preset, Parameters(motion=MotionParameters(acceleration_density=0.7, head_rate=rate)))
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.5, 4.0])
+def test_the_head_steers_the_drawn_velocity(rate: float) -> None:
+    track = walk(3, dt=0.4)
+    job = prepare(track, steered(rate), None, "smooth", False)
+    before, after = np.tile([1.0, -2.0, 0.6, 0.8, np.nan, 2.5], (40_000, 1)), np.zeros((40_000, 6))
+    draw_motion(np.random.default_rng(3), 1, job.motion, before, np.arange(40_000), after)
+    # The integral of the drift dv = λ(s·u − v) dt, and of the noise, in 4,000 short steps.
+    dt, n = float(track.t[1] - track.t[0]), 4000
+    place, velocity, spread = np.array([1.0, -2.0]), np.array([0.6, 0.8]), np.zeros((2, 2))
+    goal, drift = np.array([math.cos(2.5), math.sin(2.5)]), np.array([[0.0, 1.0], [0.0, -rate]])
+    for _ in range(n):
+        place, velocity = place + velocity * dt / n, velocity + rate * (goal - velocity) * dt / n
+        step = np.eye(2) + drift * dt / n
+        spread = step @ spread @ step.T + np.diag([0.0, 0.7 * dt / n])
+    np.testing.assert_allclose(after[:, :2].mean(axis=0), place, atol=0.01)
+    np.testing.assert_allclose(after[:, 2:4].mean(axis=0), velocity, atol=0.02)
+    for axis in range(2):
+        np.testing.assert_allclose(np.cov(after[:, axis], after[:, 2 + axis]), spread, rtol=0.05, atol=1e-4)
+
+
+@pytest.mark.parametrize("rate", [0.0, 3.0])
+def test_backward_weights_are_the_models_densities(rate: float) -> None:
+    model, track = steered(rate), replace(walk(2, dt=0.5), body=None)
+    job = prepare(track, model, None, "smooth", False)
+    rng = np.random.default_rng(4)
+    history = np.zeros((2, 6, 6))
+    history[0, :, :4] = 0.1 * rng.standard_normal((6, 4)) + [0.0, 0.0, 1.0, 0.0]
+    history[0, :, 5] = rng.uniform(-0.2, 0.2, 6)
+    history[1, :] = [0.5, 0.1, 0.9, 0.3, 0.0, 0.1]
+    paths = np.empty((2, 20_000, 6))
+    backward(rng, 0, history, np.full((2, 6), -math.log(6.0)), job.motion, paths)
+    costs = []
+    for particle in history[0]:
+        pair = np.stack([particle, history[1, 0]])
+        states = States(pair[:, :2], pair[:, 2:4], pair[:, 4], pair[:, 5])
+        step = [term for term in model.terms if type(term).__name__ in ("IntentionalMotion", "HeadDynamics")]
+        # Without the prior on the first velocity, which is no part of the step.
+        first = 0.5 * np.sum(particle[2:4] ** 2) / model.parameters.motion.initial_speed_std**2
+        costs.append(sum(term.cost(states, track) for term in step) - first)
+    drawn = [np.mean(paths[0, :, 0] == particle[0]) for particle in history[0]]
+    np.testing.assert_allclose(drawn, special.softmax(-np.array(costs)), atol=0.015)
+    assert max(drawn) < 0.9
+
+
+def test_particles_follow_the_head_through_a_gap() -> None:
+    course = np.r_[np.zeros(30), np.full(25, np.pi / 2.0)]
+    position = np.cumsum(0.12 * np.stack([np.cos(course), np.sin(course)], axis=1), axis=0)
+    t = 0.1 * np.arange(55)
+    seen = np.where(np.arange(55)[:, None] < 31, position, np.nan)
+    track = Track(1, np.arange(55), t, seen, position_std=np.full(55, 0.05), head=course)
+    ends = {
+        preset: particle_filter(track, steered(4.0, preset), options=options(3000)).track.position[-1]
+        for preset in ("separate", "joint", "intentional", "joint-intentional")
+    }
+    off = {preset: np.linalg.norm(end - position[-1]) for preset, end in ends.items()}
+    assert max(off["intentional"], off["joint-intentional"]) < 0.4 * min(off["separate"], off["joint"])
 
 
 def test_mean_and_covariance_of_particles() -> None:
