@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 from typer.testing import CliRunner
 from walks import walk, without
 
@@ -19,12 +20,12 @@ from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table
 from graphtrack.evaluation.reproduce.baxter_occlusion import error_of
 from graphtrack.evaluation.reproduce.baxter_simulated import squared_error
 from graphtrack.evaluation.reproduce.chen_joint import PAPER, concentration_of
-from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density
+from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.evaluation.reproduce.recordings import evenly, thinned
 from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference, reduction
 from graphtrack.inference import track_online
-from graphtrack.model import Model, Parameters
+from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.tracks import TrackSet
 
 
@@ -84,17 +85,49 @@ def test_coupling_and_density_change_only_what_they_name() -> None:
     same = with_coupling(with_coupling(base, 4.0), 0.25)
     assert same.coupling.head_body_kappa == pytest.approx(base.coupling.head_body_kappa)
     assert same.orientation.body_diffusion == pytest.approx(base.orientation.body_diffusion)
+    assert with_head_rate(base, 0.7) == replace(base, motion=replace(base.motion, head_rate=0.7))
     assert with_density(base, 0.3) == replace(base, motion=replace(base.motion, acceleration_density=0.3))
 
 
 def test_one_step_ahead_is_the_kalman_filters_own_prediction() -> None:
     track, parameters = without(walk(25, uneven=True), "position", [7, 8]), Parameters()
     _, expected = filter_states(track, parameters)
-    predicted, logs = one_step_ahead(kalman_filter(track, parameters), track, parameters)
+    predicted, logs = one_step_ahead(kalman_filter(track, parameters), track, Model("position", parameters))
     np.testing.assert_allclose(predicted, expected.mean[:, :2], atol=1e-9)
     assert np.isnan(predicted[0]).all()
     assert np.isnan(logs[[0, 7, 8]]).all()
     assert np.isfinite(np.delete(logs, [0, 7, 8])).all()
+
+
+def test_one_step_ahead_is_steered_by_the_estimated_head() -> None:
+    motion = MotionParameters(acceleration_density=0.5, head_rate=1.5)
+    model, rng, dt = Model("joint-intentional", Parameters(motion=motion)), np.random.default_rng(1), 0.4
+    spread = rng.normal(0.0, 0.1, (6, 6))
+    spread = spread @ spread.T
+    observed = replace(walk(2, dt=dt), position_std=np.full(2, 0.2))
+    estimate = replace(
+        observed,
+        velocity=np.tile([0.8, -0.5], (2, 1)),
+        head=np.full(2, 0.9),
+        covariance=np.stack([spread, spread]),
+    )
+
+    def ahead(state: np.ndarray) -> np.ndarray:
+        place, velocity, n = state[:2].copy(), state[2:4].copy(), 4000
+        aim = np.linalg.norm(velocity) * np.array([np.cos(state[5]), np.sin(state[5])])
+        for _ in range(n):
+            place, velocity = place + velocity * dt / n, velocity + 1.5 * (aim - velocity) * dt / n
+        return place
+
+    origin = np.array([*estimate.position[0], 0.8, -0.5, 0.0, 0.9])
+    slope = np.stack([(ahead(origin + d) - ahead(origin - d)) / 2e-4 for d in 1e-4 * np.eye(6)], axis=1)
+    # ∫ 0.5·((1 − e^−λs)/λ)² ds: what the noise of the velocity adds to each axis of the position.
+    s = np.linspace(0.0, dt, 2001)
+    noise = np.trapezoid(0.5 * ((1.0 - np.exp(-1.5 * s)) / 1.5) ** 2, s) + 0.2**2
+    predicted, logs = one_step_ahead(estimate, observed, model)
+    np.testing.assert_allclose(predicted[1], ahead(origin), atol=0.01)
+    law = stats.multivariate_normal(ahead(origin), slope @ spread @ slope.T + noise * np.eye(2))
+    assert logs[1] == pytest.approx(law.logpdf(observed.position[1]), abs=0.02)
 
 
 def test_estimates_from_the_past_are_those_of_the_online_tracker() -> None:
@@ -103,7 +136,10 @@ def test_estimates_from_the_past_are_those_of_the_online_tracker() -> None:
     found = from_the_past(track, Model("joint"), frames)
     online = track_online(track, "joint", lag=60.0)
     np.testing.assert_allclose(found.position[frames], online.position[frames], atol=0.01)
+    assert found.head is not None and online.head is not None
+    np.testing.assert_allclose(found.head[frames], online.head[frames], atol=0.01)
     assert np.isnan(found.position[6]).all()
+    assert np.isnan(found.head[6])
     linear = from_the_past(track, Model("position"), frames)
     np.testing.assert_allclose(linear.position[frames], kalman_filter(track).position[frames], atol=1e-6)
 

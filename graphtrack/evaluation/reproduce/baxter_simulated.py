@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,12 @@ from graphtrack.evaluation.reproduce.experiment import (
     Settings,
     Table,
 )
-from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density
+from graphtrack.evaluation.reproduce.fitting import (
+    fit,
+    with_coupling,
+    with_density,
+    with_head_rate,
+)
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.inference import track_online
 from graphtrack.model import Model, Parameters
@@ -31,8 +36,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RATES = (1.0, 0.8, 0.6)
-METHODS = ("printed", "consistent", "kf fitted", "intentional", "graph")
-FIT_UNITS = 20
+GRAPHS = {"graph joint": "joint", "graph joint-intentional": "joint-intentional"}
+"""Method → preset. In the second one the head steers the velocity, as it does in 000's tracker."""
+
+METHODS = ("printed", "consistent", "kf fitted", "intentional", *GRAPHS)
+FIT_UNITS = {"graph joint": 20, "graph joint-intentional": 30}
+"""Evaluations of the search for the parameters of each graph: two of them, and three."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +50,15 @@ class Fitted:
 
     Attributes
     ----------
-    kalman, intentional, graph : parameters of each method
+    kalman, intentional : parameters of each filter
     rate : λ of the intentional tracker, 1/s
+    graphs : method → model
     """
 
     kalman: Parameters
     intentional: Parameters
     rate: float
-    graph: Parameters
+    graphs: Mapping[str, Model]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,26 +97,37 @@ def fit_methods(settings: Settings, progress: Progress) -> Fitted:
         for b in range(len(NUMERALS))
     ]
 
+    position = np.concatenate([corpus.position for corpus in training])
+    head = np.concatenate([corpus.head for corpus in training])
+    variance, t = np.full(head.shape, training[0].parameters.observation_std ** 2), seconds(training[0])
+
     def cost(density: float, rate: float) -> float:
-        parameters = with_density(Parameters(), density)
-        found = [steered(corpus, parameters, rate).log_likelihood for corpus in training]
-        return -float(np.nanmean(np.concatenate(found)))
+        found = steer(position, head, t, variance, with_density(Parameters(), density), rate)
+        return -float(np.nanmean(found.log_likelihood))
 
     kalman = with_density(Parameters(), *fit(lambda q: cost(q, 0.0), [0.1], evaluations=25))
     density, rate = fit(cost, [0.1, 1.0], evaluations=40)
     people = [corpus.tracks(1).tracks[0] for corpus in training]
 
-    def graph_cost(density: float, factor: float) -> float:
-        parameters = with_coupling(with_density(Parameters(), density), factor)
-        model = Model("joint", parameters)
-        before = np.arange(5, len(people[0]), 10)
-        found = [one_step_ahead(from_the_past(p, model, before), p, parameters)[1] for p in people]
-        progress(1)
-        return -float(np.nanmean(np.concatenate(found)))
+    def fitted_graph(method: str, *start: float) -> Model:
+        def model(density: float, factor: float, head_rate: float = 0.0) -> Model:
+            parameters = with_coupling(with_density(Parameters(), density), factor)
+            return Model(GRAPHS[method], with_head_rate(parameters, head_rate))
 
-    density_graph, factor = fit(graph_cost, [density, 3.0], evaluations=FIT_UNITS)
-    graph = with_coupling(with_density(Parameters(), density_graph), factor)
-    return Fitted(kalman, with_density(Parameters(), density), rate, graph)
+        def graph_cost(*values: float) -> float:
+            candidate = model(*values)
+            before = np.arange(5, len(people[0]), 10)
+            found = [one_step_ahead(from_the_past(p, candidate, before), p, candidate)[1] for p in people]
+            progress(1)
+            return -float(np.nanmean(np.concatenate(found)))
+
+        return model(*fit(graph_cost, start, evaluations=FIT_UNITS[method]))
+
+    graphs = {
+        "graph joint": fitted_graph("graph joint", density, 3.0),
+        "graph joint-intentional": fitted_graph("graph joint-intentional", density, 3.0, rate),
+    }
+    return Fitted(kalman, with_density(Parameters(), density), rate, graphs)
 
 
 def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Progress) -> list[Gain]:
@@ -134,13 +155,16 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
         )
         for method, run in runs.items()
     ]
-    model, by_graph = Model("joint", fitted.graph), []
-    for track in corpus.tracks(people):
-        predicted, logs = one_step_ahead(track_online(track, model, lag=LAG), track, fitted.graph)
-        by_graph.append((squared_error(predicted, np.asarray(track.true_position)), np.nansum(logs)))
-        progress(1)
-    errors, sums = np.array(by_graph).T
-    found.append(Gain(corpus.behaviour, rate, "graph", error[:people] / errors, likelihood[:people] / sums))
+    for method, model in fitted.graphs.items():
+        by_graph = []
+        for track in corpus.tracks(people):
+            predicted, logs = one_step_ahead(track_online(track, model, lag=LAG), track, model)
+            by_graph.append((squared_error(predicted, np.asarray(track.true_position)), np.nansum(logs)))
+            progress(1)
+        errors, sums = np.array(by_graph).T
+        found.append(
+            Gain(corpus.behaviour, rate, method, error[:people] / errors, likelihood[:people] / sums)
+        )
     return found
 
 
@@ -165,7 +189,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "Gain over the Kalman filter of 000 (Q = 0.1·I, R = 0.5·I): ratios, above 1 is better",
         [_record(gain, names[gain.behaviour]) for gain in found],
     )
-    motion = fitted.graph.motion.acceleration_density
+    joint, steered = (fitted.graphs[method].parameters.motion for method in GRAPHS)
     return Reproduction(
         "baxter-simulated",
         (detail, _beside(found)),
@@ -173,10 +197,12 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         (
             "MSE: one-step predictions against true positions. CLL: cumulative log-likelihood of the "
             "innovations.",
-            "printed and consistent have 000's parameters; kf fitted, intentional and graph have been fitted "
-            f"on other tracks (q of the graph {motion:.3g} m²/s³, λ {fitted.rate:.3g} 1/s).",
+            "printed and consistent have 000's parameters. The others are fitted on other tracks: q of the "
+            f"graphs {joint.acceleration_density:.3g} and {steered.acceleration_density:.3g} m²/s³, λ of the "
+            f"tracker {fitted.rate:.3g} 1/s and of joint-intentional {steered.head_rate:.3g} 1/s.",
             "Who is not detected shows no head either. All see positions and head, but the Kalman filters "
-            "positions only.",
+            "positions only. In joint-intentional the head steers the velocity as it does in the tracker; in "
+            "joint it does not.",
         ),
     )
 
@@ -256,20 +282,22 @@ def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
                 own = [gain for gain in found if gain.method == method and gain.rate == rate]
                 values = [getattr(gain, measure) for gain in own]
                 middle, spread = np.array([(np.median(v), np.std(v)) for v in values]).T
-                with_whiskers(axes, x + 0.1 * (k - 2), middle, spread, method, line=False)
+                with_whiskers(axes, x + 0.12 * (k - 2.5), middle, spread, method, line=False)
             axes.set_xticks(x, [corpus.name.replace(" ", "\n", 1) for corpus in examples])
             tidy(axes, grid="y")
             axes.tick_params(labelsize=8)
             if row == 0:
                 axes.set_title(f"detection {rate:.0%}", fontsize=10)
         grid[row, 0].set_ylabel(("MSE" if row == 0 else "log-likelihood") + " gain over KF (ratio)")
-    plots.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False)
+    plots.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
     return figure
 
 
 EXPERIMENT = Experiment(
     "baxter-simulated",
     "000 Fig. 4 and 5: simulated corpus, gain over the Kalman filter, median ± 1 σ",
-    lambda settings: FIT_UNITS + len(NUMERALS) * len(RATES) * tracks_of_graph(settings),
+    lambda settings: (
+        sum(FIT_UNITS.values()) + len(GRAPHS) * len(NUMERALS) * len(RATES) * tracks_of_graph(settings)
+    ),
     run,
 )

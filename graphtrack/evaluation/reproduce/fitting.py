@@ -40,6 +40,11 @@ def with_density(parameters: Parameters, acceleration_density: float) -> Paramet
     return replace(parameters, motion=replace(parameters.motion, acceleration_density=acceleration_density))
 
 
+def with_head_rate(parameters: Parameters, head_rate: float) -> Parameters:
+    """The parameters with another λ in 1/s, at which the head draws the velocity."""
+    return replace(parameters, motion=replace(parameters.motion, head_rate=head_rate))
+
+
 def with_coupling(parameters: Parameters, factor: float) -> Parameters:
     """The parameters with couplings that many times as strong, and orientations that diffuse as much less.
 

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
+from graphtrack.angles import FloatArray, unit
 from graphtrack.baselines.kalman import position_std
 from graphtrack.inference import Solution, solve
-from graphtrack.model import Model, Parameters
-from graphtrack.model.motion import process_noise, transition_matrix
+from graphtrack.model import Model
+from graphtrack.model.intentional import IntentionalMotion, smooth_speed, steered_step
+from graphtrack.model.kernels.motion import STANDSTILL
 from graphtrack.tracks import Track, TrackSet
 
 
@@ -25,38 +26,55 @@ def from_the_past(track: Track, model: Model, frames: NDArray[np.intp]) -> Track
     numbered = TrackSet(tuple(replace(end, track_id=i) for i, end in enumerate(ends)))
     n = len(track)
     position, velocity = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
-    covariance = np.full((n, 6, 6), np.nan)
+    head, covariance = np.full(n, np.nan), np.full((n, 6, 6), np.nan)
     for k, solution in zip(frames.tolist(), solve(numbered, model), strict=True):
         if isinstance(solution, Solution):
             estimate = solution.track
             position[k] = estimate.position[-1]
             if estimate.velocity is not None and estimate.covariance is not None:
                 velocity[k], covariance[k] = estimate.velocity[-1], estimate.covariance[-1]
-    return replace(track, position=position, velocity=velocity, covariance=covariance)
+            if estimate.head is not None:
+                head[k] = estimate.head[-1]
+    return replace(track, position=position, velocity=velocity, head=head, covariance=covariance)
 
 
-def one_step_ahead(estimate: Track, observed: Track, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
+def one_step_ahead(estimate: Track, observed: Track, model: Model) -> tuple[FloatArray, FloatArray]:
     """Predicted positions (n, 2) and log-likelihoods (n,) of the innovations, from the estimate before each.
 
-    The prediction is that of white-noise acceleration from the mean and covariance at the frame before, so
-    that a graph, a particle filter and a Kalman filter are judged by the same rule. NaN at the first frame,
-    before the first estimate, and, for the likelihood, where nothing was observed.
+    The prediction is that of the model's motion from the mean and covariance at the frame before, white-noise
+    acceleration or steered by the head and linearised there, so that a graph, a particle filter and a Kalman
+    filter are judged by the same rule. NaN at the first frame, before the first estimate, and, for the
+    likelihood, where nothing was observed.
     """
-    n = len(observed)
+    n, motion = len(observed), model.parameters.motion
     predicted, log_likelihood = np.full((n, 2), np.nan), np.full(n, np.nan)
     if estimate.velocity is None or estimate.covariance is None:
         return predicted, log_likelihood
-    state = np.hstack([estimate.position, estimate.velocity])
-    variance = position_std(observed, parameters) ** 2
-    for k in range(1, n):
-        dt = float(observed.t[k] - observed.t[k - 1])
-        transition = transition_matrix(dt)
-        predicted[k] = (transition @ state[k - 1])[:2]
-        spread = transition @ estimate.covariance[k - 1, :4, :4] @ transition.T
-        spread += process_noise(dt, parameters.motion.acceleration_density)
-        innovation = observed.position[k] - predicted[k]
-        if np.isfinite(innovation).all():
-            total = spread[:2, :2] + variance[k] * np.eye(2)
-            squared = float(innovation @ np.linalg.solve(total, innovation))
-            log_likelihood[k] = -0.5 * squared - 0.5 * np.log(np.linalg.det(2.0 * np.pi * total))
+    dt, velocity = np.diff(observed.t), estimate.velocity[:-1]
+    steered = any(isinstance(term, IntentionalMotion) for term in model.terms)
+    moments = steered_step(dt, motion.head_rate if steered else 0.0)
+    reach = moments.reach[:, None]
+    predicted[1:] = estimate.position[:-1] + reach * velocity
+    slope = np.zeros((n - 1, 2, 6))
+    slope[:, [0, 1], [0, 1]], slope[:, [0, 1], [2, 3]] = 1.0, reach
+    covariance = estimate.covariance[:-1]
+    if steered and estimate.head is not None:
+        far, head = dt[:, None] - reach, estimate.head[:-1]
+        speed, towards = smooth_speed(velocity)[:, None], unit(head)
+        predicted[1:] += far * speed * towards
+        along = velocity / (speed + STANDSTILL)
+        slope[:, :, 2:4] += far[:, :, None] * towards[:, :, None] * along[:, None, :]
+        slope[:, :, 5] = far * speed * unit(head + np.pi / 2.0)
+    # What is not estimated is NaN, and has no part in the prediction.
+    used = np.abs(slope).max(axis=1) > 0.0
+    covariance = np.where(used[:, :, None] & used[:, None, :], covariance, 0.0)
+    total = slope @ covariance @ slope.transpose(0, 2, 1)
+    variance = motion.acceleration_density * moments.place + position_std(observed, model.parameters)[1:] ** 2
+    total += variance[:, None, None] * np.eye(2)
+    innovation = observed.position[1:] - predicted[1:]
+    (xx, xy), (_, yy) = total.transpose(1, 2, 0)
+    x, y = innovation.T
+    determinant = xx * yy - xy**2
+    squared = (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / determinant
+    log_likelihood[1:] = -0.5 * squared - 0.5 * np.log((2.0 * np.pi) ** 2 * determinant)
     return predicted, log_likelihood

@@ -18,10 +18,16 @@ COLOURS = {
     "consistent": "#D55E00",
     "intentional": "#CC79A7",
     "particle": "#009E73",
+    "particle joint": "#009E73",
+    "particle joint-intentional": "#66C7A3",
     "graph": "#0072B2",
+    "graph joint": "#0072B2",
+    "graph joint-intentional": "#56B4E9",
     "rts": "#5F6672",
     "ffbs": "#009E73",
     "smoother": "#0072B2",
+    "smoother joint": "#0072B2",
+    "smoother joint-intentional": "#56B4E9",
 }
 """Method → colour; an offline method has that of its online like."""
 
