@@ -62,6 +62,7 @@ class Workspace(NamedTuple):
     candidate: FloatArray  # (n, 6)
     trigonometry: FloatArray  # (n, 4) cosine and sine of body and head
     scratch: FloatArray  # (4, 6, 6)
+    newest: FloatArray  # (6, 6) Hessian of the newest frame of a window, the frames before eliminated
 
 
 def workspace(n: int) -> Workspace:
@@ -75,6 +76,7 @@ def workspace(n: int) -> Workspace:
         np.empty(vector),
         np.empty((n, 4)),
         np.empty((4, N, N)),
+        np.empty((N, N)),
     )
 
 

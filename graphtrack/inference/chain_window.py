@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,9 @@ from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.pose import class_centres
 from graphtrack.model.steps import CHANNELS
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
+
+_PLACE = {name: place for place, name in enumerate(FRAME.names or ())}
+"""Where a field stands in a record, seen as a row of numbers: writing to the fields themselves is slow."""
 
 _TEMPLATES = 256
 """Kinds of frame (what was seen, how long after the last) that are remembered, packed."""
@@ -59,9 +61,9 @@ class ChainWindow:
         self._allocate(64)
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> Sequence[Step]:
         """The steps of the window, oldest first."""
-        return tuple(self._steps)
+        return self._steps
 
     def state(self, step: Step) -> tuple[float, ...]:
         """x, y, vx, vy, body, head of a step of the window; NaN for what the model does not have."""
@@ -83,7 +85,7 @@ class ChainWindow:
             self._make_room()
         begin, end = self._offsets.tolist()
         before = self._states[begin:end].copy()
-        self._put(end, step, state)
+        self._put(end, step, state, bool(self._steps))
         self._offsets[1] = end + 1
         if not self._solve():
             self._offsets[1] = end
@@ -91,7 +93,7 @@ class ChainWindow:
             if not self._steps:
                 self._anchor = None
             raise ArithmeticError("the estimate is not finite")
-        self._steps.append(step)
+        self._steps.append(step.alone())
         newest = self._newest()
         self._slide()
         return newest
@@ -124,9 +126,9 @@ class ChainWindow:
         if self._modes is not None and window.modes is not None:
             self._modes.before = np.array(window.modes)
         for k, step in enumerate(window.steps):
-            self._put(k, step, window.values[step.index])
+            self._put(k, step, window.values[step.index], k > 0)
         self._offsets[1] = len(window.steps)
-        self._steps = list(window.steps)
+        self._steps = [step.alone() for step in window.steps]
         for k in range(1, len(window.steps)):
             # Angles go on from the step before, whatever turn they were written in.
             turn = self._states[k, 4:] - self._states[k - 1, 4:]
@@ -149,10 +151,12 @@ class ChainWindow:
         self._states = np.zeros((n, N))
         self._offsets = np.zeros(2, np.int64)
         self._prior = np.zeros((N + 2, N))
-        self._memory = workspace(n)
+        self._memory, self._warm = workspace(n), False
+        records = np.zeros(n, FRAME)
+        self._rows = records.view(float).reshape(n, -1)
         shared = self._template(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
         self._problem = Problem(
-            np.zeros(n, FRAME),
+            records,
             shared,
             np.zeros((n, BODY_CLASSES + 1)),
             np.zeros((n, HEAD_CLASSES + 1)),
@@ -167,6 +171,7 @@ class ChainWindow:
         """Move the window to the front of the arrays, or into larger ones."""
         begin, end = self._offsets
         old, states, prior, n = self._problem, self._states, self._prior, end - begin
+        self._warm = False  # the factorisation stays behind
         if 2 * n > len(states):
             self._allocate(2 * len(states))
             self._prior[:] = prior
@@ -179,40 +184,37 @@ class ChainWindow:
 
     def _read(self, row: int) -> tuple[float, ...]:
         x, y, vx, vy, body, head = self._states[row].tolist()
-        nan = float("nan")
-        return (
-            x + float(self._origin[0]),
-            y + float(self._origin[1]),
-            vx,
-            vy,
-            body if self._model.has_body else nan,
-            head if self._model.has_head else nan,
-        )
+        left, bottom = self._origin.tolist()
+        body = body if self._model.has_body else math.nan
+        return x + left, y + bottom, vx, vy, body, head if self._model.has_head else math.nan
 
-    def _put(self, row: int, step: Step, state: Sequence[float]) -> None:
-        problem, seen, origin = self._problem, step.observation, self._origin
+    def _put(self, row: int, step: Step, state: Sequence[float], linked: bool) -> None:
+        """Write a step into a row of the arrays; ``linked`` if there is one before it in the window."""
+        seen = step.observation
         packed = self._template(seen, step.dt, step.starts, step.camera)
-        problem.records[row] = packed.records[0]
-        if packed.records["pixel_information"][0] > 0.0:
-            problem.shared[:] = packed.shared  # with the camera
-        record = problem.records[row]
-        record["dt"] = 0.0 if step.dt is None else step.dt
-        if step.previous is None:
+        left, bottom = self._origin.tolist()
+        record = self._rows[row]
+        record[:] = packed.records.view(float)
+        if record[_PLACE["pixel_information"]] > 0.0:
+            self._problem.shared[:] = packed.shared  # with the camera
+        record[_PLACE["dt"]] = 0.0 if step.dt is None else step.dt
+        if not linked:
             for link in ("motion_information", "body_turn_kappa", "head_turn_kappa"):
-                record[link] = 0.0
+                record[_PLACE[link]] = 0.0
         if seen.position is not None:
-            record["x"], record["y"] = seen.position[0] - origin[0], seen.position[1] - origin[1]
-        for name in ("body", "head"):
-            angle = getattr(seen, name)
-            if angle is not None:
-                record[f"{name}_cos"], record[f"{name}_sin"] = math.cos(angle), math.sin(angle)
+            x, y = seen.position
+            record[_PLACE["x"]], record[_PLACE["y"]] = x - left, y - bottom
+        if seen.body is not None:
+            record[_PLACE["body_cos"]], record[_PLACE["body_sin"]] = math.cos(seen.body), math.sin(seen.body)
+        if seen.head is not None:
+            record[_PLACE["head_cos"]], record[_PLACE["head_sin"]] = math.cos(seen.head), math.sin(seen.head)
         if len(packed.body_heights):
-            problem.body_heights[row] = packed.body_heights[0]
+            self._problem.body_heights[row] = packed.body_heights[0]
         if len(packed.head_heights):
-            problem.head_heights[row] = packed.head_heights[0]
+            self._problem.head_heights[row] = packed.head_heights[0]
         x, y, vx, vy, body, head = state
         known = (body if math.isfinite(body) else 0.0, head if math.isfinite(head) else 0.0)
-        self._states[row] = (x - origin[0], y - origin[1], vx, vy, *known)
+        self._states[row] = (x - left, y - bottom, vx, vy, *known)
 
     def _template(
         self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
@@ -257,23 +259,23 @@ class ChainWindow:
     def _solve(self) -> bool:
         if self._modes is not None:
             self._modes.renew(self._problem, self._states)
-        return bool(
-            solve_window(
-                self._problem,
-                self._states,
-                self._max_iterations,
-                self._tolerance,
-                self._memory,
-                self._covariance,
-            )
+        self._warm = solve_window(
+            self._problem,
+            self._states,
+            self._warm,
+            self._max_iterations,
+            self._tolerance,
+            self._memory,
+            self._covariance,
         )
+        return self._warm
 
     def _newest(self) -> Newest:
         covariance = self._covariance.copy()
         for has, place in ((self._model.has_body, BODY), (self._model.has_head, HEAD)):
             if not has:
                 covariance[place] = covariance[:, place] = np.nan
-        return np.array(self._read(self._offsets[1] - 1)), bounded(covariance)
+        return np.array(self._read(int(self._offsets[1]) - 1)), bounded(covariance)
 
     def _slide(self) -> None:
         horizon = self._steps[-1].observation.t - self._lag
@@ -282,7 +284,7 @@ class ChainWindow:
             if self._modes is not None:
                 self._modes.let_go()
             self._has_prior = True
-            self._steps[:2] = [replace(self._steps[1], previous=None)]
+            del self._steps[0]
 
     # -- priors --------------------------------------------------------------------------------------------
 

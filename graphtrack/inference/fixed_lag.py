@@ -187,7 +187,7 @@ class FixedLag:
             for key in gone.keys:
                 values.erase(key)
             # Its link to the step before is part of the marginal now: the chain begins here.
-            first = replace(first, step=replace(first.step, previous=None), back=gtsam.NonlinearFactorGraph())
+            first = replace(first, step=first.step.alone(), back=gtsam.NonlinearFactorGraph())
             chain = _Chain((first, *rest), values, marginal, chain.values)
         return chain
 

@@ -172,9 +172,8 @@ class OnlineSmoother:
         return replace(observation, position=(x, y))
 
     def _append(self, observation: Observation) -> Estimate:
-        # Only the step before is linked, or the whole past would stay in memory.
         steps = self._smoother.steps
-        previous = replace(steps[-1], previous=None) if steps else None
+        previous = steps[-1].alone() if steps else None
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
         try:
@@ -232,7 +231,7 @@ class OnlineSmoother:
             template = replace(window.steps[place], observation=observation)
         for step in (template, *window.steps[place if inserted else place + 1 :]):
             if steps:
-                previous = replace(steps[-1], previous=None)
+                previous = steps[-1].alone()
                 dt = seconds_between(previous, step.observation)
                 step = replace(step, previous=previous, dt=dt)
             steps.append(step)
@@ -242,6 +241,7 @@ class OnlineSmoother:
 
     def _estimate(self, newest: Newest, observation: Observation, status: Status) -> Estimate:
         state, covariance = newest
+        body, head = wrap(state[4:]).tolist()
         smoother = self._smoother
         aligned, offset = smoother.modes if isinstance(smoother, ChainWindow) else (math.nan, math.nan)
         self._last = Estimate(
@@ -249,8 +249,8 @@ class OnlineSmoother:
             frame=observation.frame,
             position=state[:2],
             velocity=state[2:4],
-            body=float(wrap(state[4])),
-            head=float(wrap(state[5])),
+            body=body,
+            head=head,
             covariance=covariance,
             status=status,
             aligned_p=aligned,

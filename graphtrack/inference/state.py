@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import gtsam
@@ -157,9 +157,8 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> tuple[Wi
         for entry in state["steps"]:
             seen = entry["observation"].items()
             channels: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in seen}
-            previous = steps[-1] if steps else None
+            previous = steps[-1].alone() if steps else None
             observation = Observation(**channels)
-            previous = None if previous is None else replace(previous, previous=None)
             steps.append(Step(entry["index"], observation, previous, entry["dt"], entry["starts"], camera))
             x, y, vx, vy, body, head = _nans(entry["values"]).tolist()
             values[entry["index"]] = (x, y, vx, vy, body, head)

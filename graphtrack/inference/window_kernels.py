@@ -16,6 +16,7 @@ from graphtrack.inference.chain_kernels import (
     eliminate,
     invert_cholesky,
     minimise,
+    sweep_back,
     sweep_forward,
 )
 from graphtrack.model.kernels.compiled import compiled
@@ -23,11 +24,15 @@ from graphtrack.model.kernels.frames import BODY, HEAD
 from graphtrack.model.kernels.motion import add_motion, add_steered_motion
 from graphtrack.model.kernels.orientation import add_turn
 
+_FAR = 0.5
+"""Radians beyond which a first guess is not better than that nothing turns."""
+
 
 @compiled
 def solve_window(
     problem: Problem,
     states: FloatArray,
+    warm: bool,
     max_iterations: int,
     tolerance: float,
     workspace: Workspace,
@@ -35,25 +40,94 @@ def solve_window(
 ) -> bool:
     """Newton steps on the frames ``problem.offsets`` of the states, in place.
 
-    ``covariance`` (6, 6) becomes that of the newest frame. Returns whether all went well; if not, the states
-    are not to be used.
+    ``warm`` if the workspace holds the factorisation of all frames but the newest, from the last call.
+    ``covariance`` (6, 6) becomes that of the newest frame. Returns whether all went well; if not, neither the
+    states nor the factorisation are to be used.
     """
     begin, end = problem.offsets[0], problem.offsets[1]
-    here, last = states[begin:end], end - begin - 1
-    _, _, _, status, exact = minimise(problem, 0, here, max_iterations, tolerance, workspace)
+    here, last, memory = states[begin:end], end - begin - 1, from_frame(workspace, begin)
+    if warm and last > 0:
+        foresee(problem, here, memory)
+    _, _, _, status, exact = minimise(problem, 0, here, max_iterations, tolerance, memory)
     if status == NOT_FINITE:
         return False
-    if not exact and not sweep_forward(problem, 0, here[0].copy(), here, False, workspace)[1]:
+    if not exact and not sweep_forward(problem, 0, here[0].copy(), here, False, memory)[1]:
         return False
+    memory.newest[:] = memory.scratch[1 + (last & 1)]
     finite = True
     for i in range(N):
         finite = finite and math.isfinite(here[last, i])
         for j in range(i + 1):
             total = 0.0
             for m in range(i, N):
-                total += workspace.inverse[last, m, i] * workspace.inverse[last, m, j]
+                total += memory.inverse[last, m, i] * memory.inverse[last, m, j]
             covariance[i, j] = covariance[j, i] = total
     return finite
+
+
+@compiled
+def from_frame(workspace: Workspace, begin: int) -> Workspace:
+    """The memory of the frames from ``begin`` on."""
+    return Workspace(
+        workspace.inverse[begin:],
+        workspace.link[begin:],
+        workspace.solution[begin:],
+        workspace.step[begin:],
+        workspace.candidate[begin:],
+        workspace.trigonometry[begin:],
+        workspace.scratch,
+        workspace.newest,
+    )
+
+
+@compiled
+def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
+    """A Newton step of the window for the price of its newest frame, as a better start.
+
+    The frames before were at their optimum when they were factored: they have no gradient but what the newest
+    one sends back. A step that turns anything far is not trusted.
+    """
+    last = len(states) - 1
+    gradients, hessians, transition = memory.scratch[0], memory.scratch[1:3], memory.scratch[3]
+    memory.scratch[:] = 0.0
+    hessians[0] = memory.newest
+    add_frame(
+        problem,
+        0,
+        last,
+        states[0],
+        states,
+        True,
+        memory.trigonometry,
+        gradients[0],
+        gradients[1],
+        hessians[0],
+        hessians[1],
+        transition,
+    )
+    memory.solution[:last] = 0.0
+    if not eliminate(
+        hessians[0],
+        gradients[0],
+        transition,
+        hessians[1],
+        gradients[1],
+        memory.inverse[last - 1],
+        memory.link[last - 1],
+        memory.solution[last - 1],
+    ) or not invert_cholesky(hessians[1], memory.inverse[last]):
+        return
+    for i in range(N):
+        total = 0.0
+        for j in range(i + 1):
+            total += memory.inverse[last, i, j] * gradients[1, j]
+        memory.solution[last, i] = total
+    sweep_back(last + 1, memory)
+    for k in range(last + 1):
+        for i in range(N):
+            if not math.isfinite(memory.step[k, i]) or (i in (BODY, HEAD) and abs(memory.step[k, i]) > _FAR):
+                return
+    states += memory.step[: last + 1]
 
 
 @compiled
@@ -64,10 +138,11 @@ def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     """
     begin = problem.offsets[0]
     prior, after = problem.prior, problem.records[begin + 1]
+    memory = from_frame(workspace, begin)
     for exact in (True, False):
-        if marginalise(problem, states[begin : begin + 2], exact, workspace):
+        if marginalise(problem, states[begin : begin + 2], exact, memory):
             break
-    matrix, vector = workspace.scratch[2], workspace.scratch[0, 1]
+    matrix, vector = memory.scratch[2], memory.scratch[0, 1]
     for i in range(N):
         prior[N, i] = -vector[i]
         prior[N + 1, i] = states[begin + 1, i]

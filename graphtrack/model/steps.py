@@ -71,6 +71,12 @@ class Step:
     starts: bool = False
     camera: GroundCamera | None = None
 
+    def alone(self) -> Step:
+        """The step without the link to the one before, through which the whole past would stay in memory."""
+        if self.previous is None:
+            return self
+        return Step(self.index, self.observation, None, self.dt, self.starts, self.camera)
+
     @property
     def position_key(self) -> int:
         """GTSAM key of the position."""

@@ -26,8 +26,9 @@ CONVERGED: dict[str, Any] = {"step_tolerance": 1e-7, "max_iterations": 200}
 GTSAM_ENGINES = pytest.mark.parametrize("engine", ["fixed-lag", "isam2"])
 EVERY_ENGINE = pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
 EVERY_PRESET = pytest.mark.parametrize("preset", ["position", "separate", "joint"])
-# How far a smoother that was built again may be from one that was not (metres, m/s, radians).
-REBUILT = {"chain": 1e-6, "fixed-lag": 1e-10, "isam2": 1e-6}
+# How far a smoother that was built again may be from one that was not (metres, m/s, radians; and for the
+# chain, whose curvature is from before the last Newton step, their squares).
+REBUILT = {"chain": 1e-4, "fixed-lag": 1e-10, "isam2": 1e-6}
 
 
 def run(smoother: OnlineSmoother, seen: Sequence[Observation]) -> list[Estimate]:
