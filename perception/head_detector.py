@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from perception.boosting import Quantised, reweighted
-from perception.features.blocks import block_corners
+from perception.features.blocks import block_corners, grid_lines
 from perception.features.hog import BINS
 
 Weak = Literal["differential", "fisher"]
@@ -78,18 +78,21 @@ class BoostedBlocks:
         block_, direction_, threshold, weight = zip(*found, strict=True)
         return cls(np.array(block_), np.array(direction_), np.array(threshold), np.array(weight))
 
-    def scores(self, corners: NDArray[np.float32], *, rounds: int | None = None) -> FloatArray:
-        """Confidence (n,) in −1…1 of windows, from their `corner_sums` (n, 7, 7, 9).
+    def scores(
+        self, integral: NDArray[np.float32], windows: FloatArray, *, rounds: int | None = None
+    ) -> FloatArray:
+        """Confidence (n,) in −1…1 of windows (n, 4) in an `integral_histogram`.
 
         Parameters
         ----------
         rounds : how many of the weak classifiers vote, from the first; all by default
         """
+        rows, columns = grid_lines(windows, integral.shape)
         weight = self.weight[:rounds]
-        with_sum = np.concatenate([corners, corners.sum(axis=3, keepdims=True)], axis=3)
-        total = _scores(
-            with_sum, block_corners()[self.block[:rounds]], self.direction, self.threshold, weight
-        )
+        used = np.argsort(self.direction == 0.0, axis=1, kind="stable")
+        count = np.count_nonzero(self.direction, axis=1)
+        blocks = block_corners()[self.block[:rounds]]
+        total = _scores(integral, rows, columns, blocks, self.direction, used, count, self.threshold, weight)
         return np.asarray(total / float(weight.sum()), float)
 
 
@@ -121,18 +124,29 @@ def _fisher_directions(
 
 
 @njit(cache=True)
-def _scores(corners: Any, block: Any, direction: Any, threshold: Any, weight: Any) -> Any:
-    n = len(corners)
+def _scores(
+    integral: Any,
+    rows: Any,
+    columns: Any,
+    block: Any,
+    direction: Any,
+    used: Any,
+    count: Any,
+    threshold: Any,
+    weight: Any,
+) -> Any:
+    """Votes (n,): each looks at the four corners of its block, in the directions that it uses."""
+    n = len(rows)
     total = np.zeros(n)
     for i in range(n):
-        c = corners[i]
         for t in range(len(weight)):
             top, bottom, left, right = block[t]
+            low, high = integral[rows[i, top]], integral[rows[i, bottom]]
+            a, b = columns[i, left], columns[i, right]
             along = 0.0
-            for b in range(9):
-                if direction[t, b] != 0.0:
-                    value = c[bottom, right, b] - c[top, right, b] - c[bottom, left, b] + c[top, left, b]
-                    along += direction[t, b] * value
-            whole = 1.0 + c[bottom, right, 9] - c[top, right, 9] - c[bottom, left, 9] + c[top, left, 9]
+            for k in range(count[t]):
+                d = used[t, k]
+                along += direction[t, d] * (high[b, d] - low[b, d] - high[a, d] + low[a, d])
+            whole = 1.0 + high[b, BINS] - low[b, BINS] - high[a, BINS] + low[a, BINS]
             total[i] += weight[t] if along > threshold[t] * whole else -weight[t]
     return total

@@ -24,13 +24,13 @@ _HEIGHT = 128
 """Rows to which a person's box is resized."""
 _HEAD_HEIGHTS = (14.0, 17.0, 20.0, 24.0)
 _ASPECTS = (0.68, 0.85)
-_STEP = 3.0
+_STEP = 2.5
 _LOWEST = 0.30
 """Centres of heads lie in this upper share of the box."""
 _AROUND = 1.3
 """A window is this much larger than the head, so that it holds the outline."""
 _OVERLAP = 0.2
-_FIRST_ROUNDS, _KEPT = 30, 200
+_FIRST_ROUNDS, _KEPT = 30, 250
 _NEGATIVE_OVERLAP = 0.35
 
 
@@ -102,10 +102,11 @@ class HeadLocaliser:
             raise InputError("a head localiser that was not fitted", "fit or load first")
         integral, factor = _prepared(image)
         windows = candidate_windows(integral.shape[1] - 1)
-        corners = corner_sums(integral, _enlarged(windows))
+        enlarged = _enlarged(windows)
         # The first weak classifiers tell most windows apart from heads; the others judge what is left.
-        promising = np.argsort(-self._detector.scores(corners, rounds=_FIRST_ROUNDS), kind="stable")[:_KEPT]
-        windows, scores = windows[promising], self._detector.scores(corners[promising])
+        first = self._detector.scores(integral, enlarged, rounds=_FIRST_ROUNDS)
+        promising = np.argsort(-first, kind="stable")[:_KEPT]
+        windows, scores = windows[promising], self._detector.scores(integral, enlarged[promising])
         kept = non_maximum_suppression(windows, scores, _OVERLAP)
         kept = [k for k in kept if k == kept[0] or scores[k] >= self.threshold]
         boxes = np.array([_refined(windows, scores, k) for k in kept])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
@@ -23,24 +25,31 @@ def block_corners() -> NDArray[np.int64]:
 
 
 def integral_histogram(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Sums (h + 1, w + 1, 9) of gradient magnitude by unsigned orientation above and left of each corner."""
-    h, w = grey.shape
+    """Sums (h + 1, w + 1, 10) of gradient magnitude above and left of each corner.
+
+    The first nine are by unsigned orientation, the last is of all of them.
+    """
     across, down = gradients(grey[None])
-    magnitude = np.minimum(np.hypot(across, down), _CROPPED)[0]
-    place = np.mod(np.arctan2(down[0], across[0]), np.pi) * (BINS / np.pi)
-    votes = np.zeros((h + 1, w + 1, BINS), np.float32)
-    rows, columns = np.indices((h, w))
-    votes[rows + 1, columns + 1, np.minimum(place.astype(np.int64), BINS - 1)] = magnitude
-    return np.asarray(votes.cumsum(axis=0).cumsum(axis=1), np.float32)
+    return np.asarray(_integral(across[0], down[0]), np.float32)
+
+
+def grid_lines(windows: FloatArray, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns (n, 7) of the grid's lines in windows (n, 4): left, top, width, height.
+
+    Parameters
+    ----------
+    shape : of the integral, in which they stay
+    """
+    share = np.arange(GRID + 1) / GRID
+    rows = np.rint(windows[:, 1, None] + windows[:, 3, None] * share).astype(np.int64)
+    columns = np.rint(windows[:, 0, None] + windows[:, 2, None] * share).astype(np.int64)
+    return np.clip(rows, 0, shape[0] - 1), np.clip(columns, 0, shape[1] - 1)
 
 
 def corner_sums(integral: NDArray[np.float32], windows: FloatArray) -> NDArray[np.float32]:
     """The integral (n, 7, 7, 9) at the corners of the grid in windows (n, 4): left, top, width, height."""
-    share = np.arange(GRID + 1) / GRID
-    x = np.rint(windows[:, 0, None] + windows[:, 2, None] * share).astype(np.int64)
-    y = np.rint(windows[:, 1, None] + windows[:, 3, None] * share).astype(np.int64)
-    x, y = np.clip(x, 0, integral.shape[1] - 1), np.clip(y, 0, integral.shape[0] - 1)
-    return integral[y[:, :, None], x[:, None, :]]
+    rows, columns = grid_lines(windows, integral.shape)
+    return integral[rows[:, :, None], columns[:, None, :], :BINS]
 
 
 def block_histograms(corners: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -50,3 +59,24 @@ def block_histograms(corners: NDArray[np.float32]) -> NDArray[np.float32]:
         corners[:, bottom, right] - corners[:, top, right] - corners[:, bottom, left] + corners[:, top, left]
     )
     return np.asarray(sums / (sums.sum(axis=2, keepdims=True) + 1.0), np.float32)
+
+
+@njit(cache=True)
+def _integral(across: Any, down: Any) -> Any:
+    h, w = across.shape
+    sums = np.zeros((h + 1, w + 1, BINS + 1), np.float32)
+    row = np.zeros(BINS + 1, np.float32)
+    for y in range(h):
+        row[:] = 0.0
+        for x in range(w):
+            gx, gy = across[y, x], down[y, x]
+            magnitude = min(np.sqrt(gx * gx + gy * gy), _CROPPED)
+            if magnitude > 0.0:
+                angle = np.arctan2(gy, gx)
+                if angle < 0.0:
+                    angle += np.pi
+                row[min(int(angle * (BINS / np.pi)), BINS - 1) if angle < np.pi else 0] += magnitude
+                row[BINS] += magnitude
+            for b in range(BINS + 1):
+                sums[y + 1, x + 1, b] = sums[y, x + 1, b] + row[b]
+    return sums

@@ -14,6 +14,7 @@ from perception.features.blocks import block_corners, block_histograms, corner_s
 from perception.head_detector import BoostedBlocks, Weak
 from perception.heads import HeadCandidates, HeadLocaliser, non_maximum_suppression, select_along_track
 from perception.images import intersection_over_union
+from perception.models import load_head_localiser
 from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedestrians
 
 People = tuple[PedestrianSet, PedestrianSet]
@@ -28,7 +29,7 @@ def test_block_histograms_are_sums_over_the_pixels() -> None:
     rng = np.random.default_rng(0)
     grey = rng.integers(0, 40, (48, 60)).astype(np.uint8)
     integral = integral_histogram(grey)
-    votes = np.diff(np.diff(integral, axis=0), axis=1)
+    votes = np.diff(np.diff(integral[..., :9], axis=0), axis=1)
     corners = corner_sums(integral, np.array([[6.0, 3.0, 36.0, 42.0]]))
     found = block_histograms(corners)[0]
     for k in rng.integers(0, 441, 10):
@@ -71,7 +72,10 @@ def test_scores_are_the_weighted_votes(weak: Weak) -> None:
     values = np.einsum("ntb,tb->nt", histograms[:, model.block], model.direction)
     votes = np.where(values > model.threshold, 1.0, -1.0)
     expected = votes @ model.weight / model.weight.sum()
-    np.testing.assert_allclose(model.scores(corners), expected, atol=0.02)
+    # Thresholds are values of some windows: there rounding decides.
+    clear = np.abs(values - model.threshold).min(axis=1) > 1e-5
+    assert clear.sum() > 10
+    np.testing.assert_allclose(model.scores(integral, windows)[clear], expected[clear], atol=1e-5)
     assert np.mean(np.sign(expected) == labels) > 0.8
     nonzero = np.count_nonzero(model.direction, axis=1)
     assert (nonzero == 2).all() if weak == "differential" else (nonzero > 2).all()
@@ -89,19 +93,25 @@ def fitted(people: People) -> HeadLocaliser:
     return HeadLocaliser(rounds=60).fit(people[0].images, people[0].head_box)
 
 
+def mean_overlap(model: HeadLocaliser, made: PedestrianSet) -> float:
+    first = [model.locate(image).boxes[0] for image in made.images]
+    return float(np.mean([intersection_over_union(f, b) for f, b in zip(first, made.head_box, strict=True)]))
+
+
 def test_it_finds_heads(fitted: HeadLocaliser, people: People) -> None:
-    found = [fitted.locate(image) for image in people[1].images]
-    overlap = [intersection_over_union(f.boxes[0], b) for f, b in zip(found, people[1].head_box, strict=True)]
-    assert np.mean(overlap) > 0.5
-    assert all(len(f.boxes) >= 1 and (np.diff(f.scores) <= 0).all() for f in found)
+    assert mean_overlap(fitted, people[1]) > 0.3  # of a window drawn at random: 0.12
+    assert mean_overlap(load_head_localiser(), people[1]) > 0.6
+    for image in people[1].images:
+        found = fitted.locate(image)
+        assert len(found.boxes) >= 1 and (np.diff(found.scores) <= 0).all()
 
 
 def test_there_is_a_head_in_anything(fitted: HeadLocaliser) -> None:
     assert len(fitted.locate(np.full((60, 30), 90, np.uint8)).boxes) >= 1
 
 
-def test_boxes_grow_with_the_picture(fitted: HeadLocaliser, people: People) -> None:
-    image = people[1].images[0]
+def test_boxes_grow_with_the_picture(people: People) -> None:
+    fitted, image = load_head_localiser(), people[1].images[0]
     twice = np.repeat(np.repeat(image, 2, axis=0), 2, axis=1)
     small, large = fitted.locate(image).boxes[0], fitted.locate(twice).boxes[0]
     assert intersection_over_union(small * 2.0, large) > 0.5
