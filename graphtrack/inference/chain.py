@@ -8,10 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from graphtrack.inference.chain_kernels import NOT_FINITE, N, Problem, Result, workspace
+from graphtrack.inference.chain_kernels import NOT_FINITE
+from graphtrack.inference.elimination_kernels import workspace
 from graphtrack.inference.gait_kernels import renew_tracks
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.inference.initial_kernels import initialise
+from graphtrack.inference.problem import N, Problem, Result
 from graphtrack.inference.restart_kernels import solve_tracks
 from graphtrack.model import Model
 from graphtrack.model.gait import gait_of

@@ -10,9 +10,10 @@ import numpy as np
 
 from graphtrack.angles import FloatArray, unit
 from graphtrack.geometry import GroundCamera
-from graphtrack.inference.chain_kernels import N, Problem, workspace
+from graphtrack.inference.elimination_kernels import workspace
 from graphtrack.inference.initial import pack
 from graphtrack.inference.marginal import MarginalPrior
+from graphtrack.inference.problem import N, Problem
 from graphtrack.inference.solution import bounded
 from graphtrack.inference.state import Angles, Newest, Window
 from graphtrack.inference.window_kernels import let_go, solve_window

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from graphtrack.angles import FloatArray
-from graphtrack.inference.chain_kernels import Problem
+from graphtrack.inference.problem import Problem
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import BODY, VX, VY
 from graphtrack.model.kernels.gait import (

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
-from graphtrack.inference.chain_kernels import Problem
+from graphtrack.inference.problem import Problem
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import BODY, HEAD, VX, VY
 from graphtrack.model.kernels.pose import angle_cost

@@ -9,8 +9,8 @@ import numpy as np
 from graphtrack.angles import FloatArray, unit
 from graphtrack.errors import SolveError
 from graphtrack.geometry import GroundCamera
-from graphtrack.inference.chain_kernels import Problem, Result
 from graphtrack.inference.initial_kernels import Seen, initialise
+from graphtrack.inference.problem import Problem, Result
 from graphtrack.model import Model, States
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.pose import class_centres

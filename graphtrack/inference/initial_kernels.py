@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from graphtrack.angles import FloatArray
-from graphtrack.inference.chain_kernels import CONVERGED, NOT_FINITE, Problem, Result
+from graphtrack.inference.chain_kernels import CONVERGED, NOT_FINITE
 from graphtrack.inference.linear_kernels import solve_linear, spread_to_covariance
+from graphtrack.inference.problem import Problem, Result
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import BODY, HEAD, VX, VY
 

@@ -7,17 +7,10 @@ import math
 import numpy as np
 
 from graphtrack.angles import FloatArray
-from graphtrack.inference.chain_kernels import (
-    NOT_FINITE,
-    N,
-    Problem,
-    Result,
-    Workspace,
-    marginals,
-    minimise,
-    sweep_forward,
-)
+from graphtrack.inference.chain_kernels import NOT_FINITE, minimise, sweep_forward
+from graphtrack.inference.elimination_kernels import Workspace, marginals
 from graphtrack.inference.grid_kernels import best_course, greatest_gain
+from graphtrack.inference.problem import N, Problem, Result
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import BODY, HEAD
 

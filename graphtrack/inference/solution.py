@@ -79,7 +79,7 @@ def estimated_track(
 ) -> Track:
     """The track with estimates, (n, 6) states and (n, 6, 6) covariances, in place of its observations.
 
-    Orientations and ``modes`` (n, 2), as in `chain_kernels.Result`, that are NaN throughout are absent.
+    Orientations and ``modes`` (n, 2), as in `problem.Result`, that are NaN throughout are absent.
     """
     if modes is not None and np.isnan(modes).all():
         modes = None

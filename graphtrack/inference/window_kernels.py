@@ -5,20 +5,10 @@ from __future__ import annotations
 import math
 
 from graphtrack.angles import FloatArray
-from graphtrack.inference.chain_kernels import (
-    NOT_FINITE,
-    N,
-    Problem,
-    Workspace,
-    add_frame,
-    add_prior,
-    clear,
-    eliminate,
-    invert_cholesky,
-    minimise,
-    sweep_back,
-    sweep_forward,
-)
+from graphtrack.inference.chain_kernels import NOT_FINITE, minimise, sweep_forward
+from graphtrack.inference.elimination_kernels import Workspace, clear, eliminate, invert_cholesky, sweep_back
+from graphtrack.inference.frame_kernels import add_frame, add_prior
+from graphtrack.inference.problem import N, Problem
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import BODY, HEAD
 from graphtrack.model.kernels.motion import add_motion, add_steered_motion

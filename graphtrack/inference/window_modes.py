@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from graphtrack.angles import FloatArray
-from graphtrack.inference.chain_kernels import Problem
 from graphtrack.inference.gait_kernels import renew_couplings
+from graphtrack.inference.problem import Problem
 from graphtrack.model.kernels.gait import ROW, Gait
 
 

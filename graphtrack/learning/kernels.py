@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 
 from graphtrack.angles import FloatArray
-from graphtrack.inference.chain_kernels import N, Problem, Workspace, sweep_forward
+from graphtrack.inference.chain_kernels import sweep_forward
+from graphtrack.inference.elimination_kernels import Workspace
+from graphtrack.inference.problem import N, Problem
 from graphtrack.model.kernels.compiled import compiled
 
 

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from graphtrack.angles import FloatArray, von_mises_log_density
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference.chain import solve_packed
-from graphtrack.inference.chain_kernels import NOT_FINITE, Result, workspace
+from graphtrack.inference.chain_kernels import NOT_FINITE
+from graphtrack.inference.elimination_kernels import workspace
 from graphtrack.inference.initial import empty_result, pack, problem_of
+from graphtrack.inference.problem import Result
 from graphtrack.inference.restart_kernels import solve_tracks
 from graphtrack.inference.solution import bounded
 from graphtrack.learning.kernels import log_determinants

@@ -11,7 +11,7 @@ from graphtrack.angles import difference, direction, mean_absolute_error, unit, 
 from graphtrack.degrade import add_noise
 from graphtrack.errors import InputError
 from graphtrack.inference import smooth_track, solve
-from graphtrack.inference.chain_kernels import add_frame
+from graphtrack.inference.frame_kernels import add_frame
 from graphtrack.inference.gait_kernels import leading_angles
 from graphtrack.inference.incremental import OnlineSmoother, track_online
 from graphtrack.inference.initial import pack, problem_of

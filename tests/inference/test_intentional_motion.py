@@ -17,7 +17,7 @@ from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.degrade import add_noise, occlude, withhold
 from graphtrack.inference import SolverOptions, smooth_track
 from graphtrack.inference.batch import smooth_graph
-from graphtrack.inference.chain_kernels import clear, workspace
+from graphtrack.inference.elimination_kernels import clear, workspace
 from graphtrack.inference.incremental import track_online
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.inference.window_kernels import marginalise
