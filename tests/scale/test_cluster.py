@@ -103,6 +103,51 @@ def test_a_cluster_without_workers_is_given_up(data, tmp_path, monkeypatch):
     assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
 
 
+@pytest.mark.slow
+def test_a_batch_that_ends_every_worker_is_one_error(data, two_workers, tmp_path, monkeypatch):
+    def fatal(work: object, batch: object) -> None:
+        os._exit(1)
+
+    monkeypatch.setattr(scale_cluster, "smooth_batch", fatal)
+    with pytest.raises(GraphtrackError, match="ended while they smoothed the same batch"):
+        smooth_dataset(data, tmp_path / "out.parquet", cluster=two_workers.scheduler_address)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_lost_is_one_error(data, tmp_path):
+    code = """
+import distributed, time
+if __name__ == "__main__":
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        print(cluster.scheduler_address, flush=True)
+        time.sleep(300)
+"""
+    (tmp_path / "cluster.py").write_text(code)
+    with subprocess.Popen(
+        [sys.executable, tmp_path / "cluster.py"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    ) as scheduler:
+        assert scheduler.stdout is not None
+        address = scheduler.stdout.readline().strip()
+        try:
+            with pytest.raises(GraphtrackError, match=r"scheduler at .* was lost"):
+                smooth_dataset(
+                    data,
+                    tmp_path / "out.parquet",
+                    cluster=address,
+                    engine="gtsam",
+                    batch_frames=300,
+                    progress=lambda _: os.kill(scheduler.pid, signal.SIGKILL),
+                )
+        finally:
+            os.killpg(scheduler.pid, signal.SIGKILL)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["cluster.py", "in.parquet"]
+
+
 def command(*arguments: object) -> subprocess.CompletedProcess[str]:
     source, output, *options = map(str, arguments)
     line = [sys.executable, "-c", "from graphtrack.cli import main; main()", "smooth", source, "-o", output]
