@@ -9,7 +9,7 @@ import numpy as np
 from graphtrack.angles import FloatArray
 from graphtrack.baselines.particle_data import Motion
 from graphtrack.baselines.particle_densities import log_i0e
-from graphtrack.baselines.particle_kernels import aim, motion_pull
+from graphtrack.baselines.particle_kernels import carry, motion_pull
 from graphtrack.baselines.resampling import compiled, normalise
 
 
@@ -30,25 +30,23 @@ def backward(
     frames, n = history_log_weights.shape
     m = paths.shape[1]
     weights, scores, motions = np.empty(n), np.empty(n), np.empty(n)
+    themselves, carried = np.arange(n), np.empty((n, 4))
     for p in range(m):
         paths[frames - 1, p] = history[
             frames - 1, _draw(rng, history_log_weights[frames - 1], scores, weights)
         ]
     for k in range(frames - 2, start - 1, -1):
-        now, keep, reach = history[k], motion.keep[k + 1], motion.reach[k + 1]
-        gain, far = 1.0 - keep, motion.dt[k + 1] - reach
+        now = history[k]
         a, b, c = motion.root[k + 1]
+        carry(k + 1, motion, now, themselves, carried)
         for p in range(m):
             ahead = paths[k + 1, p]
             leader = 0
             for i in range(n):
                 score = history_log_weights[k, i]
-                towards = aim(now[i, 2], now[i, 3], now[i, 5]) if gain > 0.0 else (0.0, 0.0)
                 for axis in range(2):
-                    carried = reach * now[i, 2 + axis] + far * towards[axis]
-                    first = (ahead[axis] - now[i, axis] - carried) / a
-                    kept = keep * now[i, 2 + axis] + gain * towards[axis]
-                    second = (ahead[2 + axis] - kept - b * first) / c
+                    first = (ahead[axis] - carried[i, axis]) / a
+                    second = (ahead[2 + axis] - carried[i, 2 + axis] - b * first) / c
                     score -= 0.5 * (first * first + second * second)
                 motions[i] = score
                 if score > motions[leader]:

@@ -69,11 +69,27 @@ def draw_angles(
 
 
 @compiled
-def aim(vx: float, vy: float, head: float) -> tuple[float, float]:
-    """The velocity of the same speed in the direction of the head, as `IntentionalMotion` has it."""
-    square = vx * vx + vy * vy
-    speed = square / (math.sqrt(square + STANDSTILL * STANDSTILL) + STANDSTILL)
-    return speed * math.cos(head), speed * math.sin(head)
+def carry(
+    k: int, motion: Motion, before: FloatArray, ancestors: NDArray[np.int64], after: FloatArray
+) -> None:
+    """Mean positions and velocities (n, …) at frame k: straight on, or steered by the head."""
+    keep, reach = motion.keep[k], motion.reach[k]
+    gain, far = 1.0 - keep, motion.dt[k] - reach
+    for i in range(len(after)):
+        source = ancestors[i]
+        x, y, vx, vy = before[source, 0], before[source, 1], before[source, 2], before[source, 3]
+        after[i, 0], after[i, 1] = x + reach * vx, y + reach * vy
+        after[i, 2], after[i, 3] = keep * vx, keep * vy
+        if gain > 0.0:
+            # The speed as `IntentionalMotion` has it.
+            square = vx * vx + vy * vy
+            speed = square / (math.sqrt(square + STANDSTILL * STANDSTILL) + STANDSTILL)
+            head = before[source, 5]
+            aim_x, aim_y = speed * math.cos(head), speed * math.sin(head)
+            after[i, 0] += far * aim_x
+            after[i, 1] += far * aim_y
+            after[i, 2] += gain * aim_x
+            after[i, 3] += gain * aim_y
 
 
 @compiled
@@ -85,22 +101,14 @@ def draw_motion(
     ancestors: NDArray[np.int64],
     after: FloatArray,
 ) -> None:
-    """Positions and velocities (n, …) at frame k by white-noise acceleration, or steered by the head."""
-    keep, reach = motion.keep[k], motion.reach[k]
-    gain, far = 1.0 - keep, motion.dt[k] - reach
+    """Positions and velocities (n, …) at frame k: where they are carried to, and the noise."""
+    carry(k, motion, before, ancestors, after)
     a, b, c = motion.root[k]
-    towards = (0.0, 0.0)
     for i in range(len(after)):
-        source = ancestors[i]
-        if gain > 0.0:
-            towards = aim(before[source, 2], before[source, 3], before[source, 5])
         for axis in range(2):
             first = rng.standard_normal()
-            velocity = before[source, 2 + axis]
-            after[i, axis] = before[source, axis] + reach * velocity + far * towards[axis] + a * first
-            after[i, 2 + axis] = (
-                keep * velocity + gain * towards[axis] + b * first + c * rng.standard_normal()
-            )
+            after[i, axis] += a * first
+            after[i, 2 + axis] += b * first + c * rng.standard_normal()
 
 
 @compiled
