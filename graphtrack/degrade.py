@@ -19,7 +19,7 @@ WITHHELD = ("position", "position_std", "pixel", "body", "body_kappa", "body_lik
 """What `occlude` withholds: everything but the head, which shows longest above what stands in the way."""
 
 TURN_SECONDS = 1.0
-"""Time over which a turn is measured: from the motion of the first half to that of the second."""
+"""Time over which a turn is measured, by default: from the motion of the first half to that of the second."""
 
 MOVING_SPEED = 0.3
 """m/s below which the direction of motion means nothing."""
@@ -113,17 +113,21 @@ class Occlusion:
     left_out: Mapping[int, str] = field(default_factory=dict)
 
 
-def occlude(tracks: TrackSet, seconds: float, *, margin: float = 1.0) -> Occlusion:
+def occlude(
+    tracks: TrackSet, seconds: float, *, margin: float = 1.0, turn_seconds: float = TURN_SECONDS
+) -> Occlusion:
     """Withhold position and body, not the head, for a while around everybody's sharpest turn.
 
     The sharpest turn is where the direction of the true motion (of the observed, where no truth is known)
-    changes most over `TURN_SECONDS`, among the times at which the person moves.
+    changes most over ``turn_seconds``, among the times at which the person moves.
 
     Parameters
     ----------
     tracks : observations
     seconds : length of the window, > 0
     margin : seconds of the track that must remain on both sides of the window, with a position in each
+    turn_seconds : time over which a turn is measured, > 0; where the truth itself is rough, long enough for
+        its roughness not to count as turning
 
     Returns
     -------
@@ -133,15 +137,17 @@ def occlude(tracks: TrackSet, seconds: float, *, margin: float = 1.0) -> Occlusi
     Raises
     ------
     InputError
-        For a length that is not positive or a negative margin.
+        For a length or a time of turning that is not positive, or a negative margin.
     """
     if not (np.isfinite(seconds) and seconds > 0.0):
         raise InputError(f"seconds = {seconds!r}", "a positive number")
     if not (np.isfinite(margin) and margin >= 0.0):
         raise InputError(f"margin = {margin!r}", "a number of seconds, at least 0")
+    if not (np.isfinite(turn_seconds) and turn_seconds > 0.0):
+        raise InputError(f"turn_seconds = {turn_seconds!r}", "a positive number")
     kept, windows, left_out = [], {}, {}
     for track in tracks:
-        window = turn_window(track, seconds, margin)
+        window = turn_window(track, seconds, margin, turn_seconds)
         if isinstance(window, str):
             left_out[track.track_id] = window
             continue
@@ -160,13 +166,15 @@ def withhold(track: Track, window: BoolArray, channels: tuple[str, ...] = WITHHE
     return replace(track, **changes)
 
 
-def turn_window(track: Track, seconds: float, margin: float) -> BoolArray | str:
+def turn_window(
+    track: Track, seconds: float, margin: float, turn_seconds: float = TURN_SECONDS
+) -> BoolArray | str:
     """Frames (n,) bool of ``seconds`` around the sharpest turn; a reason in words where there is no room."""
     t, reach = track.t, 0.5 * seconds + margin
     room = np.asarray((t - t[0] >= reach - 1e-9) & (t[-1] - t >= reach - 1e-9))
     if not room.any():
         return f"{t[-1] - t[0]:.1f} s are too short for a window of {seconds:g} s and {margin:g} s around it"
-    sharpness = np.where(room, turning(track), np.nan)
+    sharpness = np.where(room, turning(track, turn_seconds), np.nan)
     if not np.isfinite(sharpness).any():
         return "the person does not move where a window would have room"
     centre = t[int(np.nanargmax(sharpness))]
@@ -179,8 +187,8 @@ def turn_window(track: Track, seconds: float, margin: float) -> BoolArray | str:
     return window
 
 
-def turning(track: Track) -> FloatArray:
-    """|Change of the direction of motion| (n,) in radians over `TURN_SECONDS` around each frame.
+def turning(track: Track, turn_seconds: float = TURN_SECONDS) -> FloatArray:
+    """|Change of the direction of motion| (n,) in radians over ``turn_seconds`` around each frame.
 
     NaN where the person does not move, or is not known half of that time before and after.
     """
@@ -188,7 +196,7 @@ def turning(track: Track) -> FloatArray:
     known = np.asarray(np.isfinite(position).all(axis=1))
     if not known.any():
         return np.full(len(track), np.nan)
-    half, first, last = 0.5 * TURN_SECONDS, track.t[known][0], track.t[known][-1]
+    half, first, last = 0.5 * turn_seconds, track.t[known][0], track.t[known][-1]
 
     def at(time: FloatArray) -> FloatArray:
         # Rounding must not put a time that is just the first or the last outside.

@@ -111,6 +111,24 @@ def test_the_sharpest_of_two_turns_is_taken_even_across_pi() -> None:
     assert abs(t[window].mean() - 14.3) < 0.2
 
 
+def test_a_rough_truth_does_not_hide_the_turn() -> None:
+    rough = []
+    for seed in range(20):
+        track = corner(12.0, seconds=60.0, degrees=60.0, track_id=seed)
+        noise = np.random.default_rng(seed).normal(0.0, 0.1, track.position.shape)
+        rough.append(replace(track, position=track.position + noise))
+
+    def share(**more: float) -> float:
+        """Of the windows that hold the turn."""
+        windows = occlude(TrackSet(tuple(rough)), 3.0, **more).windows
+        return float(np.mean([windows[t.track_id][np.argmin(np.abs(t.t - 12.0))] for t in rough]))
+
+    assert share(turn_seconds=3.0) == 1.0
+    assert share() < 0.8
+    with pytest.raises(InputError, match="turn_seconds"):
+        occlude(TrackSet(tuple(rough)), 3.0, turn_seconds=0.0)
+
+
 def test_turning_on_the_spot_is_no_turn() -> None:
     t = np.arange(0.0, 15.0, 0.1)
     speed = np.where((t > 8.0) & (t < 12.0), 0.01, 1.2)

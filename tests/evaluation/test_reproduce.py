@@ -17,10 +17,10 @@ from graphtrack.cli.main import app
 from graphtrack.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table
-from graphtrack.evaluation.reproduce.baxter_occlusion import error_of
 from graphtrack.evaluation.reproduce.baxter_simulated import squared_error
 from graphtrack.evaluation.reproduce.chen_joint import PAPER, concentration_of
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
+from graphtrack.evaluation.reproduce.occlusion_methods import error_of
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.evaluation.reproduce.recordings import evenly, thinned
 from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference, reduction
@@ -77,6 +77,7 @@ def test_fitting_finds_the_least() -> None:
         lambda a, b: (math.log(a / 0.02)) ** 2 + (math.log(b / 7.0)) ** 2, [1.0, 1.0], evaluations=120
     )
     np.testing.assert_allclose(found, [0.02, 7.0], rtol=0.1)
+    assert 30.0 < fit(lambda a: -a, [2.0], evaluations=60)[0] <= 200.0
     assert fit(lambda a: math.nan if a > 2.0 else -a, [1.0], evaluations=40)[0] == pytest.approx(2.0, rel=0.1)
 
 

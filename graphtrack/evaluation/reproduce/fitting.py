@@ -11,11 +11,14 @@ from scipy.optimize import minimize
 from graphtrack.angles import FloatArray
 from graphtrack.model import Parameters
 
+REACH = 100.0
+
 
 def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations: int) -> tuple[float, ...]:
     """Positive parameters that make the objective small, by Nelder–Mead on their logarithms.
 
-    The first simplex changes one parameter at a time by a factor of 3.
+    The first simplex changes one parameter at a time by a factor of 3; none goes further than `REACH` times
+    its start, for some errors hardly depend on a parameter that is very large.
 
     Parameters
     ----------
@@ -27,6 +30,8 @@ def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations:
     simplex = np.vstack([origin, origin + np.log(3.0) * np.eye(len(origin))])
 
     def cost(point: FloatArray) -> float:
+        if np.abs(point - origin).max() > np.log(REACH):
+            return 1e12
         value = float(objective(*np.exp(point).tolist()))
         return value if np.isfinite(value) else 1e12
 

@@ -25,6 +25,8 @@ COLOURS = {
     "graph joint-intentional": "#56B4E9",
     "rts": "#5F6672",
     "ffbs": "#009E73",
+    "ffbs joint": "#009E73",
+    "ffbs joint-intentional": "#66C7A3",
     "smoother": "#0072B2",
     "smoother joint": "#0072B2",
     "smoother joint-intentional": "#56B4E9",
