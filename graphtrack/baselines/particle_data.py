@@ -118,8 +118,10 @@ def prepare(
     """
     for term in model.terms:
         if type(term) not in KNOWN:
-            known = ", ".join(kind.__name__ for kind in KNOWN)
-            raise InputError(f"the term {type(term).__name__}", f"for the particle filter, only {known}")
+            raise InputError(
+                f"the term {type(term).__name__}, which the particle filter does not know",
+                "for it, a model of position, separate, joint, intentional or joint-intentional",
+            )
     if image_pose and camera is None:
         raise InputError("poses in the image frame without a camera", "a camera of the scene")
     return Job(

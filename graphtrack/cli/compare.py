@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, print_table, progress_bar
+from graphtrack.cli.console import console, counted, input_warnings_as_notes, print_table, progress_bar
 from graphtrack.cli.simulate import BodyKappa, HeadKappa, PositionNoise
+from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.compare import Comparison
@@ -60,9 +61,16 @@ def compare(
             tracks, position_std=position_noise, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng
         )
     names = [name.strip() for name in methods.split(",") if name.strip()]
-    with progress_bar(tracks.n_frames) as advance:
+    with input_warnings_as_notes(), progress_bar(tracks.n_frames) as advance:
         found = compare_methods(tracks, names, model=model, occlude_seconds=occlude, progress=advance)
+    if not found.rows:
+        first = found.failures[0]
+        raise InputError(
+            f"no method with a result ({first.method} on track {first.track_id}: {first.failure})",
+            "a track that one of them can estimate",
+        )
     print_comparison(found)
+    print_failures(found)
     if json_path is not None:
         with atomic_path(json_path) as temporary:
             temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
@@ -95,6 +103,18 @@ def print_comparison(comparison: Comparison) -> None:
     ]
     print_table("Consistency: are the uncertainties honest?", consistency)
     console.print(comparison.caption, markup=False)
+
+
+def print_failures(comparison: Comparison) -> None:
+    """Which methods failed and which tracks were left out, why, and how many."""
+    reasons: dict[tuple[str, str], list[int]] = {}
+    for record in comparison.failures:
+        reasons.setdefault((f"{record.method} failed on", record.failure), []).append(record.track_id)
+    for track_id, reason in comparison.left_out.items():
+        reasons.setdefault(("left out", reason), []).append(track_id)
+    for (what, reason), tracks in reasons.items():
+        which = f"track {tracks[0]}" if len(tracks) == 1 else counted(len(tracks), "track")
+        console.print(f"  {what} {which}: {reason}", markup=False)
 
 
 def write_figures(comparison: Comparison, folder: Path) -> None:

@@ -58,6 +58,26 @@ def quiet_input_warnings() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def input_warnings_as_notes() -> Iterator[None]:
+    """What is to be said of the input on the way is said in the end, once each, as the readers' notes are."""
+    told: dict[str, None] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InputWarning)
+        show = warnings.showwarning
+
+        def collect(message: Warning | str, category: type[Warning], *rest: Any) -> None:
+            if issubclass(category, InputWarning):
+                told[str(message)] = None
+            else:
+                show(message, category, *rest)
+
+        warnings.showwarning = collect  # type: ignore[assignment]
+        yield
+    for message in told:
+        console.print(f"  note: {message}", markup=False)
+
+
 def print_summary(tracks: TrackSet, name: str) -> None:
     """What was read: rows read, used and refused, tracks, and the reader's notes."""
     summary = tracks.summary

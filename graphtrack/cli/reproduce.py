@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, print_table, progress_bar
+from graphtrack.cli.console import console, input_warnings_as_notes, print_table, progress_bar
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def reproduce(
     tables = []
     for experiment in EXPERIMENTS.values() if name == "all" else [EXPERIMENTS[name]]:
         console.print(f"{experiment.name}: {experiment.source}", markup=False)
-        with progress_bar(experiment.work(settings), "parts") as advance:
+        with input_warnings_as_notes(), progress_bar(experiment.work(settings), "parts") as advance:
             found = experiment.run(settings, advance)
         write(found, out)
         tables += [table.to_dict() for table in found.tables]

@@ -101,8 +101,8 @@ def compare(
     Raises
     ------
     InputError
-        If no track has a true position, no track has room for the window, or a method is unknown or named
-        twice.
+        If no track has a true position, none of those an observed one, no track has room for the window, or
+        a method is unknown or named twice.
     """
     model = Model.named(model)
     made = _make(methods, model)
@@ -114,7 +114,12 @@ def compare(
             "ones as truth",
         )
     left_out = {track.track_id: "no true positions" for track in tracks if not track.has_truth}
-    judged, windows = tracks.with_tracks(with_truth), {}
+    unseen = {track.track_id: "no position was observed" for track in with_truth if not _located(track)}
+    if len(unseen) == len(with_truth):
+        raise InputError("no observed position in any track", "a position in at least one frame of a track")
+    left_out |= unseen
+    judged = tracks.with_tracks([track for track in with_truth if track.track_id not in unseen])
+    windows: dict[int, BoolArray] = {}
     if occlude_seconds is not None:
         hidden = occlude(judged, occlude_seconds)
         judged, windows = hidden.tracks, dict(hidden.windows)
@@ -158,6 +163,12 @@ def _make(methods: Sequence[str | Method], model: Model) -> tuple[Method, ...]:
         raise InputError(f"methods {', '.join(names)}", "each method once")
     # Online methods stand together, for they are compared with each other alone.
     return tuple(sorted(made, key=lambda method: not method.online))
+
+
+def _located(track: Track) -> bool:
+    """Whether it was observed anywhere, on the ground or in the image."""
+    seen = bool(np.isfinite(track.position).all(axis=1).any())
+    return seen or (track.pixel is not None and bool(np.isfinite(track.pixel).all(axis=1).any()))
 
 
 def _require_room(hidden: Occlusion, seconds: float) -> None:

@@ -217,6 +217,16 @@ def test_without_truth_there_is_advice(tracks: TrackSet) -> None:
     assert set(compare(half, ("kf",)).left_out) == {0, 1, 2, 3, 4}
 
 
+def test_a_track_without_an_observed_position_is_left_out_for_all(tracks: TrackSet) -> None:
+    people = [*tracks][:3]
+    lost = replace(people[1], position=np.full_like(people[1].position, np.nan))
+    found = compare(tracks.with_tracks([people[0], lost, people[2]]), ("kf", "particle"))
+    assert found.left_out == {lost.track_id: "no position was observed"} and not found.failures
+    assert value(found, "kf", "position RMSE", "n") == 2
+    with pytest.raises(InputError, match="no observed position in any track"):
+        compare(TrackSet((lost,)), ("kf", "particle"))
+
+
 def test_unknown_and_repeated_methods_are_refused(tracks: TrackSet) -> None:
     for methods in (("nonsense",), (), ("kf", "kf"), ("kf", Echo(name="kf"))):
         with pytest.raises(InputError, match=r"method|kf"):
