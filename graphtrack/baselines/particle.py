@@ -14,19 +14,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
 from graphtrack.baselines.particle_backward import backward
 from graphtrack.baselines.particle_data import Job, PoseModel, prepare
-from graphtrack.baselines.particle_kernels import FIRST, RECOVERED, run, summarise
+from graphtrack.baselines.particle_kernels import FIRST, POSITION, RECOVERED, run, summarise
+from graphtrack.baselines.particle_recovery import draw_states, recover
 from graphtrack.baselines.resampling import generator
 from graphtrack.errors import InputError, InputWarning, SolveError
-from graphtrack.geometry import GroundCamera, apply_homography
+from graphtrack.geometry import GroundCamera
 from graphtrack.model import Model
 from graphtrack.tracks import Track
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -105,8 +103,9 @@ def particle_filter(
 ) -> ParticleEstimate:
     """Online estimates: each from what came before and the frame itself.
 
-    Where all weights vanish, because the observed position is out of reach of every particle, positions and
-    velocities are drawn anew about the observation, the angles stay, and an `InputWarning` says so.
+    Where all weights vanish, because an observation is out of reach of every particle, what was observed
+    (the position, and the velocity with it, the body or the head) is drawn anew about the observation, the
+    rest stays, and an `InputWarning` says so.
 
     Raises
     ------
@@ -179,14 +178,16 @@ def _filter(
         [],
     )
     particles = np.zeros((2, count, 6))
-    particles[0, :, :4] = _drawn(job, start, count, model, rng, track.track_id)
+    speed = model.parameters.motion.initial_speed_std
+    particles[0, :, :4] = draw_states(job, start, count, speed, rng)
     log_weights = np.full(count, -np.log(count))
-    k, mode = start, FIRST
+    k, mode, used = start, FIRST, POSITION
     while True:
         k, half = run(
             rng,
             k,
             mode,
+            used,
             particles,
             log_weights,
             job.motion,
@@ -205,7 +206,7 @@ def _filter(
         if k == n:
             break
         particles[0] = particles[half]
-        particles[0, :, :4] = _drawn(job, k, count, model, rng, track.track_id)
+        used = recover(job, k, particles[0], speed, rng)
         log_weights[:] = -np.log(count)
         found.recovered.append(k)
         mode = RECOVERED
@@ -219,30 +220,6 @@ def _filter(
             stacklevel=3,
         )
     return found
-
-
-def _drawn(job: Job, k: int, count: int, model: Model, rng: np.random.Generator, track_id: int) -> FloatArray:
-    """Positions about the observation at frame k and velocities from their prior, (count, 4).
-
-    With a flat prior on the position this is its posterior, so that the observation is used up.
-    """
-    position = job.position
-    if not position.kind[k]:
-        raise SolveError(
-            track_id, f"the particles' weights vanished at row {k}, where no position was observed"
-        )
-    found = position.value[k] + position.std[k] * rng.standard_normal((count, 2))
-    if position.kind[k] == 2:
-        found = np.where(_visible(job, found)[:, None], found, position.value[k])
-        found = apply_homography(job.camera.to_ground, found)
-    speed = model.parameters.motion.initial_speed_std * rng.standard_normal((count, 2))
-    return np.hstack([found, speed])
-
-
-def _visible(job: Job, pixel: FloatArray) -> BoolArray:
-    """Which ideal pixels (m, 2) lie on the visible side of the horizon."""
-    to_ground = job.camera.to_ground
-    return np.asarray(pixel @ to_ground[2, :2] + to_ground[2, 2] > 0.0)
 
 
 def _estimate(

@@ -28,7 +28,10 @@ from graphtrack.model.kernels.motion import STANDSTILL
 
 PROPAGATE, FIRST, RECOVERED = 0, 1, 2
 """How a run begins: from the frame before; with positions and velocities drawn already, angles from their
-couplings; with everything drawn already."""
+couplings; with everything at hand already."""
+
+POSITION, BODY, HEAD = 1, 2, 4
+"""Observations that were used up when particles were drawn from them."""
 
 VANISHED = -700.0
 """Below this log-likelihood, even of the best particle, weights are 0 in double precision: it is lost."""
@@ -191,6 +194,7 @@ def run(
     rng: np.random.Generator,
     start: int,
     mode: int,
+    used: int,
     particles: FloatArray,
     log_weights: FloatArray,
     motion: Motion,
@@ -211,6 +215,7 @@ def run(
     Parameters
     ----------
     mode : how the first frame begins: `PROPAGATE`, `FIRST` or `RECOVERED`
+    used : observations of the first frame that do not count: the sum of `POSITION`, `BODY` and `HEAD`
     particles : (2, n, 6): those of the frame before, or of this one, in the first half; both are written
     log_weights : (n,) normalised; written
     resample_below : share of n below which the effective sample size calls for resampling
@@ -227,7 +232,7 @@ def run(
     normalise(log_weights, weights)
     half = 0
     for k in range(start, frames):
-        fresh = mode if k == start else PROPAGATE
+        fresh, done = (mode, used) if k == start else (PROPAGATE, 0)
         if fresh == PROPAGATE:
             if effective_sample_size(weights) < resample_below * n:
                 systematic_ancestors(weights, rng.random(), ancestors)
@@ -246,11 +251,11 @@ def run(
                 draw_angles(rng, k, True, particles[half, i], particles[half, i], motion)
         now = particles[half]
         log_likelihood[:] = 0.0
-        if fresh == PROPAGATE:
+        if not done & POSITION:
             add_position_log_density(now, k, position, camera, log_likelihood)
-        if motion.has_body:
+        if motion.has_body and not done & BODY:
             add_pose_log_density(now, 4, k, body, camera, log_likelihood)
-        if motion.has_head:
+        if motion.has_head and not done & HEAD:
             add_pose_log_density(now, 5, k, head, camera, log_likelihood)
         best = log_likelihood.max()
         for i in range(n):

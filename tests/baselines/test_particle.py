@@ -24,7 +24,8 @@ from graphtrack.baselines.particle_densities import (
     log_i0e,
     sample_von_mises,
 )
-from graphtrack.baselines.particle_kernels import draw_angles, draw_motion, summarise
+from graphtrack.baselines.particle_kernels import BODY, HEAD, POSITION, draw_angles, draw_motion, summarise
+from graphtrack.baselines.particle_recovery import draw_orientations, recover
 from graphtrack.baselines.resampling import (
     effective_sample_size,
     generator,
@@ -463,6 +464,60 @@ def test_a_jump_out_of_reach_is_recovered_from_and_said() -> None:
     with pytest.warns(InputWarning):
         smoothed = particle_smoother(track, "joint", options=options(300))
     assert np.linalg.norm(smoothed.track.position - position, axis=1).max() < 0.5
+
+
+@pytest.mark.parametrize("gap", [False, True])
+@pytest.mark.parametrize("preset", ["separate", "joint", "joint-intentional"])
+def test_a_head_out_of_reach_is_recovered_from_alone(preset: str, gap: bool) -> None:
+    n = 30
+    truth = np.stack([0.12 * np.arange(n), np.zeros(n)], axis=1)
+    seen = np.where((np.arange(n)[:, None] >= 12) & (np.arange(n)[:, None] < 20) & gap, np.nan, truth)
+    head, t = np.where(np.arange(n) < 15, 0.0, np.pi / 2.0), 0.1 * np.arange(n)
+    certain = {"position_std": np.full(n, 0.05), "head_kappa": np.full(n, 1e4)}
+    track = Track(1, np.arange(n), t, seen, head=head, **certain)
+    with pytest.warns(InputWarning, match="frame 15"):
+        found = particle_filter(track, preset)
+    assert found.recovered == (15,)
+    assert found.track.head is not None
+    assert np.abs(difference(found.track.head, head)).max() < np.radians(4.0)
+    # The position is not given up for the head: a prior on the velocity would be off by a metre at once.
+    assert np.linalg.norm(found.track.position - truth, axis=1).max() < 0.5
+    with pytest.warns(InputWarning):
+        smoothed = particle_smoother(track, preset, options=options(300, paths=30)).track.head
+    assert np.abs(difference(smoothed, head)).max() < np.radians(6.0)
+
+
+@pytest.mark.parametrize("kind", ["angle", "smooth", "closest", "image"])
+def test_orientations_are_drawn_from_what_was_observed(kind: str) -> None:
+    track, view = walk(5, classes=kind != "angle"), camera(mirrored=True) if kind == "image" else None
+    pose = "closest" if kind == "closest" else "smooth"
+    likelihood = LikelihoodParameters(outlier_probability=0.0, class_outlier_probability=0.0)
+    job = prepare(track, Model("joint", Parameters(likelihood=likelihood)), view, pose, kind == "image")
+    place, n = np.array([0.7, 0.4]), 6000
+    drawn = draw_orientations(job.head, job.camera, 3, np.tile(place, (n, 1)), np.random.default_rng(6))
+    grid = np.zeros((4001, 6))
+    grid[:, :2], grid[:, 5] = place, np.linspace(-np.pi, np.pi, 4001)
+    density = np.zeros(4001)
+    add_pose_log_density(grid, 5, 3, job.head, job.camera, density)
+    mass = np.cumsum(np.exp(density))
+    levels = np.interp(drawn, grid[:, 5], mass / mass[-1])
+    assert stats.kstest(levels, stats.uniform().cdf).pvalue > 0.01
+
+
+def test_what_is_out_of_reach_together_is_drawn_anew_together() -> None:
+    track = replace(walk(5), position_std=np.full(5, 0.01), head_kappa=np.full(5, 2e3))
+    job = prepare(track, Model("joint"), None, "smooth", False)
+    assert track.head is not None
+    particles = np.zeros((400, 6))
+    particles[:, :2], particles[:, 5] = track.position[2] + 9.0, track.head[2]
+    # The position alone is lost; then everything, one half here and the other half there.
+    assert recover(job, 2, particles, 1.0, np.random.default_rng(0)) == POSITION
+    assert np.linalg.norm(particles[:, :2] - track.position[2], axis=1).max() < 0.06
+    particles[:200, :2] += 9.0
+    particles[200:, 5] += 1.5
+    assert recover(job, 2, particles, 1.0, np.random.default_rng(0)) == POSITION + BODY + HEAD
+    assert np.linalg.norm(particles[:, :2] - track.position[2], axis=1).max() < 0.06
+    assert np.abs(difference(particles[:, 5], track.head[2])).max() < 0.12
 
 
 def test_before_the_first_position_nothing_is_known() -> None:
