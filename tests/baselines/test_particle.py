@@ -436,6 +436,19 @@ def test_backward_simulation_is_rauch_tung_striebel_on_the_linear_model() -> Non
     np.testing.assert_allclose(variance, exact.covariance[:, 0, 0], rtol=0.5)
 
 
+def test_after_a_gap_in_small_steps_it_takes_many_particles_to_be_rauch_tung_striebel() -> None:
+    track = without(walk(40, noise=0.1, dt=0.1), "position", slice(15, 30))
+    exact = rauch_tung_striebel(track, PARAMETERS).position
+
+    def excess(count: int) -> float:
+        """Mean squared distance from the exact answer over runs."""
+        own = options(count, paths=50)
+        runs = [particle_smoother(track, LINEAR, options=own, seed=s).track.position for s in range(6)]
+        return float(np.mean([np.sum((found - exact) ** 2) for found in runs]))
+
+    assert excess(6000) < 0.4 * excess(250)
+
+
 # -- behaviour ---------------------------------------------------------------------------------------------
 
 
