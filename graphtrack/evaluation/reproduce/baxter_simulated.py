@@ -22,12 +22,7 @@ from graphtrack.evaluation.reproduce.experiment import (
     Settings,
     Table,
 )
-from graphtrack.evaluation.reproduce.fitting import (
-    fit,
-    with_coupling,
-    with_density,
-    with_head_rate,
-)
+from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.inference import track_online
 from graphtrack.model import Model, Parameters
