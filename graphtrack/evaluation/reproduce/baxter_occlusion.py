@@ -130,7 +130,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             "Reduction: share by which the mean squared error is below that of the Kalman filter (the fitted "
             "one on mocap), offline below that of RTS; with a 95 % bootstrap interval over the tracks.",
             "Every method but 000's own three has the parameters that do best in windows of other tracks, "
-            "the head visible. In joint-intentional the head steers the velocity as in the intentional tracker.",
+            "the head visible. In joint-intentional the head steers the velocity as in intentional.",
             f"{effort.particles:,} particles online and {effort.smoother_particles:,} in ffbs, the particle "
             "smoother: after a gap few of them can have led to what came next.",
         ),
