@@ -22,7 +22,11 @@ def fit(
     model: options.ModelName = "separate",
     criterion: Annotated[
         str | None,
-        typer.Option("--criterion", help="truth or evidence; by default the truth, where there is one."),
+        typer.Option(
+            "--criterion",
+            help="truth, evidence or prediction; by default the truth, where there is one, else the evidence "
+            "or, with couplings, the prediction.",
+        ),
     ] = None,
     hold_out: Annotated[
         float, typer.Option("--hold-out", min=0.0, max=0.9, help="Share of the tracks that only judge.")
@@ -46,8 +50,8 @@ def fit(
     from graphtrack.io import atomic_path
     from graphtrack.learning import fit as learn
 
-    if criterion not in (None, "truth", "evidence"):
-        raise InputError(f"criterion {criterion!r}", "truth or evidence")
+    if criterion not in (None, "truth", "evidence", "prediction"):
+        raise InputError(f"criterion {criterion!r}", "truth, evidence or prediction")
     if output.suffix != ".toml":
         raise InputError(f"output {output.name!r}", "a name that ends in .toml", path=output)
     options.check_outputs(output, report, json_path)
@@ -108,6 +112,7 @@ def caption(found: Fit) -> str:
     what = {
         "truth": "the likelihood of the true positions and angles under the smoother's covariances",
         "evidence": "the Laplace evidence of the observations",
+        "prediction": "the density of observations that were hidden from the smoother, a part at a time",
     }[found.criterion]
     return f"Learned by {what}; preset {found.model.preset}, {found.evaluations} evaluations."
 

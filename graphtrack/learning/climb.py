@@ -18,6 +18,9 @@ REACH = float(np.log(100.0))
 PRIOR_STD = 3.0
 """Of a parameter about its start, on its scale: a factor of 20 either way is not held against it."""
 
+ROUGH, FINE = 0.02, 1e-4
+"""What an iteration gains at least, in the logarithm of the density."""
+
 _DIFFERENCE = 1e-3
 
 
@@ -26,27 +29,41 @@ def penalty(x: FloatArray, start: FloatArray) -> float:
     return 0.5 * float(np.sum((x - start) ** 2)) / PRIOR_STD**2
 
 
-def climb(values: Blocks, start: FloatArray, prior: FloatArray) -> FloatArray:
-    """The place (p,) of the maximum, from ``start``; the prior's mean is ``prior``."""
+def climb(
+    values: Blocks, start: FloatArray, prior: FloatArray, hessian: FloatArray | None = None
+) -> FloatArray:
+    """The place (p,) of the maximum, from ``start``; the prior's mean is ``prior``.
+
+    Without the ``hessian`` (p, p) of the costs near the start it is a rough one: it ends where an iteration
+    gains less than `ROUGH`, and takes one-sided slopes, which move the maximum by half a step. With it the
+    climb is in directions in which the costs are about as curved, and ends where it gains less than `FINE`.
+    """
+    rough = hessian is None
+    axes = np.eye(len(start)) if hessian is None else np.linalg.inv(np.linalg.cholesky(hessian)).T
 
     def cost(x: FloatArray) -> float:
         return penalty(x, prior) - float(values(x).sum())
 
-    def cost_and_slope(x: FloatArray) -> tuple[float, FloatArray]:
-        here, steps = cost(x), _DIFFERENCE * np.eye(len(x))
-        # Central: the maximum must not move by half a step.
-        return here, np.array([cost(x + d) - cost(x - d) for d in steps]) / (2.0 * _DIFFERENCE)
+    def cost_and_slope(y: FloatArray) -> tuple[float, FloatArray]:
+        x, steps = start + axes @ y, _DIFFERENCE * np.eye(len(y))
+        x = np.clip(x, prior - REACH, prior + REACH)
+        here = cost(x)
+        if rough:
+            slope = np.array([cost(x + d) - here for d in steps]) / _DIFFERENCE
+        else:
+            slope = np.array([cost(x + d) - cost(x - d) for d in steps]) / (2.0 * _DIFFERENCE)
+        return here, axes.T @ slope
 
-    bounds = list(zip(prior - REACH, prior + REACH, strict=True))
+    limits = zip(prior - REACH - start, prior + REACH - start, strict=True)
     found = optimize.minimize(
         cost_and_slope,
-        start,
+        np.zeros(len(start)),
         jac=True,
         method="L-BFGS-B",
-        bounds=bounds,
-        options={"ftol": 1e-9, "maxiter": 50},
+        bounds=list(limits) if rough else None,
+        options={"ftol": (ROUGH if rough else FINE) / max(1.0, abs(cost(start))), "maxiter": 50},
     )
-    return np.asarray(found.x)
+    return np.clip(start + axes @ found.x, prior - REACH, prior + REACH)
 
 
 def curvature(values: Blocks, x: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -75,3 +92,12 @@ def curvature(values: Blocks, x: FloatArray, prior: FloatArray) -> tuple[FloatAr
             hessian[i, j] = hessian[j, i] = mixed
     slopes = np.stack([(a - b) / (2.0 * h) for a, b, h in zip(ahead, behind, used, strict=True)], axis=1)
     return hessian, slopes
+
+
+def definite(hessian: FloatArray) -> FloatArray:
+    """The Hessian (p, p) with no less curvature in any direction than the prior alone has.
+
+    At the edge of what is allowed the curvature can be anything; there, the prior is all there is.
+    """
+    sizes, axes = np.linalg.eigh(hessian)
+    return np.asarray((axes * np.maximum(sizes, PRIOR_STD**-2)) @ axes.T)

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -14,14 +14,12 @@ from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference.offline import engine_of
-from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature
+from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature, definite
 from graphtrack.learning.free import Free, free_parameters, with_values
 from graphtrack.learning.journal import Journal
-from graphtrack.learning.objective import Objective, in_blocks
+from graphtrack.learning.objective import Criterion, Objective, in_blocks
 from graphtrack.model import Model
 from graphtrack.tracks import Track, TrackSet
-
-Criterion = Literal["truth", "evidence"]
 
 MAX_FRAMES = 20_000
 """Person-frames that are learned from; of more, tracks are chosen at random."""
@@ -53,7 +51,7 @@ class Fit:
     Attributes
     ----------
     model, start : with the learned parameters, and with those before
-    criterion : "truth" or "evidence"
+    criterion : "truth", "evidence" or "prediction"
     learned : every parameter of the preset's terms
     covariance : (p, p) of those without a note, on the scale of their logarithms (log odds of probabilities)
     scores : "learned from" and "held out" → log density a frame before and after
@@ -97,15 +95,17 @@ def fit(
     """Learn the parameters of a model.
 
     With the truth, what grows is the likelihood of the true positions and angles under the smoother's
-    covariances, frame by frame; frames are not independent, so the uncertainty comes from how the tracks
-    differ (the sandwich estimate). Without it, the Laplace evidence: the log density at the optimum, with
-    its normaliser, and ½·log of 2π over the determinant of the Hessian; the uncertainty is its curvature.
+    covariances, frame by frame. Without it, the Laplace evidence: the log density at the optimum, with its
+    normaliser, and ½·log of 2π over the determinant of the Hessian; the uncertainty is its curvature.
+    Couplings have no normaliser that is known, so with them and without a truth it is the density of
+    observations that were hidden from the smoother, a part at a time. Where frames are not independent, by
+    truth and by prediction, the uncertainty comes from how the tracks differ (the sandwich estimate).
 
     Parameters
     ----------
     tracks : observations
     model : where to begin; what is 0 there stays 0
-    criterion : None: by the truth, where any track has one
+    criterion : None: by the truth, where any track has one; else by the evidence, where it is known
     hold_out : share of the tracks that only judge, in [0, 0.9]
     seed : of the choice of tracks
     max_frames : person-frames to learn from at most
@@ -115,8 +115,8 @@ def fit(
     Raises
     ------
     InputError
-        If the model is no chain, nothing can be learned from the tracks, or no truth is known and a term of
-        the model is not normalised.
+        If the model is no chain, nothing can be learned from the tracks, or the evidence is asked for and a
+        term of the model is not normalised.
     """
     model = Model.named(model)
     engine_of(model, "chain")
@@ -124,7 +124,10 @@ def fit(
         raise InputError(f"hold_out = {hold_out!r}", "a share in [0, 0.9]")
     usable = [track for track in tracks if len(track) > 1 and np.isfinite(track.position).any()]
     if criterion is None:
-        criterion = "truth" if any(track.has_truth for track in usable) else "evidence"
+        normalised = all(term.is_normalised for term in model.terms)
+        criterion = "evidence" if normalised else "prediction"
+        if any(track.has_truth for track in usable):
+            criterion = "truth"
     usable = _require(usable, model, criterion)
     training, held = _split(usable, hold_out, seed, max_frames)
     free = every = free_parameters(model, training)
@@ -137,13 +140,13 @@ def fit(
     if not free:
         raise InputError("tracks that say nothing about any parameter", "observations of several frames")
     start = np.array([one.to_scale(one.get(model)) for one in free])
-    x, covariance = search.run(free, start)
+    x, covariance = search.run(free, start, start)
     vague = (np.sqrt(np.diag(covariance)) > 0.5 * PRIOR_STD) | (np.abs(x - start) > REACH - 1e-6)
     if vague.any() and not vague.all():
         absent += [one for one, bad in zip(free, vague, strict=True) if bad]
         free = tuple(one for one, bad in zip(free, vague, strict=True) if not bad)
         start = start[~vague]
-        x, covariance = search.run(free, start)
+        x, covariance = search.run(free, start, x[~vague])
     best = with_values(model, free, x)
     spread = 1.96 * np.sqrt(np.diag(covariance))
     learned = [
@@ -173,7 +176,7 @@ class _Search:
         progress: Callable[[int], None] | None,
     ) -> None:
         self.tracks, self.model, self.camera, self.journal = tracks, model, camera, journal
-        self._by_truth, self._progress = criterion == "truth", progress
+        self._criterion, self._progress = criterion, progress
         # Blocks of tracks are enough for the sandwich, and keep the journal small.
         self._blocks = min(BLOCKS, len(tracks))
 
@@ -181,7 +184,7 @@ class _Search:
         self, centre: Model, free: Sequence[Free], stage: str
     ) -> Callable[[FloatArray], FloatArray]:
         """Log densities of the blocks, evaluated from the optimum of ``centre``."""
-        objective = Objective(self.tracks, centre, self.camera, by_truth=self._by_truth)
+        objective = Objective(self.tracks, centre, self.camera, self._criterion)
 
         def values(x: FloatArray) -> FloatArray:
             known = self.journal.get(stage, x)
@@ -202,17 +205,15 @@ class _Search:
             found.append(max(abs(values(start + side * unit).sum() - middle) for side in (-1, 1)) > FLAT)
         return found
 
-    def run(self, free: Sequence[Free], start: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The best place and its covariance: a climb, and another from the optimum that it found."""
+    def run(self, free: Sequence[Free], start: FloatArray, near: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The best place and its covariance: a climb from ``near``, another from the optimum it found."""
         names = ",".join(one.name for one in free)
-        x = climb(self.values_about(self.model, free, f"1 {names}"), start, start)
+        x = climb(self.values_about(self.model, free, f"1 {names}"), near, start)
         values = self.values_about(with_values(self.model, free, x), free, f"2 {names}")
-        x = climb(values, x, start)
+        x = climb(values, x, start, definite(curvature(values, x, start)[0]))
         hessian, slopes = curvature(values, x, start)
-        # At the edge of what is allowed the curvature can be anything; there, the prior is all there is.
-        sizes, axes = np.linalg.eigh(hessian)
-        covariance = (axes / np.maximum(sizes, PRIOR_STD**-2)) @ axes.T
-        if self._by_truth and self._blocks > len(x) + 1:
+        covariance = np.linalg.inv(definite(hessian))
+        if self._criterion != "evidence" and self._blocks > len(x) + 1:
             spread = slopes - slopes.mean(axis=0)
             scatter = spread.T @ spread * self._blocks / (self._blocks - 1)
             covariance = covariance @ scatter @ covariance
@@ -224,13 +225,10 @@ def _require(tracks: Sequence[Track], model: Model, criterion: Criterion) -> lis
         for term in model.terms:
             if not term.is_normalised:
                 raise InputError(
-                    f"no truth, and the term {type(term).__name__}, which is no normalised density",
-                    "tracks with a truth (columns true_x, true_y, …), or the model position, separate or "
-                    "intentional",
+                    f"the evidence of the term {type(term).__name__}, which is no normalised density",
+                    "the criterion truth or prediction, or the model position, separate or intentional",
                 )
-        found = list(tracks)
-    else:
-        found = [track for track in tracks if track.has_truth]
+    found = [track for track in tracks if criterion != "truth" or track.has_truth]
     if not found:
         raise InputError(
             "no tracks to learn from" + (" (none has true positions)" if criterion == "truth" else ""),
@@ -256,10 +254,7 @@ def _score(
     tracks: Sequence[Track], before: Model, after: Model, camera: GroundCamera | None, criterion: Criterion
 ) -> tuple[float, float]:
     frames = sum(len(track) for track in tracks)
-    values = [
-        Objective(tracks, model, camera, by_truth=criterion == "truth")(model).sum() / frames
-        for model in (before, after)
-    ]
+    values = [Objective(tracks, model, camera, criterion)(model).sum() / frames for model in (before, after)]
     return float(values[0]), float(values[1])
 
 

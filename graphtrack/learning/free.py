@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from graphtrack.model import Model, Term
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.gait import GaitOffsets
 from graphtrack.model.intentional import IntentionalMotion
 from graphtrack.model.motion import Motion
 from graphtrack.model.orientation import BodyDynamics, HeadDynamics
+from graphtrack.model.parameters import GaitParameters
 from graphtrack.model.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.position import PositionLikelihood
 from graphtrack.tracks import Track
@@ -24,6 +26,7 @@ _OF_TERM: dict[type[Term], tuple[str, ...]] = {
     HeadDynamics: ("orientation.head_diffusion",),
     BodyFollowsMotion: ("coupling.motion_body_kappa", "coupling.speed_threshold"),
     HeadFollowsBody: ("coupling.head_body_kappa",),
+    GaitOffsets: tuple(f"gait.{field.name}" for field in fields(GaitParameters)),
     PositionLikelihood: (
         "likelihood.position_std",
         "likelihood.pixel_std",
@@ -52,7 +55,7 @@ class Free:
     @property
     def is_probability(self) -> bool:
         """Whether it is learned by its log odds; else by its logarithm."""
-        return self.name.endswith("probability")
+        return self.name.endswith(("probability", "_aligned", "head_evidence"))
 
     def get(self, model: Model) -> float:
         """Its value in a model."""
@@ -61,13 +64,19 @@ class Free:
 
     def to_scale(self, value: float) -> float:
         """Logarithm, or log odds of a probability."""
+        value = min(value, self._greatest)
         return math.log(value / (1.0 - value)) if self.is_probability else math.log(value)
 
     def from_scale(self, x: float) -> float:
         """The inverse of `to_scale`, within what the parameter may be."""
+        value = 1.0 / (1.0 + math.exp(-x)) if self.is_probability else math.exp(x)
+        return min(value, self._greatest)
+
+    @property
+    def _greatest(self) -> float:
         if self.is_probability:
-            return min(1.0 / (1.0 + math.exp(-x)), 0.999)
-        return min(math.exp(x), 1e3)
+            return 0.999
+        return 10.0 if self.name.endswith("_lead") else 1e3
 
 
 def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
@@ -82,7 +91,7 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
         if type(term) not in _OF_TERM:
             raise InputError(
                 f"the term {type(term).__name__}, whose parameters cannot be learned",
-                "the model position, separate, joint, intentional or joint-intentional",
+                "a preset's terms alone",
             )
     names = dict.fromkeys(name for term in model.terms for name in _OF_TERM.get(type(term), ()))
     absent = {

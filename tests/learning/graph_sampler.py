@@ -101,7 +101,7 @@ def sample_graph(
     n_steps: int,
     fps: float = 10.0,
     rng: np.random.Generator,
-    particles: int = 2000,
+    particles: int = 1000,
 ) -> TrackSet:
     """People of `joint` with their truth, observed as the parameters say, who do not say how noisily."""
     t, likelihood, tracks = np.arange(n_steps) / fps, parameters.likelihood, []

@@ -1,0 +1,87 @@
+"""Solving the same tracks by one model after another, each time from the same states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference.chain import PASSES, solve_packed
+from graphtrack.inference.chain_kernels import NOT_FINITE
+from graphtrack.inference.elimination_kernels import Workspace, workspace
+from graphtrack.inference.gait_kernels import renew_tracks
+from graphtrack.inference.initial import empty_result, pack, problem_of
+from graphtrack.inference.problem import Problem, Result
+from graphtrack.inference.restart_kernels import solve_tracks
+from graphtrack.inference.solution import bounded
+from graphtrack.model import Model
+from graphtrack.model.gait import gait_of
+from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.tracks import Track
+
+MAX_ITERATIONS, TOLERANCE = 100, 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """One solution of all tracks; ``result`` counts positions from the tracks' origins."""
+
+    packed: PackedTracks
+    problem: Problem
+    result: Result
+    memory: Workspace
+
+    @property
+    def sound(self) -> FloatArray:
+        """(m,) whether each track could be solved."""
+        return np.asarray(self.result.status != NOT_FINITE)
+
+    @property
+    def states(self) -> FloatArray:
+        """(N, 6) states in the world."""
+        states = self.result.states.copy()
+        states[:, :2] += np.repeat(self.packed.origin, np.diff(self.packed.offsets), axis=0)
+        return states
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(N, 6, 6) of the states."""
+        return bounded(self.result.covariance)
+
+
+class Solver:
+    """Solutions that depend on nothing but the model, smoothly: all start from the same states.
+
+    Parameters
+    ----------
+    tracks : to be solved
+    model : whose solution, after a search for the best basin, is where all start
+    """
+
+    def __init__(self, tracks: Sequence[Track], model: Model, camera: GroundCamera | None) -> None:
+        self._tracks, self._camera = tracks, camera
+        # The engine finds modes from the solution without couplings, so that is where it starts.
+        start = Model("separate", model.parameters) if model.has_modes else model
+        packed = pack(tracks, start, camera)
+        states = solve_packed(packed, start, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE).states
+        states[:, :2] -= np.repeat(packed.origin, np.diff(packed.offsets), axis=0)
+        self._start = np.nan_to_num(states)
+        self._longest = int(np.diff(packed.offsets).max())
+
+    def __call__(self, model: Model) -> Solved:
+        """The solution by a model with the same terms."""
+        packed = pack(self._tracks, model, self._camera)
+        problem, result = problem_of(packed), empty_result(packed)
+        result.states[:] = self._start
+        memory, m = workspace(self._longest), len(self._tracks)
+        if model.has_modes:
+            gait = gait_of(model.parameters.gait)
+            problem.records["motion_body_kappa"] = problem.records["head_body_kappa"] = 0.0
+            for _ in range(PASSES):
+                solve_tracks(problem, 0, m, MAX_ITERATIONS, TOLERANCE, False, memory, result)
+                renew_tracks(problem, 0, m, result.states, gait, result.modes)
+        solve_tracks(problem, 0, m, MAX_ITERATIONS, TOLERANCE, False, memory, result)
+        return Solved(packed, problem, result, memory)

@@ -1,0 +1,50 @@
+"""How often the stated 95 % intervals hold the parameters that simulated people were made with.
+
+One command prints the table of docs/model.md:
+``pytest tests/learning/test_coverage.py -m slow -s``
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import pytest
+from scipy import stats
+from simulated import inside, unknown
+
+from graphtrack.learning import fit
+from graphtrack.learning.objective import Criterion
+
+SIMULATIONS = 40
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("preset", "criterion", "n_tracks", "n_steps"),
+    [
+        ("position", "evidence", 8, 60),
+        ("separate", "evidence", 8, 60),
+        ("intentional", "evidence", 8, 60),
+        ("joint", "truth", 40, 30),
+    ],
+)
+def test_intervals_hold_what_they_say_in_40_simulations(
+    preset: str,
+    criterion: Criterion,
+    n_tracks: int,
+    n_steps: int,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    right: dict[str, list[bool]] = defaultdict(list)
+    for seed in range(SIMULATIONS):
+        people = unknown(preset, 100 + seed, n_tracks, n_steps, truth=criterion == "truth")
+        for name, holds in inside(fit(people, preset, hold_out=0.0, criterion=criterion)).items():
+            right[name].append(holds)
+    with capsys.disabled():
+        print(f"\n{preset}, by {criterion}: {n_tracks} people, {n_steps} frames")
+        for name, holds in right.items():
+            print(f"| {preset} | {criterion} | `{name}` | {sum(holds)} of {len(holds)} |", flush=True)
+    every = [one for holds in right.values() for one in holds]
+    # Parameters of one simulation are nearly independent of each other.
+    low, high = stats.binom.ppf([0.001, 0.999], len(every), 0.95)
+    assert low <= sum(every) <= high, f"{sum(every)} of {len(every)}"

@@ -1,0 +1,135 @@
+"""Learning by what was hidden, and with modes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+from simulated import BRISK, TRUE, WITHOUT_TRUTH, unknown
+from walks import walk
+
+from graphtrack.angles import unit, von_mises_log_density, wrap
+from graphtrack.baselines.kalman import smooth_states
+from graphtrack.degrade import add_noise
+from graphtrack.inference import solve
+from graphtrack.learning import fit
+from graphtrack.learning.hidden import FOLDS, blurred, told
+from graphtrack.learning.objective import Objective
+from graphtrack.learning.solving import Solver
+from graphtrack.model import CouplingParameters, Model
+from graphtrack.tracks import Track, TrackSet
+
+
+def people_of_both_kinds(count: int, n: int, seed: int) -> TrackSet:
+    """Half of them face where they go, half are a quarter off; 10 frames a second."""
+    rng, tracks = np.random.default_rng(seed), []
+    for i in range(count):
+        t = np.arange(n) / 10.0
+        course = rng.uniform(-np.pi, np.pi) + rng.uniform(-0.3, 0.3) * t
+        body = wrap(course + (i % 2) * 0.5 * np.pi)
+        position = np.cumsum(0.12 * unit(course), axis=0)
+        tracks.append(Track(i, np.arange(n), t, position, body=body, head=body))
+    return add_noise(TrackSet(tuple(tracks)), position_std=0.1, body_kappa=2.0, head_kappa=3.0, rng=rng)
+
+
+def test_each_observation_is_hidden_once_and_something_is_always_told() -> None:
+    for track in (walk(70), walk(25, uneven=True), walk(4), walk(60, classes=True)):
+        parts = [told(track, fold) for fold in range(FOLDS)]
+        for name in ("position", "body", "head", "body_likelihood", "head_likelihood"):
+            if getattr(track, name) is None:
+                continue
+            lost = sum(np.isnan(getattr(part, name)).reshape(len(track), -1).any(axis=1) for part in parts)
+            np.testing.assert_array_equal(lost, 1)
+        for part in parts:
+            np.testing.assert_array_equal(part.t, track.t)
+    alone = replace(walk(4), position=np.where(np.arange(4)[:, None] == 0, walk(4).position, np.nan))
+    assert all(np.isfinite(told(alone, fold).position).any() for fold in range(FOLDS))
+
+
+@pytest.mark.parametrize("kappas", [(0.0, 2.0), (1.5, 0.3), (30.0, 400.0)])
+def test_the_density_of_a_blurred_angle_is_its_integral(kappas: tuple[float, float]) -> None:
+    first, second = kappas
+    for apart in (0.0, 0.4, 3.0):
+
+        def product(angle: float, apart: float = apart) -> float:
+            logs = von_mises_log_density(angle, 0.0, first), von_mises_log_density(angle, apart, second)
+            return float(np.exp(sum(logs)))
+
+        expected = integrate.quad(product, -np.pi, np.pi, points=[0.0, apart], limit=200)[0]
+        found = blurred(np.array([apart]), np.array([first]), np.array([second]))[0]
+        assert found == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
+def test_hidden_positions_are_foretold_as_by_the_smoother_of_linear_models() -> None:
+    (track,) = unknown("position", 4, 1, 45)
+    expected = 0.0
+    for fold in range(FOLDS):
+        part = told(track, fold)
+        states = smooth_states(part, TRUE)
+        for k in np.flatnonzero(np.isnan(part.position[:, 0])):
+            spread = states.covariance[k][:2, :2] + TRUE.likelihood.position_std**2 * np.eye(2)
+            expected += float(stats.multivariate_normal.logpdf(track.position[k], states.mean[k][:2], spread))
+    model = Model("position", TRUE)
+    assert Objective([track], model, None, "prediction")(model)[0] == pytest.approx(expected, rel=1e-4)
+
+
+def test_classes_are_foretold_by_the_mean_of_their_likelihood() -> None:
+    tracks = [walk(40, seed=seed, classes=True) for seed in range(8)]
+    right, flat = Model("separate"), Model("separate")
+    likelihood = replace(flat.parameters.likelihood, class_outlier_probability=0.999)
+    flat = flat.with_parameters(replace(flat.parameters, likelihood=likelihood))
+    score = [Objective(tracks, model, None, "prediction")(model).sum() for model in (right, flat)]
+    assert score[0] > score[1]
+
+
+def test_couplings_of_the_right_size_foretell_better_than_none_or_far_stronger_ones() -> None:
+    tracks, true = list(unknown("joint", 11, 16, 30)), Model("joint", BRISK)
+    objective = Objective(tracks, true, None, "prediction")
+
+    def score(**changes: float) -> float:
+        coupling = replace(BRISK.coupling, **changes)
+        return float(objective(true.with_parameters(replace(BRISK, coupling=coupling))).sum())
+
+    here = score()
+    for changes in ({"head_body_kappa": 0.3}, {"head_body_kappa": 40.0}, {"motion_body_kappa": 120.0}):
+        assert here > score(**changes)
+    assert here > score(head_body_kappa=0.0, motion_body_kappa=0.0)
+
+
+def test_without_a_truth_couplings_are_learned_by_prediction() -> None:
+    start = replace(BRISK, coupling=CouplingParameters(1.0, 0.2, 0.4, 0.3))
+    people = unknown("joint", 12, 10, 16).map(
+        lambda track: replace(track, body_kappa=np.full(16, 5.0), head_kappa=np.full(16, 6.0))
+    )
+    found = fit(people, Model("joint", start), hold_out=0.2)
+    assert found.criterion == "prediction"
+    assert found.scores["held out"][1] > found.scores["held out"][0]
+    learned = {one.name: one for one in found.learned}
+    assert learned["coupling.head_body_kappa"].value > 1.0
+    assert not learned["likelihood.position_std"].note
+
+
+def test_solutions_with_modes_are_those_of_the_engine() -> None:
+    tracks, model = people_of_both_kinds(4, 60, 0), Model("full")
+    solved, offset = Solver(list(tracks), model, None)(model), 0
+    for result in solve(tracks, model):
+        frames = slice(offset, offset + len(result.track))
+        offset = frames.stop
+        np.testing.assert_allclose(solved.states[frames, :2], result.track.position, atol=1e-4)
+        np.testing.assert_allclose(wrap(solved.states[frames, 4] - result.track.body), 0.0, atol=1e-3)
+        np.testing.assert_allclose(solved.result.modes[frames, 0], result.track.aligned_p, atol=1e-3)
+
+
+@pytest.mark.parametrize("criterion", ["truth", "prediction"])
+def test_modes_tell_of_people_of_both_kinds(criterion: str) -> None:
+    tracks = people_of_both_kinds(8, 60, 1)
+    if criterion == "prediction":
+        tracks = tracks.map(lambda track: replace(track, **WITHOUT_TRUTH))
+    scores = {
+        preset: Objective(list(tracks), Model(preset), None, criterion)(Model(preset)).sum()  # type: ignore[arg-type]
+        for preset in ("full", "joint", "separate")
+    }
+    assert scores["full"] > scores["joint"]
+    assert scores["full"] > scores["separate"]
