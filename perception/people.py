@@ -20,6 +20,7 @@ _PERSON_SHARE = (0.62, 0.80)
 """Width and height of the person in the detector's window of 64 × 128, which has a margin all around."""
 
 _HISTOGRAM_BINS = 6
+_ROWS = 720
 
 
 @dataclass(frozen=True)
@@ -28,12 +29,13 @@ class DetectorParameters:
 
     Attributes
     ----------
-    enlarge : factor of the image before the search; people must then be 96 pixels high at least
+    enlarge : factor of the image before the search; people must then be 96 pixels high at least. None: so
+        that the image has 720 rows, but never smaller than it is
     threshold : least score of the SVM
     overlap : intersection over union above which the weaker of two boxes is dropped
     """
 
-    enlarge: float = 1.5
+    enlarge: float | None = None
     threshold: float = 0.3
     overlap: float = 0.4
 
@@ -42,7 +44,7 @@ class PeopleDetector:
     """OpenCV's default people detector; its weights come with the library."""
 
     def __init__(self, parameters: DetectorParameters = DetectorParameters()) -> None:
-        if not 0.1 <= parameters.enlarge <= 8.0:
+        if parameters.enlarge is not None and not 0.1 <= parameters.enlarge <= 8.0:
             raise InputError(f"enlarge = {parameters.enlarge}", "a factor from 0.1 to 8")
         self.parameters = parameters
         self._hog = cv2.HOGDescriptor()
@@ -51,7 +53,8 @@ class PeopleDetector:
     def detect(self, image: Image) -> tuple[FloatArray, FloatArray]:
         """Boxes (n, 4), left, top, width, height in pixels, and scores (n,), best first."""
         p = self.parameters
-        large = cv2.resize(image, None, fx=p.enlarge, fy=p.enlarge)
+        enlarge = p.enlarge or float(np.clip(_ROWS / image.shape[0], 1.0, 8.0))
+        large = cv2.resize(image, None, fx=enlarge, fy=enlarge)
         if large.shape[0] < 128 or large.shape[1] < 64:
             return np.empty((0, 4)), np.empty(0)
         windows, found = self._hog.detectMultiScale(
@@ -59,7 +62,7 @@ class PeopleDetector:
         )
         if not len(windows):
             return np.empty((0, 4)), np.empty(0)
-        boxes = np.asarray(windows, float) / p.enlarge
+        boxes = np.asarray(windows, float) / enlarge
         scores = np.asarray(found, float).ravel()
         size = boxes[:, 2:] * _PERSON_SHARE
         boxes = np.hstack([boxes[:, :2] + (boxes[:, 2:] - size) / 2.0, size])

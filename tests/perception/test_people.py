@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -100,3 +101,24 @@ def test_colours_are_shares_even_outside_the_frame() -> None:
     image, boxes = frame_of((10.0, RED))
     for box in (boxes[0], boxes[0] + (900.0, 0.0, 0.0, 0.0)):
         assert colour_histogram(image, box).sum() == pytest.approx(1.0)
+
+
+def test_small_frames_are_enlarged_so_that_small_people_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[tuple[int, ...]] = []
+
+    class Descriptor:
+        def setSVMDetector(self, weights: np.ndarray) -> None: ...
+
+        def detectMultiScale(self, image: np.ndarray, **options: object) -> tuple[np.ndarray, np.ndarray]:
+            sizes.append(image.shape[:2])
+            return np.array([[250, 125, 160, 320]]), np.ones(1)
+
+        getDefaultPeopleDetector = staticmethod(cv2.HOGDescriptor.getDefaultPeopleDetector)
+
+    monkeypatch.setattr(cv2, "HOGDescriptor", Descriptor)
+    boxes, _ = PeopleDetector().detect(np.zeros((288, 384, 3), np.uint8))
+    assert sizes[0] == (720, 960)
+    np.testing.assert_allclose(boxes[0, :2] + boxes[0, 2:] / 2.0, (330 / 2.5, 285 / 2.5))
+    PeopleDetector().detect(np.zeros((1080, 1920, 3), np.uint8))
+    PeopleDetector(DetectorParameters(enlarge=2.0)).detect(np.zeros((288, 384, 3), np.uint8))
+    assert sizes[1:] == [(1080, 1920), (576, 768)]
