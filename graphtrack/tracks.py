@@ -47,6 +47,10 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "true_head": (),
 }
 
+_KEPT = ("track_id", "frame", "t", "true_position", "true_body", "true_head", "label")
+"""What estimates leave of a track that was observed."""
+_NOTHING_OBSERVED = dict.fromkeys(_SHAPES)
+
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -137,6 +141,39 @@ class Track:
             if isinstance(getattr(self, f.name), np.ndarray)
         }
         return replace(self, **parts)
+
+    def with_estimates(
+        self,
+        *,
+        position: FloatArray,
+        velocity: FloatArray,
+        body: FloatArray | None,
+        head: FloatArray | None,
+        covariance: FloatArray,
+        aligned_p: FloatArray | None = None,
+        gait_offset: FloatArray | None = None,
+    ) -> Track:
+        """The track with estimates in place of its observations; its truth and label stay.
+
+        The arrays must be as the attributes say. They are neither checked nor copied: for thousands of tracks
+        that would take longer than to smooth them.
+        """
+        track = object.__new__(Track)
+        of_person = {name: getattr(self, name) for name in _KEPT}
+        estimates = {
+            "position": position,
+            "velocity": velocity,
+            "body": body,
+            "head": head,
+            "covariance": covariance,
+            "aligned_p": aligned_p,
+            "gait_offset": gait_offset,
+        }
+        vars(track).update(_NOTHING_OBSERVED | of_person | estimates)
+        for value in estimates.values():
+            if value is not None:
+                value.setflags(write=False)
+        return track
 
     def std(self, name: str) -> FloatArray | None:
         """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance."""

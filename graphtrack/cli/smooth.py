@@ -34,8 +34,14 @@ def smooth(
         str, typer.Option("--engine", help="auto, chain (compiled) or gtsam; auto takes chain where it can.")
     ] = "auto",
     jobs: Annotated[
-        int, typer.Option("--jobs", min=1, help="Tracks at a time: threads (chain) or processes (gtsam).")
-    ] = 1,
+        int | None,
+        typer.Option(
+            "--jobs",
+            min=1,
+            help="Tracks at a time: threads (chain; by default one for each processor) or processes (gtsam).",
+            show_default=False,
+        ),
+    ] = None,
     report: Annotated[Path | None, typer.Option("--report", help="Write an HTML report here too.")] = None,
     stream: Annotated[
         bool | None,

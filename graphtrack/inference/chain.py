@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -21,9 +19,6 @@ from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import BODY, HEAD, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 
-CHUNK = 20_000
-"""Frames that a thread takes at a time."""
-
 PASSES = 2
 """Times that the modes of the couplings, and the states with them, are found anew; a third changes
 nothing that the errors on motion capture would show."""
@@ -38,22 +33,18 @@ def solve_packed(
     packed: PackedTracks,
     model: Model,
     *,
-    jobs: int = 1,
     max_iterations: int = 100,
     tolerance: float = 1e-12,
     restart: bool = True,
-    progress: Callable[[int], None] | None = None,
 ) -> Result:
     """Maximum a posteriori states and their covariances.
 
     Parameters
     ----------
     packed : from `initial.pack`, with the same model, which is a chain
-    jobs : threads; the kernels do not hold the interpreter's lock
     max_iterations : Newton steps a track
     tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
     restart : search a grid of orientations for a better basin where there may be one
-    progress : called with the number of frames that were done since the last call
 
     Returns
     -------
@@ -67,28 +58,20 @@ def solve_packed(
     gait = gait_of(model.parameters.gait) if model.has_modes else None
     if gait is not None:
         # Without couplings first: from there both the modes and the states are found.
-        problem.records["motion_body_kappa"] = problem.records["head_body_kappa"] = 0.0
+        for name in ("motion_body_kappa", "head_body_kappa", "steer_gain"):
+            problem.records[name] = 0.0
 
-    def solve_range(tracks: tuple[int, int]) -> int:
-        begin, end = tracks
-        frames = np.diff(packed.offsets[begin : end + 1])
-        initialise(problem, begin, end, seen, linear, np.empty((3, frames.max())), result)
-        if not linear:
-            memory = workspace(int(frames.max()))
-            solve_tracks(problem, begin, end, max_iterations, tolerance, restart, memory, result)
-            for _ in range(PASSES):
-                if gait is None:
-                    break
-                renew_tracks(problem, begin, end, result.states, gait, result.modes)
-                solve_tracks(problem, begin, end, max_iterations, tolerance, False, memory, result)
-        finish(problem, begin, end, model.has_body, model.has_head, result)
-        return int(frames.sum())
-
-    ranges = _work(packed)
-    with ThreadPoolExecutor(jobs) as pool:
-        for done in (pool.map if jobs > 1 else map)(solve_range, ranges):
-            if progress is not None:
-                progress(done)
+    m, longest = len(packed.tracks), int(np.diff(packed.offsets).max())
+    initialise(problem, 0, m, seen, linear, np.empty((3, longest)), result)
+    if not linear:
+        memory = workspace(longest)
+        solve_tracks(problem, 0, m, max_iterations, tolerance, restart, memory, result)
+        for _ in range(PASSES):
+            if gait is None:
+                break
+            renew_tracks(problem, 0, m, result.states, gait, result.modes)
+            solve_tracks(problem, 0, m, max_iterations, tolerance, False, memory, result)
+    finish(problem, 0, m, model.has_body, model.has_head, result)
     return result
 
 
@@ -109,13 +92,3 @@ def finish(problem: Problem, begin: int, end: int, has_body: bool, has_head: boo
                         covariance[i, place] = math.nan
             if failed:
                 covariance[:] = math.nan
-
-
-def _work(packed: PackedTracks) -> list[tuple[int, int]]:
-    """Ranges of tracks of about `CHUNK` frames, so that threads share the work and progress shows."""
-    ranges, begin, m = [], 0, len(packed.tracks)
-    for end in range(1, m + 1):
-        if packed.offsets[end] - packed.offsets[begin] >= CHUNK or end == m:
-            ranges.append((begin, end))
-            begin = end
-    return ranges

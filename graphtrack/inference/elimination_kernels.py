@@ -1,7 +1,7 @@
 """Linear algebra of a chain: its block-tridiagonal Hessian, factored frame by frame.
 
-Block Cholesky, the same recursion as a Kalman filter in information form; the sweep back gives the Newton step,
-or the covariances by the recursion of the Rauch–Tung–Striebel smoother.
+Block Cholesky, the same recursion as a Kalman filter in information form; the sweep back gives the Newton
+step, or the covariances by the recursion of the Rauch–Tung–Striebel smoother.
 """
 
 from __future__ import annotations

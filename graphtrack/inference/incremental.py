@@ -335,8 +335,7 @@ def track_online(
 def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track:
     """A track of online estimates, one for each frame of the recorded one."""
     found = list(estimates)
-    return replace(
-        track,
+    return track.with_estimates(
         position=np.array([e.position for e in found]),
         velocity=np.array([e.velocity for e in found]),
         body=np.array([e.body for e in found]) if model.has_body else None,
@@ -344,10 +343,4 @@ def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track
         covariance=np.array([e.covariance for e in found]),
         aligned_p=np.array([e.aligned_p for e in found]) if model.has_modes else None,
         gait_offset=np.array([e.gait_offset for e in found]) if model.has_modes else None,
-        position_std=None,
-        pixel=None,
-        body_kappa=None,
-        head_kappa=None,
-        body_likelihood=None,
-        head_likelihood=None,
     )

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from graphtrack.angles import wrap
 from graphtrack.errors import InputError, SolveError
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference.batch import smooth_graph
@@ -27,8 +29,8 @@ from graphtrack.inference.solution import (
 from graphtrack.model import Model
 from graphtrack.tracks import Track, TrackSet
 
-BATCH = 100_000
-"""Frames that the chain engine packs at a time; it bounds the memory beside the answer."""
+BATCH = 20_000
+"""Frames that a thread of the chain engine takes at a time; it bounds the memory beside the answer."""
 
 
 def engine_of(model: Model, engine: Engine | Literal["auto"] = "auto") -> Engine:
@@ -70,7 +72,7 @@ def solve(
     model: Model | str | Path = "joint",
     *,
     engine: Engine | Literal["auto"] = "auto",
-    jobs: int = 1,
+    jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Solution | Failure]:
@@ -81,7 +83,8 @@ def solve(
     tracks : observations
     model : a `Model`, a preset's name or a model file
     engine : "auto", "chain" or "gtsam"; both find the same optimum
-    jobs : threads of the chain engine; processes with GTSAM, which holds the interpreter's lock
+    jobs : threads of the chain engine, by default one for each processor; processes with GTSAM, which holds
+        the interpreter's lock, by default one
     options : tolerances of the solver
     progress : called with the numbers of person-frames that are done
 
@@ -93,11 +96,16 @@ def solve(
     options = SolverOptions() if options is None else options
     if engine_of(model, engine) == "chain":
         found: list[Solution | Failure] = []
-        for batch in _batches(tracks):
-            found += _solve_chains(batch, model, tracks.camera, options, jobs, progress)
+        # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
+        with ThreadPoolExecutor(processors() if jobs is None else jobs) as pool:
+            run = partial(_solve_chains, model=model, camera=tracks.camera, options=options)
+            for solved, batch in zip(pool.map(run, _batches(tracks)), _batches(tracks), strict=True):
+                found += solved
+                if progress is not None:
+                    progress(sum(map(len, batch)))
         return found
     attempt = partial(_attempt_graph, model=model, camera=tracks.camera, options=options)
-    if jobs == 1 or len(tracks) < 2:
+    if jobs is None or jobs == 1 or len(tracks) < 2:
         return _collect(tracks, map(attempt, tracks), progress)
     with ProcessPoolExecutor(jobs) as pool:
         chunk = max(1, len(tracks) // (8 * jobs))
@@ -109,7 +117,7 @@ def smooth(
     model: Model | str | Path = "joint",
     *,
     engine: Engine | Literal["auto"] = "auto",
-    jobs: int = 1,
+    jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> TrackSet:
@@ -151,10 +159,18 @@ def smooth_track(
     options = SolverOptions() if options is None else options
     if engine_of(model, engine) == "gtsam":
         return smooth_graph(track, model, camera, options)
-    (result,) = _solve_chains([track], model, camera, options, 1, None)
+    (result,) = _solve_chains([track], model, camera, options)
     if isinstance(result, Failure):
         raise SolveError(result.track_id, result.reason)
     return result
+
+
+def processors() -> int:
+    """The processors that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on Linux
+        return os.cpu_count() or 1
 
 
 def _batches(tracks: TrackSet) -> Iterator[list[Track]]:
@@ -175,26 +191,27 @@ def _solve_chains(
     model: Model,
     camera: GroundCamera | None,
     options: SolverOptions,
-    jobs: int,
-    progress: Callable[[int], None] | None,
 ) -> list[Solution | Failure]:
     packed = pack(tracks, model, camera)
     found = solve_packed(
         packed,
         model,
-        jobs=jobs,
         max_iterations=options.max_iterations,
         tolerance=1e-3 * options.relative_tolerance,
         restart=options.restart,
-        progress=progress,
     )
+    begins = packed.offsets[:-1]
+    positioned = np.logical_or.reduceat(packed.has_position, begins)
+    finite = np.logical_and.reduceat(np.isfinite(found.states[:, :4]).all(axis=1), begins)
+    if model.has_body or model.has_head:
+        found.states[:, 4:] = wrap(found.states[:, 4:])
     covariance = bounded(found.covariance)
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         a, b = packed.offsets[m], packed.offsets[m + 1]
-        if not packed.has_position[a:b].any():
+        if not positioned[m]:
             answers.append(Failure(track.track_id, "found no position at all, expected at least one"))
-        elif found.status[m] == NOT_FINITE or not np.isfinite(found.states[a:b, :4]).all():
+        elif found.status[m] == NOT_FINITE or not finite[m]:
             answers.append(Failure(track.track_id, "the estimate is not finite"))
         else:
             answers.append(

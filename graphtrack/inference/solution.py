@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from graphtrack.angles import UNIFORM_STD, FloatArray, wrap
+from graphtrack.angles import UNIFORM_STD, FloatArray
 from graphtrack.tracks import Track
 
 Engine = Literal["chain", "gtsam"]
@@ -79,24 +79,17 @@ def estimated_track(
 ) -> Track:
     """The track with estimates, (n, 6) states and (n, 6, 6) covariances, in place of its observations.
 
-    Orientations and ``modes`` (n, 2), as in `problem.Result`, that are NaN throughout are absent.
+    Angles are wrapped. Orientations and ``modes`` (n, 2), as in `problem.Result`, are absent where they begin
+    with NaN, since they are found in all frames of a track or in none. The covariances stay in the caller's
+    array, which may be that of many tracks: to copy them takes as long as to smooth positions.
     """
-    if modes is not None and np.isnan(modes).all():
-        modes = None
-    body, head = wrap(states[:, 4]), wrap(states[:, 5])
-    return replace(
-        track,
-        position=states[:, :2],
-        velocity=states[:, 2:4],
-        body=None if np.isnan(body).all() else body,
-        head=None if np.isnan(head).all() else head,
+    has_modes = modes is not None and not np.isnan(modes[0, 0])
+    return track.with_estimates(
+        position=states[:, :2].copy(),
+        velocity=states[:, 2:4].copy(),
+        body=None if np.isnan(states[0, 4]) else states[:, 4].copy(),
+        head=None if np.isnan(states[0, 5]) else states[:, 5].copy(),
         covariance=covariance,
-        aligned_p=None if modes is None else modes[:, 0],
-        gait_offset=None if modes is None else modes[:, 1],
-        position_std=None,
-        pixel=None,
-        body_kappa=None,
-        head_kappa=None,
-        body_likelihood=None,
-        head_likelihood=None,
+        aligned_p=modes[:, 0].copy() if modes is not None and has_modes else None,
+        gait_offset=modes[:, 1].copy() if modes is not None and has_modes else None,
     )

@@ -40,7 +40,7 @@ class Work:
     select: tuple[str, ...]
     model: Model
     engine: Engine
-    jobs: int
+    jobs: int | None
     options: SolverOptions
     version: str = version("graphtrack")
 

@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from graphtrack.errors import GraphtrackError, InputError
+from graphtrack.inference.offline import processors
 from graphtrack.scale.batch import Batch, Shard, Work, smooth_batch
 
 AHEAD = 2
@@ -25,7 +26,7 @@ _LOOK = 2.0
 """Seconds between two looks at whether there still are workers."""
 
 
-def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: int) -> Iterator[Shard]:
+def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: int | None) -> Iterator[Shard]:
     """What `smooth_batch` makes of each batch, in the order of the batches.
 
     A batch travels inside its task, which stays with the scheduler until its shard has arrived here: when a
@@ -34,7 +35,7 @@ def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: in
     Parameters
     ----------
     address : of a Dask scheduler, or "local" for processes on this machine
-    jobs : processes of a local cluster
+    jobs : processes of a local cluster, by default one for each processor
 
     Raises
     ------
@@ -48,7 +49,7 @@ def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: in
         import distributed
     except ModuleNotFoundError as error:
         raise InputError("no package distributed", "the extra: pip install 'graphtrack[cluster]'") from error
-    if address != "local" and jobs != 1:
+    if address != "local" and jobs is not None:
         raise InputError(f"{jobs} jobs on a cluster", "as many as its workers have threads: leave it out")
     with _client(address, jobs) as client:
         waiting: deque[tuple[Any, int]] = deque()
@@ -95,7 +96,7 @@ def _result(client: Any, future: Any, number: int) -> Shard:
 
 
 @contextmanager
-def _client(address: str, jobs: int) -> Iterator[Any]:
+def _client(address: str, jobs: int | None) -> Iterator[Any]:
     import dask
     import distributed
 
@@ -105,7 +106,10 @@ def _client(address: str, jobs: int) -> Iterator[Any]:
         stack.enter_context(_silence("distributed"))
         if address == "local":
             cluster = distributed.LocalCluster(
-                n_workers=jobs, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+                n_workers=jobs or processors(),
+                threads_per_worker=1,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
             )
             stack.enter_context(cluster)
             where: Any = cluster

@@ -64,7 +64,7 @@ def smooth_dataset(
     model: Model | str | Path = "joint",
     *,
     engine: Engine | Literal["auto"] = "auto",
-    jobs: int = 1,
+    jobs: int | None = None,
     cluster: str | None = None,
     batch_frames: int = BATCH,
     select: tuple[str, ...] = (),
@@ -82,7 +82,8 @@ def smooth_dataset(
     output : the Parquet file to write. It is there whole or, on any failure, not at all; nor is it written
         when no track could be smoothed. Temporary files lie beside it.
     model, engine, options : as in `graphtrack.solve`
-    jobs : threads (chain) or processes (GTSAM); with ``cluster="local"`` processes with a batch each
+    jobs : as in `graphtrack.solve`; with ``cluster="local"`` processes with a batch each, by default one for
+        each processor
     cluster : None: this process; "local": a Dask cluster of processes on this machine; else the address of a
         Dask scheduler
     batch_frames : person-frames that are read, smoothed and sent together; memory grows with it
@@ -99,7 +100,7 @@ def smooth_dataset(
     """
     dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     output, model = Path(output), Model.named(model)
-    if batch_frames < 1 or jobs < 1:
+    if batch_frames < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"batch_frames = {batch_frames}, jobs = {jobs}", "numbers from 1")
     read_options, notes = _with_camera(dataset, ReadOptions() if read_options is None else read_options)
     check_names(dataset.columns, read_options, dataset.fail)

@@ -19,11 +19,9 @@ import simdkalman
 from filterpy.kalman import KalmanFilter
 from walks import walk
 
-from graphtrack.inference import smooth_track, solve
+from graphtrack.inference import Solution, smooth_track, solve
 from graphtrack.inference.batch import build_graph
-from graphtrack.inference.chain import solve_packed
-from graphtrack.inference.initial import initial_states, pack
-from graphtrack.inference.offline import BATCH
+from graphtrack.inference.initial import initial_states
 from graphtrack.model import Model
 from graphtrack.model.motion import process_noise, transition_matrix
 from graphtrack.model.steps import Step, chain
@@ -42,10 +40,9 @@ def walks(count: int, steps: int = STEPS) -> list[Track]:
 
 
 def ours(tracks: list[Track], model: Model) -> None:
-    """From tracks to states and covariances on two threads, in batches as `solve` takes them."""
-    for k in range(0, len(tracks), BATCH // STEPS):
-        found = solve_packed(pack(tracks[k : k + BATCH // STEPS], model), model, jobs=2)
-        assert not found.status.any()
+    """From tracks to tracks, with covariances, as users have it."""
+    found = solve(TrackSet(tuple(tracks)), model, engine="chain")
+    assert all(isinstance(result, Solution) and result.converged for result in found)
 
 
 def seconds(*runs: Callable[[], object], rounds: int = ROUNDS) -> np.ndarray:
