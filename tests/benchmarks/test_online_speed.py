@@ -1,4 +1,4 @@
-"""Online speed of the engine fixed-lag: ratios of processor time within one run."""
+"""Online speed of the engines chain and fixed-lag: ratios of processor time within one run."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from graphtrack.model.steps import Step, chain, observations
 
 pytestmark = pytest.mark.benchmark
 LAG = 2.0
+Record = Callable[[str, float], None]
 
 
 def took_in(smoother: OnlineSmoother, observation: Observation) -> None:
@@ -73,6 +74,24 @@ def test_a_step_costs_less_than_with_gtsams_fixed_lag_smoother() -> None:
     ratio = float(np.median(spent[:, 0] / spent[:, 1]))
     show([("fixed lag, median CPU ms", mine), ("GTSAM's, median CPU ms", peer), ("ratio", ratio)])
     assert ratio < 0.8
+
+
+@pytest.mark.parametrize("preset", ["joint", "full"])
+def test_a_step_of_the_chain_is_a_fraction_of_gtsams(preset: str, record: Record) -> None:
+    """At 25 frames a second, 50 in the window; GTSAM has the preset joint, since it knows no modes."""
+    track = walk(700, seed=1, dt=0.04)
+    ours, theirs = OnlineSmoother(preset, engine="chain"), OnlineSmoother("joint", engine="fixed-lag")
+    spent, elapsed = [], []
+    for observation in observations(track):
+        start = time.perf_counter()
+        mine = milliseconds(lambda o=observation: took_in(ours, o))
+        elapsed.append(1e3 * (time.perf_counter() - start))
+        spent.append((mine, milliseconds(lambda o=observation: took_in(theirs, o))))
+    mine, peer = np.median(spent[100:], axis=0)
+    median, late = np.quantile(elapsed[100:], (0.5, 0.99))
+    show([("median ms", median), ("99th percentile", late), ("GTSAM, median CPU ms", peer)])
+    record(f"online step, GTSAM joint / chain {preset}, processor time", peer / mine)
+    assert peer > 2.5 * mine
 
 
 def test_the_cost_of_a_step_does_not_grow() -> None:
