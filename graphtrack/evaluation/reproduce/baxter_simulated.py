@@ -36,7 +36,7 @@ GRAPHS = {"graph joint": "joint", "graph joint-intentional": "joint-intentional"
 
 METHODS = ("printed", "consistent", "kf fitted", "intentional", *GRAPHS)
 FIT_UNITS = {"graph joint": 20, "graph joint-intentional": 30}
-"""Evaluations of the search for the parameters of each graph: two of them, and three."""
+"""Evaluations of the search for the parameters of each graph, two of them and three; half with ``quick``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def fit_methods(settings: Settings, progress: Progress) -> Fitted:
             progress(1)
             return -float(np.nanmean(np.concatenate(found)))
 
-        return model(*fit(graph_cost, start, evaluations=FIT_UNITS[method]))
+        return model(*fit(graph_cost, start, evaluations=FIT_UNITS[method] // (1 + settings.quick)))
 
     graphs = {
         "graph joint": fitted_graph("graph joint", density, 3.0),
@@ -292,7 +292,8 @@ EXPERIMENT = Experiment(
     "baxter-simulated",
     "000 Fig. 4 and 5: simulated corpus, gain over the Kalman filter, median ± 1 σ",
     lambda settings: (
-        sum(FIT_UNITS.values()) + len(GRAPHS) * len(NUMERALS) * len(RATES) * tracks_of_graph(settings)
+        sum(FIT_UNITS.values()) // (1 + settings.quick)
+        + len(GRAPHS) * len(NUMERALS) * len(RATES) * tracks_of_graph(settings)
     ),
     run,
 )

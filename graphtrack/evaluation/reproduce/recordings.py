@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,9 @@ EVERY = 3
 """Motion capture is thinned from 30 to 10 frames a second."""
 
 
+@cache
 def quietly(path: Path) -> TrackSet:
-    """The tracks of a file; what its reader has to say is left to ``graphtrack info``."""
+    """The tracks of a file, read once; what its reader has to say is left to ``graphtrack info``."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         return read(path)
