@@ -5,7 +5,7 @@ What the graph is compared with: the same motion, the same position noise, the s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -110,19 +110,8 @@ def as_track(track: Track, states: GaussianStates) -> Track:
     """The track with these estimates; its orientations are left out, for they were not estimated."""
     covariance = np.full((len(track), 6, 6), np.nan)
     covariance[:, :4, :4] = states.covariance
-    return replace(
-        track,
-        position=states.mean[:, :2],
-        velocity=states.mean[:, 2:],
-        covariance=covariance,
-        position_std=None,
-        pixel=None,
-        body=None,
-        body_kappa=None,
-        head=None,
-        head_kappa=None,
-        body_likelihood=None,
-        head_likelihood=None,
+    return track.with_estimates(
+        position=states.mean[:, :2], velocity=states.mean[:, 2:], body=None, head=None, covariance=covariance
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -225,18 +225,11 @@ def _filter(
 def _estimate(
     track: Track, model: Model, found: _Run, mean: FloatArray, covariance: FloatArray
 ) -> ParticleEstimate:
-    estimate = replace(
-        track,
+    estimate = track.with_estimates(
         position=mean[:, :2],
         velocity=mean[:, 2:4],
         body=mean[:, 4] if model.has_body else None,
         head=mean[:, 5] if model.has_head else None,
         covariance=covariance,
-        position_std=None,
-        pixel=None,
-        body_kappa=None,
-        head_kappa=None,
-        body_likelihood=None,
-        head_likelihood=None,
     )
     return ParticleEstimate(estimate, found.log_evidence, found.effective_sample_size, tuple(found.recovered))
