@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from graphtrack.model.kernels.gait import (
     expected,
     infer_modes,
 )
+from graphtrack.model.kernels.motion import steer
 
 BODY_MODE, HEAD_MODE = 0, 1
 """Places of the two couplings in arrays of both."""
@@ -64,6 +66,23 @@ def seconds(problem: Problem, track: int, n: int, dt: FloatArray) -> None:
 
 
 @compiled
+def is_seen(frame: Any) -> bool:
+    """Whether a position was seen in a frame."""
+    return bool(frame.position_information > 0.0 or frame.pixel_information > 0.0)
+
+
+@compiled
+def loosened(frame: Any, kappa: float, excess: float, missing: float, diffusion: float) -> float:
+    """A coupling's κ where the lead is not known for ``missing`` seconds: by so much the one may have turned.
+
+    ``excess`` is what κ is multiplied with in the cost: (‖v‖ − τ)², or 1.
+    """
+    if not missing > 0.0:
+        return kappa
+    return kappa / (1.0 + kappa * excess / frame.coupling_weight * diffusion * missing)
+
+
+@compiled
 def motion_concentration(problem: Problem, place: int, state: FloatArray) -> float:
     """Concentration of an aligned body about the motion, were the frame alone: without its weight of w."""
     frame = problem.records[place]
@@ -81,7 +100,7 @@ def judge_body(
     for k in range(len(states)):
         frame = problem.records[offset + k]
         coupling = motion_concentration(problem, offset + k, states[k])
-        if coupling == 0.0:
+        if coupling == 0.0 or not is_seen(frame):
             continue
         # Frames within the time in which deviations persist tell of the same deviation, so of the information
         # remains what the coupling lets through.
@@ -129,7 +148,8 @@ def judge_head(
     for k in range(len(states)):
         frame = problem.records[offset + k]
         coupling = frame.head_aligned_kappa
-        if coupling == 0.0:
+        # What neither motion nor body is seen for would judge the head by itself.
+        if coupling == 0.0 or not (is_seen(frame) or frame.body_information > 0.0):
             continue
         share = coupling / (coupling + frame.head_information)
         add_seen(
@@ -172,7 +192,7 @@ def renew_couplings(
     filtered: FloatArray,
     modes: FloatArray,
 ) -> None:
-    """Set the couplings of a track's frames by the modes that the states imply.
+    """Set the couplings of a track's frames, and the steering between them, by the modes the states imply.
 
     Parameters
     ----------
@@ -183,25 +203,39 @@ def renew_couplings(
     """
     n, offset = len(states), problem.offsets[track]
     dt, angle, own = np.empty(n), np.empty(n), np.empty(n)
-    row, smoothed = np.empty((n, ROW)), np.empty((n, ROW))
+    row, smoothed, held = np.empty((n, ROW)), np.empty((n, ROW)), np.empty((n, 2))
     seconds(problem, track, n, dt)
     leading_angles(dt, states, gait.body.lead, True, angle)
     leading_angles(dt, states, 0.0, True, own)
     judge_body(problem, track, states, angle, gait, row)
     infer_modes(dt, row, gait.body, before[BODY_MODE], filtered[BODY_MODE], smoothed)
-    for k in range(n):
+    shared, left = problem.shared[0], 0.0
+    for k in range(n - 1, -1, -1):
         frame, lead = problem.records[offset + k], angle[k] - own[k]
         kappa, cos, sin = couple(gait.body, frame.body_aligned_kappa, lead, smoothed[k])
+        excess = max(0.0, math.hypot(states[k, VX], states[k, VY]) - shared.speed_threshold)
+        kappa = loosened(frame, kappa, excess * excess, gait.body.lead - left, shared.body_diffusion)
         frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin = kappa, cos, sin
         cos, sin = expected(smoothed[k], gait.body, 1.0, 1.0)
         modes[k, 0], modes[k, 1] = aligned(smoothed[k]), math.atan2(sin, cos)
+        held[k, 0], held[k, 1] = cos, sin
+        left += dt[k]
     leading_angles(dt, states, gait.head.lead, False, angle)
     judge_head(problem, track, states, angle, gait.head, row)
     infer_modes(dt, row, gait.head, before[HEAD_MODE], filtered[HEAD_MODE], smoothed)
-    for k in range(n):
+    left = 0.0
+    for k in range(n - 1, -1, -1):
         frame, lead = problem.records[offset + k], angle[k] - states[k, BODY]
         kappa, cos, sin = couple(gait.head, frame.head_aligned_kappa, lead, smoothed[k])
+        kappa = loosened(frame, kappa, 1.0, gait.head.lead - left, shared.body_diffusion)
         frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin = kappa, cos, sin
+        left += dt[k]
+        if k < n - 1:
+            # The head steers as far as it is expected to point where the motion goes.
+            cos, sin = expected(smoothed[k], gait.head, 1.0, 1.0)
+            after, ahead = problem.records[offset + k + 1], held[k, 0] * cos - held[k, 1] * sin
+            share = gait.head_rate_seen if is_seen(after) else 1.0
+            steer(after, after.steer_rate * share * max(ahead, 0.0))
 
 
 @compiled

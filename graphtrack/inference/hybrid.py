@@ -3,8 +3,8 @@
 `GaitOffsets` is solved by turns. Here the same hidden Markov chains are discrete variables of a factor graph,
 the offsets are continuous ones, and all are inferred at once; see `hypotheses`.
 
-Two things are left out: the leads of body and head, and `head_evidence`, since the head tells of the body's
-mode by its own coupling.
+Left out are the leads of body and head, `head_evidence`, since the head tells of the body's mode by its own
+coupling, the head that steers the motion, and offsets that are likelier than others.
 """
 
 from __future__ import annotations
@@ -204,7 +204,9 @@ def _leaves(step: Step, parameters: Parameters, speed: float, guesses: list[floa
         yield Leaves(side, (k,), (near, anywhere, anywhere), (costs[0], costs[1], costs[1]))
         keys = [letter(k)] if step.previous is None else [letter(k - 1), letter(k)]
         small = offset_drawn(keys, 0.0, gait["spread"]), _gaussian(gait["spread"])
-        any_ = offset_drawn(keys, guesses[side], _AROUND), math.log(2.0 * math.pi)
+        about = gait["offset_kappa"]
+        mass = math.log(2.0 * math.pi * float(special.i0e(about)))
+        any_ = offset_drawn(keys, guesses[side], _AROUND, about), mass
         if step.previous is None or step.dt is None:
             # No free mode goes on here, but GTSAM wants all alternatives.
             table = [small, any_, any_]
@@ -217,7 +219,7 @@ def _leaves(step: Step, parameters: Parameters, speed: float, guesses: list[floa
         yield Leaves(side, frames, tuple(one[0] for one in table), tuple(one[1] for one in table))
 
 
-_GAIT = ("strength", "free_strength", "spread", "drift")
+_GAIT = ("strength", "free_strength", "spread", "drift", "offset_kappa")
 
 
 def _gaussian(std: float) -> float:

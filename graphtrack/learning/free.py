@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from graphtrack.model import Model, Term
+from graphtrack.model import Model, Parameters, Term
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.gait import GaitOffsets
 from graphtrack.model.intentional import IntentionalMotion
@@ -55,7 +56,7 @@ class Free:
     @property
     def is_probability(self) -> bool:
         """Whether it is learned by its log odds; else by its logarithm."""
-        return self.name.endswith(("probability", "_aligned", "head_evidence"))
+        return self._greatest < 1.0
 
     def get(self, model: Model) -> float:
         """Its value in a model."""
@@ -72,11 +73,18 @@ class Free:
         value = 1.0 / (1.0 + math.exp(-x)) if self.is_probability else math.exp(x)
         return min(value, self._greatest)
 
-    @property
+    @cached_property
     def _greatest(self) -> float:
-        if self.is_probability:
-            return 0.999
-        return 10.0 if self.name.endswith("_lead") else 1e3
+        """The greatest value that is tried: one that it may have, not too far from what is usual."""
+        group, key = self.name.split(".")
+        defaults = getattr(Parameters(), group)
+        for limit in (1e3, 100.0, 10.0):
+            try:
+                replace(defaults, **{key: limit})
+            except InputError:
+                continue
+            return limit
+        return 0.999
 
 
 def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:

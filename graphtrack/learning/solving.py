@@ -79,7 +79,8 @@ class Solver:
         memory, m = workspace(self._longest), len(self._tracks)
         if model.has_modes:
             gait = gait_of(model.parameters.gait)
-            problem.records["motion_body_kappa"] = problem.records["head_body_kappa"] = 0.0
+            for name in ("motion_body_kappa", "head_body_kappa", "steer_gain"):
+                problem.records[name] = 0.0
             for _ in range(PASSES):
                 solve_tracks(problem, 0, m, MAX_ITERATIONS, TOLERANCE, False, memory, result)
                 renew_tracks(problem, 0, m, result.states, gait, result.modes)

@@ -22,7 +22,7 @@ from graphtrack.tracks import Track
 _NO_PULL = (np.zeros(2), (np.zeros((2, 2)), np.zeros((2, 1))))
 
 
-def _weights(coupling: CouplingParameters, dt: FloatArray) -> FloatArray:
+def coupling_weights(coupling: CouplingParameters, dt: FloatArray) -> FloatArray:
     """`CouplingParameters.weight` of each frame; ``dt`` (n,) is 0 at the first of a track."""
     short = (dt > 0.0) & (dt < coupling.correlation_time)
     return np.divide(dt, coupling.correlation_time, out=np.ones_like(dt), where=short)
@@ -70,14 +70,14 @@ class BodyFollowsMotion(Term):
         """Σ κ(v)·(1 − cos(θ − ang v)), weighted by the time since the frame before."""
         coupling = self.parameters.coupling
         excess = np.maximum(np.linalg.norm(states.velocity, axis=1) - coupling.speed_threshold, 0.0)
-        weights = _weights(coupling, np.diff(track.t, prepend=track.t[0]))
+        weights = coupling_weights(coupling, np.diff(track.t, prepend=track.t[0]))
         kappa = coupling.motion_body_kappa * excess**2 * weights
         return float(np.sum(kappa * (1.0 - np.cos(states.body - direction(states.velocity)))))
 
     def pack(self, packed: PackedTracks) -> None:
         """κ₁ with the frames' weights, and τ."""
         coupling = self.parameters.coupling
-        weights = _weights(coupling, packed.dt)
+        weights = coupling_weights(coupling, packed.dt)
         packed.records["motion_body_kappa"] = coupling.motion_body_kappa * weights
         packed.records["motion_body_cos"] = 1.0
         packed.shared["speed_threshold"] = coupling.speed_threshold
@@ -97,11 +97,11 @@ class HeadFollowsBody(Term):
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Σ κ₂·(1 − cos(α − θ)), weighted by the time since the frame before."""
         coupling = self.parameters.coupling
-        kappa = coupling.head_body_kappa * _weights(coupling, np.diff(track.t, prepend=track.t[0]))
+        kappa = coupling.head_body_kappa * coupling_weights(coupling, np.diff(track.t, prepend=track.t[0]))
         return float(np.sum(kappa * (1.0 - np.cos(states.head - states.body))))
 
     def pack(self, packed: PackedTracks) -> None:
         """κ₂ with the frames' weights."""
         coupling = self.parameters.coupling
-        packed.records["head_body_kappa"] = coupling.head_body_kappa * _weights(coupling, packed.dt)
+        packed.records["head_body_kappa"] = coupling.head_body_kappa * coupling_weights(coupling, packed.dt)
         packed.records["head_body_cos"] = 1.0

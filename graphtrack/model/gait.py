@@ -11,6 +11,7 @@ from scipy import special
 
 from graphtrack.angles import FloatArray
 from graphtrack.geometry import GroundCamera
+from graphtrack.model.coupling import coupling_weights
 from graphtrack.model.kernels.gait import BINS, NEAR, Gait, Modes
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.parameters import GaitParameters
@@ -24,18 +25,28 @@ _GRID = 2.0 * np.pi * np.arange(72) / 72
 
 def gait_of(parameters: GaitParameters) -> Gait:
     """The parameters as the kernels take them."""
-    return Gait(_modes(parameters, "body"), _modes(parameters, "head"), parameters.head_evidence)
+    return Gait(
+        _modes(parameters, "body"),
+        _modes(parameters, "head"),
+        parameters.head_evidence,
+        parameters.head_rate_seen,
+    )
 
 
 def _modes(parameters: GaitParameters, side: str) -> Modes:
-    values = {
-        name: float(getattr(parameters, f"{side}_{name}"))
-        for name in ("aligned", "switching", "drift", "strength", "free_strength", "lead", "spread")
-    }
+    names = ("aligned", "switching", "drift", "strength", "free_strength", "lead", "spread", "offset_kappa")
+    values = {name: float(getattr(parameters, f"{side}_{name}")) for name in names}
     steps = np.linspace(-2.0, 2.0, NEAR)
     offsets = np.append(2.0 * np.pi * np.arange(BINS) / BINS, steps * values.pop("spread"))
+    anywhere = np.exp(values.pop("offset_kappa") * (np.cos(offsets[:BINS]) - 1.0))
     share = np.exp(-0.5 * steps**2)
-    return Modes(**values, cos=np.cos(offsets), sin=np.sin(offsets), share=share / share.sum())
+    return Modes(
+        **values,
+        cos=np.cos(offsets),
+        sin=np.sin(offsets),
+        anywhere=anywhere / anywhere.sum(),
+        share=share / share.sum(),
+    )
 
 
 def angle_information(kappa: FloatArray) -> FloatArray:
@@ -59,8 +70,8 @@ class GaitOffsets(Term):
 
     In each frame each coupling is *aligned* (at rest near 0, as 002 has it) or *free* (at rest at an offset
     that may be anything and drifts slowly); a hidden Markov chain says that this seldom changes. The
-    couplings count by the probabilities of their modes. The engine infers both in turn: given the states the
-    modes, by the forward–backward recursion; given the modes the states.
+    couplings, and the head that steers the motion, count by the probabilities of the modes. The engine infers
+    both in turn: given the states the modes, by the forward–backward recursion; given the modes the states.
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
@@ -75,8 +86,10 @@ class GaitOffsets(Term):
         return 0.0
 
     def pack(self, packed: PackedTracks) -> None:
-        """The couplings when aligned, and how much each observation of body and head tells."""
-        records = packed.records
+        """The couplings when aligned, their weights, and how much each observation of body and head tells."""
+        records, coupling = packed.records, self.parameters.coupling
+        packed.shared["body_diffusion"] = self.parameters.orientation.body_diffusion
+        records["coupling_weight"] = coupling_weights(coupling, packed.dt)
         records["body_aligned_kappa"] = records["motion_body_kappa"]
         records["head_aligned_kappa"] = records["head_body_kappa"]
         for name, heights in (("body", packed.body_heights), ("head", packed.head_heights)):

@@ -11,14 +11,12 @@ import numpy as np
 from graphtrack.angles import FloatArray, unit
 from graphtrack.geometry import GroundCamera
 from graphtrack.model.custom import custom_factor
-from graphtrack.model.kernels.motion import STANDSTILL
+from graphtrack.model.kernels.motion import SMALL_TURN, STANDSTILL
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.motion import Motion
 from graphtrack.model.steps import States, Step
 from graphtrack.model.term import Variable
 from graphtrack.tracks import Track
-
-_SMALL = 1e-3
 
 
 class SteeredStep(NamedTuple):
@@ -42,10 +40,9 @@ def steered_step(dt: FloatArray | float, rate: FloatArray | float) -> SteeredSte
     """Moments of a step of ``dt`` seconds that is steered at the ``rate`` λ in 1/s; λ = 0 is not steered."""
     dt, rate = np.broadcast_arrays(np.asarray(dt, float), np.asarray(rate, float))
     x = rate * dt
-    small = x < _SMALL
+    small = x < SMALL_TURN
     safe = np.where(small, 1.0, rate)
     once, twice = np.expm1(-x), np.expm1(-2.0 * x)
-    # The closed forms cancel for a small λΔt: there, their series.
     return SteeredStep(
         np.exp(-x),
         np.where(small, dt * (1.0 - x / 2.0 + x**2 / 6.0), -once / safe),
@@ -153,6 +150,7 @@ class IntentionalMotion(Motion):
         motion, records = self.parameters.motion, packed.records
         if motion.head_rate == 0.0:
             return
+        records["steer_rate"] = motion.head_rate
         records["velocity_information"] = 0.0
         starts = packed.offsets[:-1][: len(packed.first_seen)]  # none within a track
         records["velocity_information"][starts] = motion.initial_speed_std**-2

@@ -18,7 +18,7 @@ from graphtrack.model.gait import GaitOffsets
 from graphtrack.model.intentional import IntentionalMotion
 from graphtrack.model.motion import Motion
 from graphtrack.model.orientation import BodyDynamics, HeadDynamics
-from graphtrack.model.parameters import Parameters
+from graphtrack.model.parameters import LikelihoodParameters, MotionParameters, Parameters
 from graphtrack.model.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.position import PositionLikelihood
 from graphtrack.model.steps import States, Step
@@ -34,10 +34,24 @@ presets: dict[str, tuple[type[Term], ...]] = {
     "joint": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody),
     "intentional": (IntentionalMotion, PositionLikelihood, HeadDynamics, HeadLikelihood),
     "joint-intentional": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody),
-    "full": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody, GaitOffsets),
+    "full": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody, GaitOffsets),
 }
 """Name → the terms of the model: positions only; orientations too, each for itself; all coupled (002);
 positions and the head that steers them (000); all of these; `joint` whose couplings have modes."""
+
+
+preset_parameters: dict[str, Parameters] = {
+    "full": Parameters(
+        motion=MotionParameters(acceleration_density=0.1, head_rate=2.2),
+        likelihood=LikelihoodParameters(robust="huber"),
+    ),
+}
+"""Default parameters of the presets for which those of `Parameters` are not the best."""
+
+
+def default_parameters(preset: str) -> Parameters:
+    """The parameters that a preset has where none are given."""
+    return preset_parameters.get(preset, Parameters())
 
 
 class Model:
@@ -46,7 +60,7 @@ class Model:
     Parameters
     ----------
     preset : name of a list in `presets`
-    parameters : their parameters
+    parameters : their parameters; by default those of the preset
     terms : further terms of your own, as classes
     """
 
@@ -59,7 +73,7 @@ class Model:
         if preset not in presets:
             raise InputError(f"model {preset!r}", f"one of {', '.join(presets)}, or a model file (.toml)")
         self.preset = preset
-        self.parameters = Parameters() if parameters is None else parameters
+        self.parameters = default_parameters(preset) if parameters is None else parameters
         self._extra = tuple(terms)
         self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self._extra))
         used = frozenset().union(*(term.uses for term in self.terms))
@@ -98,7 +112,7 @@ class Model:
         preset = tables.pop("preset", "joint")
         if not isinstance(preset, str):
             raise InputError(f"preset = {preset!r}", f"one of {', '.join(presets)}")
-        return cls(preset, Parameters.from_dict(tables))
+        return cls(preset, Parameters.from_dict(tables, default_parameters(preset)))
 
     def save(self, path: str | Path) -> None:
         """Write a model file (TOML), whole or not at all."""

@@ -9,7 +9,7 @@ angular errors of `separate` and `joint`. docs/model.md has the errors on the cl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 from graphtrack.errors import InputError
@@ -111,32 +111,39 @@ class GaitParameters:
     head_aligned, head_switching, head_spread, head_drift : the same of the head against the body
     head_strength, head_free_strength : κ₂, as multiples of ``head_body_kappa``
     head_lead : seconds by which the head turns before the body does
+    body_offset_kappa, head_offset_kappa : concentration about 0 of an offset that is drawn for the free mode;
+        0: any is as likely
+    head_rate_seen : share of the motion's ``head_rate`` that holds where a position is seen, 0 to 1
     """
 
     body_aligned: float = 0.36
-    body_switching: float = 0.009
+    body_switching: float = 0.013
     body_spread: float = 0.07
     body_drift: float = 0.003
     body_strength: float = 3.3
-    body_free_strength: float = 0.42
+    body_free_strength: float = 0.63
     body_lead: float = 0.13
-    head_evidence: float = 0.2
-    head_aligned: float = 0.17
+    head_evidence: float = 0.25
+    head_aligned: float = 0.31
     head_switching: float = 0.011
     head_spread: float = 0.07
-    head_drift: float = 0.004
-    head_strength: float = 4.3
+    head_drift: float = 0.003
+    head_strength: float = 6.4
     head_free_strength: float = 7.8
     head_lead: float = 0.35
+    body_offset_kappa: float = 0.2
+    head_offset_kappa: float = 3.0
+    head_rate_seen: float = 0.54
 
     def __post_init__(self) -> None:
-        for name in ("body_aligned", "head_aligned", "head_evidence"):
+        for name in ("body_aligned", "head_aligned", "head_evidence", "head_rate_seen"):
             _check(self, name, 0.0, 1.0)
         for name in ("body_lead", "head_lead"):
             _check(self, name, 0.0, 10.0)
         for side in ("body", "head"):
             for name in ("switching", "spread", "drift", "strength", "free_strength"):
                 _check(self, f"{side}_{name}", 0.0, 1e6)
+            _check(self, f"{side}_offset_kappa", 0.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -189,26 +196,27 @@ class Parameters:
     likelihood: LikelihoodParameters = field(default_factory=LikelihoodParameters)
 
     @classmethod
-    def from_dict(cls, tables: dict[str, Any]) -> Parameters:
-        """Parameters from nested tables; what is not named keeps its default.
+    def from_dict(cls, tables: dict[str, Any], defaults: Parameters | None = None) -> Parameters:
+        """Parameters from nested tables; what is not named keeps its value in ``defaults``.
 
         Raises
         ------
         InputError
             For an unknown table or key, and for a value outside its range.
         """
-        known = {f.name: f.default_factory for f in fields(cls)}
+        start = cls() if defaults is None else defaults
+        known = [f.name for f in fields(cls)]
         parts = {}
         for table, values in tables.items():
             if table not in known or not isinstance(values, dict):
                 raise InputError(f"table {table!r}", f"one of {', '.join(known)}")
-            kind: Any = known[table]
-            names = [f.name for f in fields(kind)]
+            part = getattr(start, table)
+            names = [f.name for f in fields(part)]
             for name in values:
                 if name not in names:
                     raise InputError(f"key {table}.{name}", f"one of {', '.join(names)}")
             try:
-                parts[table] = kind(**values)
+                parts[table] = replace(part, **values)
             except InputError as error:
                 raise InputError(f"{table}.{error.found}", error.expected) from error
-        return cls(**parts)
+        return replace(start, **parts)

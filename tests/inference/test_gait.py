@@ -5,19 +5,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import special
 
 import graphtrack as gt
 from graphtrack.angles import difference, direction, mean_absolute_error, unit, wrap
-from graphtrack.degrade import add_noise
+from graphtrack.degrade import add_noise, withhold
 from graphtrack.errors import InputError
 from graphtrack.inference import smooth_track, solve
 from graphtrack.inference.frame_kernels import add_frame
-from graphtrack.inference.gait_kernels import leading_angles
+from graphtrack.inference.gait_kernels import leading_angles, loosened
 from graphtrack.inference.incremental import OnlineSmoother, track_online
 from graphtrack.inference.initial import pack, problem_of
-from graphtrack.model import GaitParameters, Model, Parameters
+from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.gait import angle_information, class_information, gait_of
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.frames import FRAME
 from graphtrack.model.kernels.gait import BINS, NEAR, ROW, infer_modes, switch, switch_back
+from graphtrack.model.kernels.motion import steer
 from graphtrack.model.pose import class_centres, class_kappa
 from graphtrack.model.steps import observations
 from graphtrack.tracks import Track, TrackSet
@@ -258,7 +262,43 @@ def test_a_late_observation_is_worked_in() -> None:
     assert found[-1].aligned_p == pytest.approx(expected[-1].aligned_p, abs=1e-3)
 
 
+@pytest.mark.parametrize("offset", [0.0, 100.0])
+def test_the_head_steers_people_who_look_where_they_go_and_no_others(offset: float) -> None:
+    """A turn in a gap that only the head tells of; bodies and heads of the others point elsewhere."""
+    rng, tracks = np.random.default_rng(17), []
+    for i in range(6):
+        t = np.arange(150) / FPS
+        turn = rng.choice([-1.0, 1.0]) * 1.8 * np.clip((t - 3.0) / 0.8, 0.0, 1.0)
+        aim = rng.uniform(-np.pi, np.pi) + turn
+        course = aim - turn + np.interp(t - 0.4, t, turn)
+        position = np.cumsum(1.2 * unit(course) / FPS, axis=0)
+        body, head = wrap(course + np.radians(offset)), wrap(aim + np.radians(offset))
+        tracks.append(Track(i, np.arange(150), t, position, body=body, head=head))
+    noisy = add_noise(TrackSet(tuple(tracks)), position_std=0.05, body_kappa=4.0, head_kappa=4.0, rng=rng)
+    gap = (np.arange(150) >= 100) & (np.arange(150) < 130)
+    hidden = [withhold(track, gap) for track in noisy]
+    full = Model("full").parameters
+    unsteered = Model("full", replace(full, motion=replace(full.motion, head_rate=0.0)))
+
+    def error(model: Model) -> float:
+        found = [track_online(track, model).position - track.true_position for track in hidden]
+        return float(np.sqrt(np.mean([np.sum(one[gap] ** 2, axis=1) for one in found])))
+
+    assert error(Model("full")) < (0.8 if offset == 0.0 else 1.1) * error(unsteered)
+
+
 # The recursion and the kernels, against what they say.
+
+
+@compiled
+def steer_all(records: np.ndarray, rate: float) -> None:
+    for k in range(len(records)):
+        steer(records[k], rate)
+
+
+@compiled
+def loosen(records: np.ndarray, kappa: float, excess: float, missing: float, diffusion: float) -> float:
+    return loosened(records[0], kappa, excess, missing, diffusion)
 
 
 def transition(modes: object, dt: float) -> np.ndarray:
@@ -281,8 +321,43 @@ def test_switching_keeps_probability_and_its_adjoint_is_its_transpose(dt: float)
     back = ahead.copy()
     switch_back(back, GAIT.body, dt, np.empty(BINS))
     np.testing.assert_allclose(back, matrix @ ahead, rtol=1e-12)
-    longrun = np.r_[np.full(BINS, (1 - GAIT.body.aligned) / BINS), GAIT.body.aligned * GAIT.body.share]
-    np.testing.assert_allclose(longrun @ matrix, longrun, rtol=1e-12)
+    # What is drawn anew is what there is in the long run, but for the drift of what was drawn.
+    longrun = np.r_[(1 - GAIT.body.aligned) * GAIT.body.anywhere, GAIT.body.aligned * GAIT.body.share]
+    still = transition(GAIT.body._replace(drift=0.0), dt)
+    np.testing.assert_allclose(longrun @ still, longrun, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kappa", [0.0, 0.7, 5.0])
+def test_offsets_are_drawn_about_0_with_their_concentration(kappa: float) -> None:
+    modes = gait_of(GaitParameters(head_offset_kappa=kappa)).head
+    assert modes.anywhere.sum() == pytest.approx(1.0)
+    mean = modes.anywhere @ np.stack([modes.cos[:BINS], modes.sin[:BINS]], axis=1)
+    np.testing.assert_allclose(mean, [special.i1(kappa) / special.i0(kappa), 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("dt", [1e-6, 1 / 30, 0.7])
+@pytest.mark.parametrize("rate", [1e-4, 0.02, 2.0, 50.0])
+def test_a_step_that_is_steered_anew_is_as_one_that_was_packed(dt: float, rate: float) -> None:
+    track = Track(0, np.arange(2), np.array([0.0, dt]), np.zeros((2, 2)))
+    motion = MotionParameters(acceleration_density=0.3, head_rate=rate)
+    packed = pack([track], Model("intentional", Parameters(motion))).records[1]
+    found = pack([track], Model("intentional", Parameters(replace(motion, head_rate=1.0)))).records[1:]
+    steer_all(found, rate)
+    for name in ("gain", "reach", "place", "cross", "spread"):
+        assert found[f"steer_{name}"][0] == pytest.approx(packed[f"steer_{name}"], rel=1e-9)
+    steer_all(found, 0.0)
+    assert found["steer_gain"][0] == 0.0
+
+
+def test_a_lead_that_is_not_known_adds_its_variance() -> None:
+    record = np.zeros(1, FRAME)
+    record["coupling_weight"] = 1.0
+    missing = loosen(record, 8.0, 1.0, 0.5, 0.2)
+    assert 1.0 / missing == pytest.approx(1.0 / 8.0 + 0.5 * 0.2)
+    assert loosen(record, 8.0, 1.0, 0.0, 0.2) == 8.0
+    # The weight of a frame scales what it counts, not how certain it is.
+    record["coupling_weight"] = 0.1
+    assert loosen(record, 0.8, 1.0, 0.5, 0.2) == pytest.approx(0.1 * missing)
 
 
 def test_drift_has_the_variance_it_says() -> None:
@@ -298,7 +373,7 @@ def test_modes_are_those_of_summing_over_all_courses() -> None:
     n, modes = 6, GAIT.body._replace(switching=0.8, drift=0.3)
     dt = np.r_[0.0, rng.uniform(0.02, 1.5, n - 1)]
     logs = rng.normal(0.0, 2.0, (n, ROW))
-    start = np.r_[np.full(BINS, (1 - modes.aligned) / BINS), modes.aligned * modes.share]
+    start = np.r_[(1 - modes.aligned) * modes.anywhere, modes.aligned * modes.share]
     matrices = [transition(modes, step) for step in dt[1:]]
     forward = [start * np.exp(logs[0])]
     for k in range(1, n):

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import pickle
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,8 @@ PARAMETERS = st.builds(
         body_drift=NOT_NEGATIVE,
         body_lead=st.floats(0.0, 10.0),
         head_strength=NOT_NEGATIVE,
+        head_offset_kappa=st.floats(0.0, 100.0),
+        head_rate_seen=PROBABILITY,
     ),
     likelihood=st.builds(
         LikelihoodParameters,
@@ -126,6 +129,14 @@ def test_named_takes_presets_files_and_models(tmp_path: Path, preset: str) -> No
     model.save(tmp_path / "model.toml")
     assert Model.named(tmp_path / "model.toml").preset == preset
     assert Model.named(str(tmp_path / "model.toml")).preset == preset
+
+
+@pytest.mark.parametrize("preset", presets)
+def test_what_a_file_leaves_out_is_the_presets_own(tmp_path: Path, preset: str) -> None:
+    path = tmp_path / "model.toml"
+    path.write_text(f'preset = "{preset}"\n[motion]\ninitial_speed_std = 0.7\n', encoding="utf-8")
+    found, own = Model.load(path).parameters, Model(preset).parameters
+    assert found == replace(own, motion=replace(own.motion, initial_speed_std=0.7))
 
 
 def test_presets_estimate_the_orientations_that_they_name() -> None:

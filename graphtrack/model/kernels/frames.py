@@ -16,6 +16,7 @@ FRAME = np.dtype(
         ("steer_place", float),  # information on position, both and velocity
         ("steer_cross", float),
         ("steer_spread", float),
+        ("steer_rate", float),  # λ in 1/s, where modes choose how much of it holds
         ("velocity_information", float),  # of the prior on the velocity, where it stands
         ("x", float),  # observed position, metres from the track's origin
         ("y", float),
@@ -33,6 +34,7 @@ FRAME = np.dtype(
         ("head_body_sin", float),
         ("body_aligned_kappa", float),  # κ₁ and κ₂ with the weight, where modes choose how much of them holds
         ("head_aligned_kappa", float),
+        ("coupling_weight", float),  # that weight
         ("body_information", float),  # Fisher information of what was seen of the body, and of the head
         ("head_information", float),
         ("body_cos", float),  # direction, concentration and ε/2π of an observed body angle
@@ -54,6 +56,7 @@ FRAME = np.dtype(
 SHARED = np.dtype(
     [
         ("speed_threshold", float),
+        ("body_diffusion", float),  # rad²/s, where modes need it
         ("robust", np.int64),  # 0 none, 1 Huber, 2 Cauchy
         ("robust_threshold", float),
         ("to_image", float, (3, 3)),  # from metres about the world's origin to ideal pixels

@@ -35,6 +35,7 @@ class Modes(NamedTuple):
     lead: float  # seconds
     cos: FloatArray  # (ROW,) of the offsets
     sin: FloatArray
+    anywhere: FloatArray  # (BINS,) of the free mode's offsets in it; they sum to 1
     share: FloatArray  # (NEAR,) of the aligned mode's offsets in it; they sum to 1
 
 
@@ -44,6 +45,7 @@ class Gait(NamedTuple):
     body: Modes
     head: Modes
     head_evidence: float
+    head_rate_seen: float
 
 
 @compiled
@@ -120,7 +122,7 @@ def switch(now: FloatArray, modes: Modes, dt: float, memory: FloatArray) -> None
     # What changes is drawn anew from the long run.
     anew = (1.0 - kept) * total
     for j in range(BINS):
-        now[j] = kept * now[j] + anew * (1.0 - modes.aligned) / BINS
+        now[j] = kept * now[j] + anew * (1.0 - modes.aligned) * modes.anywhere[j]
     for j in range(NEAR):
         now[BINS + j] = kept * now[BINS + j] + anew * modes.aligned * modes.share[j]
 
@@ -131,7 +133,7 @@ def switch_back(ahead: FloatArray, modes: Modes, dt: float, memory: FloatArray) 
     kept = math.exp(-modes.switching * dt)
     free = near = 0.0
     for j in range(BINS):
-        free += ahead[j] / BINS
+        free += ahead[j] * modes.anywhere[j]
     for j in range(NEAR):
         near += ahead[BINS + j] * modes.share[j]
     anew = (1.0 - kept) * ((1.0 - modes.aligned) * free + modes.aligned * near)
@@ -163,7 +165,7 @@ def infer_modes(
     likelihood, memory, ahead = log_likelihood, np.empty(BINS), np.ones(ROW)
     now = before.copy()
     if not dt[0] > 0.0:
-        now[:BINS] = (1.0 - modes.aligned) / BINS
+        now[:BINS] = (1.0 - modes.aligned) * modes.anywhere
         now[BINS:] = modes.aligned * modes.share
     for k in range(n):
         if dt[k] > 0.0:

@@ -9,6 +9,9 @@ from graphtrack.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import HEAD, VX, VY, X, Y
 
+SMALL_TURN = 1e-3
+"""λΔt below which the closed forms of a steered step cancel; there, their series."""
+
 STANDSTILL = 0.01
 """m/s: the speed that the head steers has no kink at 0; it is rounded off over about so much."""
 
@@ -50,6 +53,29 @@ def add_motion(
         transition[v, p] -= half * bend
         transition[v, v] += half * half * bend - turn
     return cost
+
+
+@compiled
+def steer(frame: Any, rate: float) -> None:
+    """Set the ``rate`` λ in 1/s at which a step is steered; see `intentional.steered_step`."""
+    dt, x = frame.dt, rate * frame.dt
+    if not (x > 0.0 and frame.motion_information > 0.0):
+        frame.steer_gain = 0.0
+        return
+    once, twice = math.expm1(-x), math.expm1(-2.0 * x)
+    if x < SMALL_TURN:
+        reach = dt * (1.0 - x / 2.0 + x * x / 6.0)
+        place = dt * dt * dt / 3.0 * (1.0 - 0.75 * x + 0.35 * x * x)
+        cross = dt * dt / 2.0 * (1.0 - x + 7.0 * x * x / 12.0)
+        spread = dt * (1.0 - x + 2.0 * x * x / 3.0)
+    else:
+        reach = -once / rate
+        place = (dt + 2.0 * once / rate - twice / (2.0 * rate)) / (rate * rate)
+        cross = once * once / (2.0 * rate * rate)
+        spread = -twice / (2.0 * rate)
+    scale = frame.motion_information / (place * spread - cross * cross)
+    frame.steer_gain, frame.steer_reach = -once, reach
+    frame.steer_place, frame.steer_cross, frame.steer_spread = spread * scale, -cross * scale, place * scale
 
 
 @compiled
