@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -58,3 +61,76 @@ def test_what_cannot_be_done_is_said_in_one_line(
     assert run(monkeypatch, "fit", "people.csv", *wrong) == 2
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
     assert not (people / "learned.toml").exists()
+
+
+BROKEN = {
+    "preset = 'full'\n[gait]\nbody_allign = 0.3\n": ("gait.body_allign", "body_aligned"),
+    "preset = 'full'\n[gait]\nbody_aligned = 1.3\n": ("gait.body_aligned = 1.3", "[0, 1]"),
+    "preset = 'joint'\n[coupling]\nhead_body_kappa = -1.0\n": (
+        "coupling.head_body_kappa = -1.0",
+        "[0, 1e+06]",
+    ),
+    "preset = 'joint'\n[cuopling]\nhead_body_kappa = 1.0\n": ("'cuopling'", "coupling"),
+}
+
+
+@pytest.mark.parametrize("content", BROKEN)
+def test_a_key_that_is_wrong_is_named_with_what_is_allowed(
+    people: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], content: str
+) -> None:
+    Path("start.toml").write_text(content, encoding="utf-8")
+    assert run(monkeypatch, "fit", "people.csv", "-o", "learned.toml", "--model", "start.toml") == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert said.startswith("error: start.toml")
+    assert all(part in said for part in BROKEN[content])
+
+
+def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(
+    people: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The file says how noisy it is, so that its positions tell nothing of the default noise.
+    options = ["--model", "position", "--json", "learned.json"]
+    assert run(monkeypatch, "fit", "people.csv", "-o", "learned.toml", *options) == 0
+    assert "not identified" in capsys.readouterr().out
+    told = json.loads((people / "learned.json").read_text(encoding="utf-8"))
+    notes = {one["name"]: one for one in told["learned"]}
+    kept = notes["likelihood.position_std"]
+    assert "kept" in kept["note"] and kept["value"] == kept["start"]
+    assert not notes["motion.acceleration_density"]["note"]
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_fit_that_is_interrupted_is_resumed_to_the_same_result(tmp_path: Path, how: signal.Signals) -> None:
+    rng = np.random.default_rng(0)
+    gt.write(gt.simulate("position", n_tracks=20, n_steps=400, rng=rng), tmp_path / "people.csv")
+
+    def start(name: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "graphtrack", "fit", "people.csv", "-o", name, "--model", "position"]
+        # A shell that runs the tests in the background lets them ignore interrupts.
+        return subprocess.Popen(
+            command,
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+
+    whole = start("whole.toml")
+    whole.communicate()
+    assert whole.returncode == 0
+    progress = tmp_path / "learned.toml.progress"
+    interrupted = start("learned.toml")
+    while interrupted.poll() is None:
+        if progress.is_file() and progress.read_bytes().count(b"\n") > 5:
+            interrupted.send_signal(how)
+            break
+        time.sleep(0.01)
+    _, said = interrupted.communicate()
+    assert interrupted.returncode == (130 if how is signal.SIGINT else -signal.SIGKILL)
+    assert b"Traceback" not in said
+    assert progress.is_file() and not (tmp_path / "learned.toml").exists()
+    resumed = start("learned.toml")
+    _, said = resumed.communicate()
+    assert resumed.returncode == 0 and b"going on from" in said
+    assert (tmp_path / "learned.toml").read_bytes() == (tmp_path / "whole.toml").read_bytes()
+    assert not progress.exists()
