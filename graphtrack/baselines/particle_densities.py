@@ -8,7 +8,7 @@ import numpy as np
 
 from graphtrack.angles import FloatArray
 from graphtrack.baselines.particle_data import Camera, Pose, Position
-from graphtrack.baselines.resampling import compiled
+from graphtrack.model.kernels.compiled import compiled
 
 
 @compiled

@@ -19,11 +19,11 @@ from graphtrack.baselines.particle_densities import (
     wrapped,
 )
 from graphtrack.baselines.resampling import (
-    compiled,
     effective_sample_size,
     normalise,
     systematic_ancestors,
 )
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.motion import STANDSTILL
 
 PROPAGATE, FIRST, RECOVERED = 0, 1, 2

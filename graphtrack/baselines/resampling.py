@@ -8,17 +8,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-
-# Sums may be reordered; NaN and infinity keep their meaning, for a weight of 0 has the logarithm −∞.
-compiled = numba.njit(
-    cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"}
-)
+from graphtrack.model.kernels.compiled import compiled
 
 
 def generator(seed: int | np.random.Generator) -> np.random.Generator:
