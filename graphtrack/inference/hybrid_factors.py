@@ -68,30 +68,34 @@ def head_coupling(step: Step, kappa: float) -> gtsam.CustomFactor:
     return gtsam.CustomFactor(unit_noise(2), [body_key, head_key, offset_key], residual)
 
 
-def offset_drawn(keys: Sequence[int], mean: float, std: float) -> gtsam.CustomFactor:
-    """(offset − mean)/σ, wrapped, of the last key.
+def offset_drawn(keys: Sequence[int], mean: float, std: float, kappa: float = 0.0) -> gtsam.CustomFactor:
+    """(offset − mean)/σ, wrapped, of the last key, and a von Mises of concentration κ about 0.
 
     A key before it has no part in it: GTSAM wants all alternatives on the same variables.
     """
+    root = math.sqrt(kappa)
 
     def residual(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
         del this
+        offset = values.atRot2(keys[-1]).theta()
+        cos, sin = math.cos(offset), math.sin(offset)
         if jacobians is not None:
-            jacobians[0] = np.zeros((1, 1))
-            jacobians[len(keys) - 1] = np.array([[1.0 / std]])
-        return np.array([math.remainder(values.atRot2(keys[-1]).theta() - mean, math.tau) / std])
+            jacobians[0] = np.zeros((3, 1))
+            jacobians[len(keys) - 1] = np.array([[1.0 / std], [-root * sin], [root * cos]])
+        return np.array([math.remainder(offset - mean, math.tau) / std, root * (cos - 1.0), root * sin])
 
-    return gtsam.CustomFactor(unit_noise(1), list(keys), residual)
+    return gtsam.CustomFactor(unit_noise(3), list(keys), residual)
 
 
 def offset_kept(keys: Sequence[int], std: float) -> gtsam.CustomFactor:
-    """(offset − offset before)/σ, wrapped."""
+    """(offset − offset before)/σ, wrapped; with two empty rows, as many as in `offset_drawn`."""
+    slope = np.array([[1.0 / std], [0.0], [0.0]])
 
     def residual(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
         del this
         if jacobians is not None:
-            jacobians[0], jacobians[1] = np.array([[-1.0 / std]]), np.array([[1.0 / std]])
+            jacobians[0], jacobians[1] = -slope, slope
         turn = values.atRot2(keys[1]).theta() - values.atRot2(keys[0]).theta()
-        return np.array([math.remainder(turn, math.tau) / std])
+        return np.array([math.remainder(turn, math.tau) / std, 0.0, 0.0])
 
-    return gtsam.CustomFactor(unit_noise(1), list(keys), residual)
+    return gtsam.CustomFactor(unit_noise(3), list(keys), residual)

@@ -212,7 +212,7 @@ class _Search:
         values = self.values_about(with_values(self.model, free, x), free, f"2 {names}")
         x = climb(values, x, start, definite(curvature(values, x, start)[0]))
         hessian, slopes = curvature(values, x, start)
-        covariance: FloatArray = np.linalg.inv(definite(hessian))
+        covariance = np.asarray(np.linalg.inv(definite(hessian)), float)
         if self._criterion != "evidence" and self._blocks > len(x) + 1:
             spread = slopes - slopes.mean(axis=0)
             scatter = spread.T @ spread * self._blocks / (self._blocks - 1)
