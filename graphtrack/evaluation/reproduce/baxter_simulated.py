@@ -102,7 +102,7 @@ def fit_methods(settings: Settings, progress: Progress) -> Fitted:
 
     kalman = with_density(Parameters(), *fit(lambda q: cost(q, 0.0), [0.1], evaluations=25))
     density, rate = fit(cost, [0.1, 1.0], evaluations=40)
-    people = [corpus.tracks(1).tracks[0] for corpus in training]
+    people = [p for corpus in training for p in corpus.tracks(1 if settings.quick else 4)]
 
     def fitted_graph(method: str, *start: float) -> Model:
         def model(density: float, factor: float, head_rate: float = 0.0) -> Model:
