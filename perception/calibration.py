@@ -7,23 +7,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
-from scipy.special import log_softmax
+from scipy.special import log_softmax, logsumexp
 
 from graphtrack.angles import FloatArray
 
 
-def fit_temperature(scores: FloatArray, labels: NDArray[np.int64]) -> float:
+def fit_temperature(scores: FloatArray, labels: NDArray[np.int64], *, groups: int = 1) -> float:
     """The t > 0 for which softmax(scores / t) has the highest likelihood of the labels.
 
     Parameters
     ----------
-    scores : (n, k) log likelihoods up to a constant a row, of samples that were not fitted
-    labels : (n,) true classes
+    scores : (n, groups · k) log likelihoods up to a constant a row, of samples that were not fitted
+    labels : (n,) true classes, 0 to k − 1
+    groups : classes that are alike but for their group are added up first, as tilts are
     """
     rows = np.arange(len(labels))
 
     def loss(log_t: float) -> float:
-        return -float(log_softmax(scores / np.exp(log_t), axis=1)[rows, labels].mean())
+        log_p = log_softmax(scores / np.exp(log_t), axis=1).reshape(len(scores), groups, -1)
+        return -float(logsumexp(log_p, axis=1)[rows, labels].mean())
 
     spread = max(float(np.std(scores)), 1e-6)
     around = np.log(spread)

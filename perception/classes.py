@@ -58,6 +58,12 @@ class PoseClasses:
         level = 1 + (np.asarray(tilt) > TILT_EDGE).astype(int) - (np.asarray(tilt) < -TILT_EDGE)
         return np.asarray(level * self.n_pan + nearest, np.int64)
 
+    def reflected(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The classes (n,) of the mirror images of classes (n,): pans change their sign."""
+        mirror = PoseClasses(self.first, self.step, self.n_pan).index(-self.pan)
+        level, pan = np.divmod(labels, self.n_pan)
+        return np.asarray(level * self.n_pan + mirror[pan], np.int64)
+
     def pan_log_likelihood(self, log_likelihood: ArrayLike) -> FloatArray:
         """Sum the tilt classes out: (..., n_classes) → (..., n_pan)."""
         values = np.asarray(log_likelihood, float)

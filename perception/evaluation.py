@@ -1,24 +1,18 @@
-"""How good pose classifiers are, and the tables of the papers on rendered heads."""
+"""How good pose classifiers are."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.angles import FloatArray, difference
-from perception.calibration import reliability
+from perception.calibration import Reliability, reliability
 from perception.classes import PoseClasses
 from perception.classifier import Classifier
-from perception.head_pose.exemplars import Density, Exemplars
 from perception.images import Image
-from perception.synthetic.appearance import Appearance, random_appearance
-from perception.synthetic.heads import HeadSet, HeadVariation, make_heads
-
-ALIGNED = HeadVariation(size=(64, 64), offset=0.0, scale=0.0, roll=0.0, elevation=(0.0, 0.0), shoulders=0.05)
-"""Heads as in a studio: tight boxes at the camera's height, tilt set by the caller."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +23,7 @@ class PoseScores:
     ----------
     mean_error, median_error : degrees, of the centre of the most likely pan class
     accuracy : share of the most likely pan classes that are right; ``within_one`` counts neighbours too
-    expected_calibration_error : of the pan classes
+    reliability : confidence against accuracy of the pan classes
     confusion : (n_pan, n_pan) images by true (row) and most likely (column) pan class
     """
 
@@ -37,8 +31,21 @@ class PoseScores:
     median_error: float
     accuracy: float
     within_one: float
-    expected_calibration_error: float
+    reliability: Reliability
     confusion: NDArray[np.int64]
+
+    @property
+    def expected_calibration_error(self) -> float:
+        """Of the pan classes."""
+        return self.reliability.expected_calibration_error
+
+    @property
+    def rates(self) -> tuple[FloatArray, FloatArray]:
+        """True and false positive rates (n_pan,) of each pan class (000 Fig. 3); NaN for classes unseen."""
+        of_class, said = self.confusion.sum(axis=1), self.confusion.sum(axis=0)
+        hits = np.diag(self.confusion)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return hits / of_class, (said - hits) / (of_class.sum() - of_class)
 
     def figures(self) -> dict[str, float]:
         """The numbers by name, for a model card."""
@@ -67,79 +74,6 @@ def evaluate(classifier: Classifier, images: Sequence[Image], pan: ArrayLike) ->
         float(np.median(error)),
         float(np.mean(likely == labels)),
         float(np.mean(apart < 1.5 * classes.step)),
-        reliability(of_pan, labels).expected_calibration_error,
+        reliability(of_pan, labels),
         confusion,
     )
-
-
-@dataclass(frozen=True)
-class RecognitionRow:
-    """One cell of 004's Tables 1 and 3: recognition rate (mean and 1-σ over the repetitions)."""
-
-    exemplars: int
-    density: Density
-    rate: float
-    deviation: float
-
-
-def recognition_table(
-    people: int,
-    exemplars: Sequence[int],
-    rng: np.random.Generator,
-    *,
-    repetitions: int = 1,
-) -> tuple[list[RecognitionRow], FloatArray]:
-    """004's Table 1 (68 people, 1 or 2 exemplars) and Table 3 (140 people, several splits), rendered.
-
-    Half of the people train, the other half test; each is seen once at the nine pans −90° … 90°.
-
-    Returns
-    -------
-    The rows, and the confusion matrix (9, 9) in percent (004's Table 2) of two exemplars (or the last number
-    asked for) with the saturated density, over all repetitions.
-    """
-    classes = PoseClasses.half_circle()
-    persons = [random_appearance(rng) for _ in range(people)]
-    heads, labels = _one_of_each(persons, classes, rng)
-    person = np.arange(len(labels)) // len(classes)
-    rates: dict[tuple[int, Density], list[float]] = {}
-    confusion = np.zeros((len(classes), len(classes)))
-    shown = 2 if 2 in exemplars else exemplars[-1]
-    for train, test in _splits(people, repetitions, rng):
-        fitted, judged = (np.flatnonzero(np.isin(person, part)) for part in (train, test))
-        for count, density in _cells(exemplars):
-            model = Exemplars(classes, exemplars=count, density=density)
-            features = model.features([heads.images[i] for i in fitted])
-            model.fit_features(features, labels[fitted], np.random.default_rng(0))
-            found = model.scores(model.features([heads.images[i] for i in judged])).argmax(axis=1)
-            rates.setdefault((count, density), []).append(float(np.mean(found == labels[judged])))
-            if (count, density) == (shown, "saturated"):
-                np.add.at(confusion, (labels[judged], found), 1.0)
-    rows = [RecognitionRow(*cell, float(np.mean(r)), float(np.std(r))) for cell, r in rates.items()]
-    return rows, 100.0 * confusion / confusion.sum(axis=1, keepdims=True)
-
-
-def _cells(exemplars: Sequence[int]) -> Iterator[tuple[int, Density]]:
-    for count in exemplars:
-        yield count, "gaussian"
-        yield count, "saturated"
-
-
-def _one_of_each(
-    persons: list[Appearance], classes: PoseClasses, rng: np.random.Generator
-) -> tuple[HeadSet, NDArray[np.int64]]:
-    """Every person at every pan, person by person."""
-    labels = np.tile(np.arange(len(classes)), len(persons))
-    looks = [person for person in persons for _ in range(len(classes))]
-    count = len(labels)
-    return make_heads(
-        count, rng, ALIGNED, pan=classes.pan[labels], tilt=np.zeros(count), people=looks
-    ), labels
-
-
-def _splits(
-    people: int, repetitions: int, rng: np.random.Generator
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    for _ in range(repetitions):
-        order = rng.permutation(people)
-        yield order[: people // 2], order[people // 2 :]

@@ -10,7 +10,7 @@ import typer
 from graphtrack.cli.console import console
 from graphtrack.cli.options import Seed, check_outputs
 
-Name = Annotated[str, typer.Argument(help="templates, exemplars, body_pose or head_localiser.")]
+Name = Annotated[str, typer.Argument(help="templates, exemplars, deep_belief, body_pose or head_localiser.")]
 
 
 def train(
@@ -32,7 +32,12 @@ def train(
             dir_okay=False,
         ),
     ] = None,
-    count: Annotated[int, typer.Option("--count", min=100, help="Rendered images to train on.")] = 6000,
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "--count", min=100, help="Rendered images to train on, if not as many as the package's model."
+        ),
+    ] = None,
     seed: Seed = 0,
 ) -> None:
     """Train a model on your labelled images, or on rendered ones."""

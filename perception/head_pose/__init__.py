@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from perception.head_pose.deep_belief import DeepBelief
 from perception.head_pose.exemplars import Exemplars
 from perception.head_pose.templates import Templates
 
-__all__ = ["Exemplars", "Templates"]
+__all__ = ["DeepBelief", "Exemplars", "Templates"]

@@ -7,15 +7,16 @@ from pathlib import Path
 from graphtrack.errors import InputError
 from perception.body_pose import BodyPose
 from perception.classifier import FeatureClassifier
-from perception.head_pose import Exemplars, Templates
+from perception.head_pose import DeepBelief, Exemplars, Templates
 from perception.heads import HeadLocaliser
 
 CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "templates": Templates,
     "exemplars": Exemplars,
+    "deep_belief": DeepBelief,
     "body_pose": BodyPose,
 }
-HEAD_POSE = ("templates", "exemplars")
+HEAD_POSE = ("deep_belief", "templates", "exemplars")
 NAMES = (*CLASSIFIERS, HeadLocaliser.kind)
 
 

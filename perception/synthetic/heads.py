@@ -33,6 +33,7 @@ class HeadVariation:
     elevation : range of the camera's height above the head, seen from the head (radians)
     shoulders : 1-σ of the body's angle to the head (radians)
     offset, scale : 1-σ of the crop's place and of the logarithm of its size, relative to the head's box
+    blur : 1-σ of the camera's blur in pixels
     """
 
     size: tuple[int, int] = (16, 32)
@@ -44,6 +45,7 @@ class HeadVariation:
     shoulders: float = 0.4
     offset: float = 0.025
     scale: float = 0.04
+    blur: float = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,11 @@ class HeadSet:
 
     def __len__(self) -> int:
         return len(self.images)
+
+    def __add__(self, other: HeadSet) -> HeadSet:
+        """Both sets together."""
+        pan, tilt = np.concatenate([self.pan, other.pan]), np.concatenate([self.tilt, other.tilt])
+        return HeadSet(self.images + other.images, pan, tilt, self.skin + other.skin)
 
 
 def make_heads(
@@ -114,7 +121,7 @@ def render_head(
     light = np.where(shown.covered[..., None], shown.colour, background)
     crop = _crop(light, centre, (width * grow[0], height * grow[1]), size)
     skin = _crop(shown.skin.astype(np.float32), centre, (width * grow[0], height * grow[1]), size) > 0.5
-    return develop(crop, random_sensor(rng), rng), skin
+    return develop(crop, random_sensor(rng, variation.blur), rng), skin
 
 
 def _cast(head: Solids, body: Solids, size: int, elevation: float, light: Light) -> Cast:

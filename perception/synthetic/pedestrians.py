@@ -13,7 +13,13 @@ from perception.synthetic.cameras import Camera
 from perception.synthetic.person import Posture
 from perception.synthetic.raycast import Ground
 from perception.synthetic.scene import Furniture, Person, Scene, render_frame
-from perception.synthetic.sensor import Image, random_background, random_light, random_sensor
+from perception.synthetic.sensor import (
+    Image,
+    random_background,
+    random_clutter,
+    random_light,
+    random_sensor,
+)
 
 _DISTANCE = 9.0
 
@@ -33,6 +39,8 @@ class PedestrianVariation:
     floor : share of pictures with a floor; in the others clutter is all around
     offset, scale : 1-σ of the box's place and of the logarithm of its size, relative to the true box
     margin : width and height of the box relative to the person's extent
+    blur : 1-σ of the camera's blur in pixels
+    cluttered : share of pictures with a busy background in place of a quiet one
     """
 
     size: tuple[int, int] = (70, 140)
@@ -45,6 +53,8 @@ class PedestrianVariation:
     offset: float = 0.03
     scale: float = 0.05
     margin: float = 1.06
+    blur: float = 0.4
+    cluttered: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +77,12 @@ class PedestrianSet:
 
     def __len__(self) -> int:
         return len(self.images)
+
+    def __add__(self, other: PedestrianSet) -> PedestrianSet:
+        """Both sets together."""
+        names = ("body", "head", "tilt", "head_box")
+        joined = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in names)
+        return PedestrianSet(self.images + other.images, *joined)
 
 
 def make_pedestrians(
@@ -125,12 +141,13 @@ def _pedestrian(
         tuple(rng.uniform(0.1, 0.7) + rng.normal(0.0, 0.03, 3)), rng.uniform(0.2, 1.5), rng.uniform(0, 0.3)
     )
     scene = Scene(camera, random_light(rng), floor if rng.random() < v.floor else None, furniture)
+    behind = random_clutter if v.cluttered and rng.random() < v.cluttered else random_background
     frame = render_frame(
         scene,
         [Person(random_appearance(rng), posture)],
-        random_sensor(rng),
+        random_sensor(rng, v.blur),
         rng,
-        backdrop=random_background(canvas[1], canvas[0], rng),
+        backdrop=behind(canvas[1], canvas[0], rng),
     )
     label = frame.labels[0]
     assert label.body_box is not None and label.head_box is not None  # they are in the middle of the canvas

@@ -33,12 +33,12 @@ class Sensor:
     jpeg_quality: int = 0
 
 
-def random_sensor(rng: np.random.Generator) -> Sensor:
-    """A surveillance camera of any make."""
+def random_sensor(rng: np.random.Generator, blur: float = 0.4) -> Sensor:
+    """A surveillance camera of any make; ``blur`` is the 1-σ of its blur (pixels)."""
     return Sensor(
         gain=float(rng.uniform(0.55, 1.25)),
         gamma=float(rng.uniform(0.5, 0.85)),
-        blur=float(abs(rng.normal(0.0, 0.4))),
+        blur=float(abs(rng.normal(0.0, blur))),
         noise=float(rng.uniform(0.0, 5.0)),
         jpeg_quality=int(rng.integers(45, 96)) if rng.random() < 0.7 else 0,
     )
@@ -72,6 +72,28 @@ def develop(light: NDArray[np.floating], sensor: Sensor, rng: np.random.Generato
         data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg_quality])[1]
         image = np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
     return image
+
+
+def random_clutter(height: int, width: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """A shop or a street behind a person (height, width, 3) as light in 0…1: sharp, busy and contrasty.
+
+    Many small things, rows of alike ones, and a texture over all of it.
+    """
+    picture = random_background(height, width, rng)
+    grain = rng.normal(0.0, 1.0, (height // 4 + 2, width // 4 + 2)).astype(np.float32)
+    texture = cv2.resize(grain, (width, height), interpolation=cv2.INTER_LINEAR)
+    picture = picture + (rng.uniform(0.0, 0.12) * texture)[..., None]
+    for _ in range(int(rng.integers(5, 30))):
+        shade = rng.uniform(0.02, 0.95) + rng.normal(0.0, 0.08, 3)
+        wide, high = int(rng.integers(1, width // 3 + 2)), int(rng.integers(2, height // 3 + 3))
+        left, top = int(rng.integers(-wide, width)), int(rng.integers(-high, height))
+        count, gap = (int(rng.integers(2, 9)), int(rng.integers(1, 6))) if rng.random() < 0.3 else (1, 0)
+        across = rng.random() < 0.7
+        for k in range(count):
+            x = left + k * (wide + gap) * across
+            y = top + k * (high + gap) * (not across)
+            picture[max(y, 0) : max(y + high, 0), max(x, 0) : max(x + wide, 0)] = shade
+    return np.asarray(np.clip(picture, 0.0, 1.0), np.float32)
 
 
 def random_background(height: int, width: int, rng: np.random.Generator) -> NDArray[np.float32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,9 +13,12 @@ from graphtrack.errors import InputError
 from perception.calibration import fit_temperature, reliability
 from perception.classes import PoseClasses
 from perception.classifier import FeatureClassifier, split
-from perception.evaluation import evaluate, recognition_table
+from perception.evaluation import evaluate
 from perception.features.skin import SkinColours
-from perception.head_pose import Exemplars, Templates
+from perception.head_pose import DeepBelief, Exemplars, Templates
+from perception.head_pose.exemplars import CENTRE_STEP, DEVIATION_STEP
+from perception.models import load_classifier
+from perception.recognition import recognition_table
 from perception.storage import ModelCard, load_model, save_model
 from perception.synthetic import HeadSet, HeadVariation, make_heads
 
@@ -37,6 +41,7 @@ BUILDERS: dict[str, tuple[Callable[[HeadSet], FeatureClassifier], float]] = {
     "templates without skin": (lambda heads: Templates(EIGHT), 50.0),
     "templates, fisher": (lambda heads: Templates(EIGHT, skin=skin_of(heads), metric="fisher"), 35.0),
     "exemplars": (lambda heads: Exemplars(EIGHT, exemplars=3), 50.0),
+    "exemplars, weighed filters": (lambda heads: Exemplars(EIGHT, exemplars=3, weigh_filters=True), 50.0),
     "exemplars, gaussian": (lambda heads: Exemplars(EIGHT, exemplars=3, density="gaussian"), 50.0),
 }
 
@@ -75,6 +80,17 @@ def test_a_saved_model_says_the_same(fitted: Fitted, heads: Heads, tmp_path: Pat
     np.testing.assert_allclose(again.log_likelihoods(images), model.log_likelihoods(images), atol=0.05)
     assert again.classes == model.classes
     assert again.card.figures == model.card.figures and again.card.images == 500
+
+
+def test_calibration_on_other_images_makes_up_for_scores_of_another_scale(
+    fitted: Fitted, heads: Heads
+) -> None:
+    model, before = fitted[0], fitted[0].temperature
+    model.temperature = 20.0 * before
+    model.calibrate(heads[1].images, heads[1].pan)
+    honest = evaluate(model, heads[1].images, heads[1].pan).expected_calibration_error
+    assert before / 4.0 < model.temperature < 4.0 * before and honest < 0.15
+    model.temperature = before
 
 
 def test_the_fit_is_repeatable(fitted: Fitted, heads: Heads) -> None:
@@ -133,7 +149,7 @@ def test_the_saturated_density_is_equation_5() -> None:
     model.fit_features(features, labels, rng)
     stored = model.arrays()
     z = rng.normal(0.0, 3.0, 764)
-    centre, deviation = (model.arrays()[name].astype(float) for name in ("centre", "deviation"))
+    centre, deviation = stored["centre"] * CENTRE_STEP, stored["deviation"] * DEVIATION_STEP
     with np.errstate(divide="ignore"):
         terms = np.maximum(np.exp(-0.5 * ((z - centre) / deviation) ** 2), np.exp(-3.0)) / deviation
         by_exemplar = np.log(terms).sum(axis=2) + stored["log_weight"]
@@ -176,3 +192,93 @@ def test_recognition_of_004_on_a_few_people() -> None:
     assert [(row.exemplars, row.density) for row in rows] == [(1, "gaussian"), (1, "saturated")]
     assert all(row.rate > 0.4 for row in rows)  # by chance: 0.11
     np.testing.assert_allclose(confusion.sum(axis=1), 100.0)
+
+
+SMALL = {"units": (40, 20), "epochs": 6, "pretraining_epochs": 1}
+
+
+@pytest.fixture(scope="module")
+def network(heads: Heads) -> DeepBelief:
+    pytest.importorskip(
+        "torch", reason="PyTorch trains the deep belief network; pip install 'graphtrack[train]'"
+    )
+    return DeepBelief(**SMALL).fit(heads[0].images, EIGHT.index(heads[0].pan))
+
+
+def test_the_network_learns_and_its_file_says_the_same(
+    network: DeepBelief, heads: Heads, tmp_path: Path
+) -> None:
+    assert evaluate(network, heads[1].images, heads[1].pan).mean_error < 60.0  # by chance: 90°
+    network.save(tmp_path / "network.npz")
+    again = DeepBelief.load(tmp_path / "network.npz")
+    found = network.log_likelihoods(heads[1].images)
+    np.testing.assert_allclose(again.log_likelihoods(heads[1].images), found, atol=0.1)
+    np.testing.assert_allclose(np.exp(found).sum(axis=1), 1.0)
+
+
+def test_the_network_is_the_same_for_the_same_seed_and_leaves_other_numbers_alone(
+    network: DeepBelief, heads: Heads
+) -> None:
+    import torch
+
+    torch.manual_seed(3)
+    expected = torch.rand(1).item()
+    torch.manual_seed(3)
+    again = DeepBelief(**SMALL).fit(heads[0].images, EIGHT.index(heads[0].pan))
+    assert torch.rand(1).item() == expected
+    images = heads[1].images[:10]
+    np.testing.assert_allclose(again.log_likelihoods(images), network.log_likelihoods(images), atol=1e-4)
+
+
+def test_numpy_runs_the_network_as_pytorch_does(network: DeepBelief, heads: Heads) -> None:
+    import torch
+
+    features = network.features(heads[1].images[:20])
+    parts = []
+    for weight, bias in network._layers:
+        layer = torch.nn.Linear(*weight.shape)
+        layer.weight.data, layer.bias.data = torch.from_numpy(weight.T.copy()), torch.from_numpy(bias)
+        parts += [layer, torch.nn.ReLU()]
+    with torch.no_grad():
+        expected = torch.nn.Sequential(*parts[:-1])(torch.from_numpy(features).float()).numpy()
+    np.testing.assert_allclose(network.scores(features), expected, atol=1e-4)
+
+
+def test_pretraining_makes_a_boltzmann_machine_that_remembers(heads: Heads) -> None:
+    torch = pytest.importorskip("torch")
+    from perception.head_pose.deep_belief_training import boltzmann_machine
+
+    pixels = DeepBelief().features(heads[0].images)
+    seen = torch.from_numpy(((pixels - pixels.mean(axis=0)) / pixels.std()).astype(np.float32))
+
+    def forgotten(epochs: int) -> float:
+        torch.manual_seed(0)
+        machine = boltzmann_machine(seen, 100, epochs)
+        again = torch.relu(seen @ machine.weight + machine.hidden) @ machine.weight.T + machine.visible
+        return float(((again - seen) ** 2).mean() / (seen**2).mean())
+
+    assert forgotten(15) < 0.6 < 0.9 * forgotten(0)
+
+
+def test_without_pytorch_training_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, heads: Heads
+) -> None:
+    monkeypatch.setitem(sys.modules, "perception.head_pose.deep_belief_training", None)
+    with pytest.raises(InputError, match=r"PyTorch"):
+        DeepBelief().fit(heads[0].images, EIGHT.index(heads[0].pan))
+
+
+def test_the_network_of_the_package_meets_its_bars() -> None:
+    made = make_heads(400, np.random.default_rng(99))
+    scores = evaluate(load_classifier("deep_belief"), made.images, made.pan)
+    assert scores.accuracy > 0.75 and scores.within_one > 0.94
+    assert scores.expected_calibration_error < 0.07  # of 400 images; noise alone gives about 0.03
+
+
+def test_mirror_images_have_the_mirrored_classes() -> None:
+    for classes in (EIGHT, PoseClasses.circle(12, 3), PoseClasses.half_circle()):
+        every = np.arange(len(classes))
+        level = every // classes.n_pan
+        tilt = np.array([0.0])[level] if classes.n_tilt == 1 else np.array([-0.8, 0.0, 0.8])[level]
+        expected = classes.index(-classes.pan[every % classes.n_pan], tilt)
+        np.testing.assert_array_equal(classes.reflected(every), expected)
