@@ -1,4 +1,4 @@
-"""Boxes of people in MOT text: frame, id, left, top, width, height, confidence."""
+"""Boxes of people: MOT text (frame, id, left, top, width, height, confidence), and CAVIAR's XML."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.io import atomic_path, schema
+from graphtrack.io.caviar import looks_like
 from graphtrack.io.numbers import read_numbers
 from graphtrack.io.source import Source
 
@@ -34,14 +35,46 @@ class PersonBox:
 
 
 def read_boxes(path: str | Path) -> list[PersonBox]:
-    """Boxes of a MOT file, in its order; rows with confidence 0 are marked to be ignored and left out.
+    """Boxes of a MOT file or of CAVIAR's ground truth, in their order.
+
+    In MOT text, rows with confidence 0 are marked to be ignored and left out; so are CAVIAR's empty boxes.
 
     Raises
     ------
     InputError
         With line and column of the first cell that cannot be used, such as a box of zero size.
     """
-    table = read_numbers(Source.open(path), delimiter=",", widths=(7, 8, 9, 10), names=_NAMES)
+    source = Source.open(path)
+    found = _of_caviar(source) if looks_like(source.head, source.path) else _of_mot(source)
+    if not found:
+        raise InputError("no boxes", "at least one", path=path)
+    return found
+
+
+def _of_caviar(source: Source) -> list[PersonBox]:
+    from xml.etree.ElementTree import ParseError
+
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import fromstring
+
+    found = []
+    try:
+        for frame in fromstring(source.data, forbid_dtd=True).iter("frame"):
+            for item in frame.findall("objectlist/object"):
+                cells = item.find("box")
+                if cells is None:
+                    raise ValueError("an object without a box")
+                x, y, width, height = (float(cells.attrib[name]) for name in ("xc", "yc", "w", "h"))
+                if min(width, height) > 0.0:
+                    box = (x - width / 2.0, y - height / 2.0, width, height)
+                    found.append(PersonBox(int(frame.attrib["number"]), int(item.attrib["id"]), box))
+    except (ParseError, DefusedXmlException, ValueError, KeyError) as error:
+        raise InputError(f"unusable XML ({error})", "CAVIAR ground truth", path=source.path) from error
+    return found
+
+
+def _of_mot(source: Source) -> list[PersonBox]:
+    table = read_numbers(source, delimiter=",", widths=(7, 8, 9, 10), names=_NAMES)
     frames, identities = table.integers(0), table.integers(1, schema.LARGEST_ID)
     found = []
     for row, values in enumerate(table.values):
@@ -55,8 +88,6 @@ def read_boxes(path: str | Path) -> list[PersonBox]:
                     int(frames[row]), int(identities[row]), (left, top, width, height), float(values[6])
                 )
             )
-    if not found:
-        raise InputError("no boxes", "at least one", path=path)
     return found
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, TextIO
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +20,7 @@ from perception.classifier import Classifier
 from perception.frames import Frame
 from perception.heads import HeadCandidates, HeadLocaliser, select_along_track
 from perception.images import Image, crop
+from perception.journal import Journal
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
 
@@ -54,87 +53,26 @@ class Seen:
     heads: HeadCandidates
     pan: FloatArray
 
-    def to_json(self) -> str:
-        """One line of text."""
-        return json.dumps(
-            {
-                "frame": self.frame,
-                "track_id": self.track_id,
-                "foot": self.foot.tolist(),
-                "height": self.height,
-                "body": self.body.tolist(),
-                "boxes": self.heads.boxes.tolist(),
-                "scores": self.heads.scores.tolist(),
-                "pan": self.pan.tolist(),
-            }
-        )
+    def to_record(self) -> dict[str, Any]:
+        """As JSON knows it."""
+        return {
+            "frame": self.frame,
+            "track_id": self.track_id,
+            "foot": self.foot.tolist(),
+            "height": self.height,
+            "body": self.body.tolist(),
+            "boxes": self.heads.boxes.tolist(),
+            "scores": self.heads.scores.tolist(),
+            "pan": self.pan.tolist(),
+        }
 
     @classmethod
-    def from_json(cls, line: str) -> Seen:
-        """The inverse of `to_json`."""
-        values: dict[str, Any] = json.loads(line)
+    def from_record(cls, values: dict[str, Any]) -> Seen:
+        """The inverse of `to_record`."""
         heads = HeadCandidates(np.array(values["boxes"]), np.array(values["scores"]))
         arrays = (np.array(values[name]) for name in ("foot", "body", "pan"))
         foot, body, pan = arrays
         return cls(values["frame"], values["track_id"], foot, values["height"], body, heads, pan)
-
-
-@dataclass
-class Journal:
-    """The people seen so far, in a file of lines, so that a run that was broken off goes on where it was.
-
-    Attributes
-    ----------
-    seen : everything that was read or written
-    done : frames that are complete
-    """
-
-    path: Path
-    key: str
-    seen: list[Seen] = field(default_factory=list)
-    done: set[int] = field(default_factory=set)
-    _stream: TextIO | None = None
-
-    def open(self) -> None:
-        """Read what is there, if it belongs to the same run (``key``), and go on writing after it."""
-        complete = [json.dumps({"key": self.key})]
-        if self.path.is_file():
-            lines = self.path.read_text(encoding="utf-8").splitlines()
-            if lines[:1] == complete:
-                self._take(lines[1:], complete)
-        self._stream = self.path.open("w", encoding="utf-8")
-        self._stream.write("\n".join(complete) + "\n")
-
-    def _take(self, lines: list[str], complete: list[str]) -> None:
-        waiting: list[str] = []
-        for line in lines:
-            if not line.startswith('{"done"'):
-                waiting.append(line)
-                continue
-            try:
-                number, people = json.loads(line)["done"], [Seen.from_json(text) for text in waiting]
-            except (ValueError, KeyError, TypeError):  # the run ended in the middle of this line
-                return
-            self.seen += people
-            self.done.add(number)
-            complete += [*waiting, line]
-            waiting = []
-
-    def add(self, frame: int, people: list[Seen]) -> None:
-        """Write a frame down."""
-        assert self._stream is not None
-        self._stream.write("".join(person.to_json() + "\n" for person in people))
-        self._stream.write(json.dumps({"done": frame}) + "\n")
-        self._stream.flush()
-        self.seen += people
-        self.done.add(frame)
-
-    def close(self, *, remove: bool) -> None:
-        """End writing; ``remove`` when the run is complete."""
-        if self._stream is not None:
-            self._stream.close()
-        if remove:
-            self.path.unlink(missing_ok=True)
 
 
 def observe_frame(
@@ -200,14 +138,19 @@ def observe(
         came.add(frame.number)
         if frame.image is None:
             refuse(frame.reason)
-        elif frame.number not in journal.done:
+        elif frame.number not in journal.frames:
             people = observe_frame(frame.image, frame.number, by_frame.get(frame.number, []), models, refuse)
-            journal.add(frame.number, people)
+            journal.add(frame.number, [person.to_record() for person in people])
             count += 1
     missing = sum(len(items) for number, items in by_frame.items() if number not in came)
     if missing:
         refuse(f"{missing} boxes are of frames that did not come")
     return count
+
+
+def seen_in(journal: Journal) -> list[Seen]:
+    """Everything that a journal of `observe` has, frame by frame."""
+    return [Seen.from_record(values) for frame in sorted(journal.frames) for values in journal.frames[frame]]
 
 
 def to_tracks(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from graphtrack.geometry import GroundCamera
     from perception.boxes import PersonBox
     from perception.frames import FrameSource
+    from perception.journal import Journal
 
 _FILE = {"exists": True, "dir_okay": False}
 _SHOWN = 5
@@ -28,7 +29,11 @@ def observe(
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv, .csv.gz or .parquet.")],
     boxes: Annotated[
         Path | None,
-        typer.Option("--boxes", help="MOT text with people's boxes; without it they are detected.", **_FILE),
+        typer.Option(
+            "--boxes",
+            help="MOT text or CAVIAR XML with people's boxes; without it they are detected.",
+            **_FILE,
+        ),
     ] = None,
     homography: Annotated[
         Path | None,
@@ -40,7 +45,9 @@ def observe(
     fps: Annotated[
         float | None, typer.Option("--fps", min=0.1, help="Frames a second, if not the video's (else 25).")
     ] = None,
-    head_pose: Annotated[str, typer.Option("--head-pose", help="templates or exemplars.")] = "templates",
+    head_pose: Annotated[
+        str, typer.Option("--head-pose", help="deep_belief, templates or exemplars.")
+    ] = "deep_belief",
     head_pose_model: Annotated[
         Path | None, typer.Option("--head-pose-model", help="A model of your own (.npz).", **_FILE)
     ] = None,
@@ -62,6 +69,7 @@ def observe(
     from perception import pipeline
     from perception.boxes import read_boxes, write_boxes
     from perception.frames import FrameSource
+    from perception.journal import Journal
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 
     if head_pose not in HEAD_POSE:
@@ -79,32 +87,36 @@ def observe(
     elif homography is not None:
         camera = GroundCamera.from_homography(read_homography(homography))
     refused: list[str] = []
-    start = time.perf_counter()
+    state = source.stat()
+    video = (str(source), state.st_size, state.st_mtime_ns)
+    detections = Journal(output.with_name(f"{output.name}.detections"), _key(video))
     if boxes is not None:
         people = read_boxes(boxes)
     else:
-        people = _detect(frames, camera)
+        people = _detect(frames, camera, detections)
         if write_boxes_to is not None:
             write_boxes(people, write_boxes_to)
-    asked = (str(source), head_pose, str(head_pose_model), str(body_pose_model), people)
-    key = hashlib.sha256(repr(asked).encode()).hexdigest()
-    journal = pipeline.Journal(output.with_name(f"{output.name}.journal"), key)
+    looked = time.perf_counter()
+    key = _key(video, head_pose, str(head_pose_model), str(body_pose_model), people)
+    journal = Journal(output.with_name(f"{output.name}.journal"), key)
     journal.open()
-    if journal.done:
-        console.print(f"going on after {counted(len(journal.done), 'frame')}", markup=False)
+    _say_how_far(journal)
     try:
         with progress_bar(frames.count) as advance:
             count = pipeline.observe(frames, people, models, journal, refuse=refused.append, advance=advance)
-        tracks = pipeline.to_tracks(journal.seen, models.head_pose.classes, camera, fps or frames.fps or 25.0)
+        seen = pipeline.seen_in(journal)
+        tracks = pipeline.to_tracks(seen, models.head_pose.classes, camera, fps or frames.fps or 25.0)
         write(tracks, output)
     except InputError:
         journal.close(remove=True)
+        detections.close(remove=True)
         raise
     except BaseException:
         journal.close(remove=False)
         raise
     journal.close(remove=True)
-    seconds = time.perf_counter() - start
+    detections.close(remove=True)
+    seconds = time.perf_counter() - looked
     for reason in refused[:_SHOWN]:
         console.print(f"  skipped: {reason}", markup=False)
     if len(refused) > _SHOWN:
@@ -119,13 +131,43 @@ def observe(
     console.print(f"wrote {output}", markup=False)
 
 
-def _detect(frames: FrameSource, camera: GroundCamera | None) -> list[PersonBox]:
+def _key(*asked: object) -> str:
+    return hashlib.sha256(repr(asked).encode()).hexdigest()
+
+
+def _say_how_far(journal: Journal) -> None:
+    if journal.frames:
+        console.print(f"going on after {counted(len(journal.frames), 'frame')}", markup=False)
+
+
+def _detect(frames: FrameSource, camera: GroundCamera | None, journal: Journal) -> list[PersonBox]:
+    """Detected people as tracks; frames that the journal has are decoded for their colours only."""
+    import numpy as np
+
     from perception.people import PeopleDetector, PeopleTracker
 
     detector, tracker = PeopleDetector(), PeopleTracker(camera)
-    with progress_bar(frames.count) as advance:
-        for frame in frames:
-            advance(1)
-            if frame.image is not None:
-                tracker.update(frame.number, frame.image, *detector.detect(frame.image))
+    journal.open()
+    _say_how_far(journal)
+    start, count = time.perf_counter(), 0
+    try:
+        with progress_bar(frames.count) as advance:
+            for frame in frames:
+                advance(1)
+                if frame.image is None:
+                    continue
+                if frame.number not in journal.frames:
+                    found, scores = detector.detect(frame.image)
+                    journal.add(frame.number, np.column_stack([found, scores]).tolist())
+                    count += 1
+                boxes = np.array(journal.frames[frame.number], float).reshape(-1, 5)
+                tracker.update(frame.number, frame.image, boxes[:, :4], boxes[:, 4])
+    finally:
+        journal.close(remove=False)
+    seconds = time.perf_counter() - start
+    console.print(
+        f"looked for people in {counted(count, 'frame')} in {seconds:.1f} s "
+        f"({count / max(seconds, 1e-9):.1f} a second)",
+        markup=False,
+    )
     return tracker.tracks()

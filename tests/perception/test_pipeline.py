@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import sys
-from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from command import run
 
 from graphtrack import io
 from graphtrack.angles import difference
 from graphtrack.errors import InputError
-from perception.boxes import PersonBox, write_boxes
+from perception.boxes import PersonBox, read_boxes, write_boxes
 from perception.classes import PoseClasses
-from perception.cli import main
 from perception.frames import FrameSource
 from perception.heads import HeadCandidates
+from perception.journal import Journal
 from perception.models import NAMES, load_classifier, load_head_localiser, model_path
-from perception.pipeline import Journal, Seen, interpolated, to_tracks, world_likelihood
+from perception.people import PeopleDetector
+from perception.pipeline import Seen, interpolated, seen_in, to_tracks, world_likelihood
 from perception.storage import load_model
 from perception.synthetic import Camera, Person, Scene, render_frame
 from perception.synthetic.appearance import random_appearance
@@ -32,23 +30,6 @@ from perception.synthetic.sensor import Sensor
 
 STREET = Camera((0.0, -9.0, 3.0), np.pi / 2, -0.2, 500.0, (320, 240))
 EIGHT = PoseClasses.circle(8)
-
-
-@dataclass
-class Done:
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-def run(*arguments: object) -> Done:
-    """The command line, in this process: what it imports takes longer than what it does here."""
-    out, err = StringIO(), StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr(sys, "argv", ["perception", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            main()
-    return Done(int(end.value.code or 0), out.getvalue(), err.getvalue())
 
 
 @pytest.fixture(scope="module")
@@ -113,24 +94,24 @@ def test_a_journal_goes_on_after_the_last_whole_frame(tmp_path: Path) -> None:
     path, flat = tmp_path / "journal", np.zeros(8)
     journal = Journal(path, "a")
     journal.open()
-    journal.add(0, [seen(0, (1.0, 2.0), flat)])
+    journal.add(0, [seen(0, (1.0, 2.0), flat).to_record()])
     journal.add(1, [])
     journal.close(remove=False)
     with path.open("a") as stream:
-        stream.write(seen(2, (1.0, 2.0), flat).to_json()[:40])  # broken off
+        stream.write('{"frame": 2, "records": [{"frame": 2, "tr')  # broken off
     again = Journal(path, "a")
     again.open()
-    assert again.done == {0, 1} and [item.frame for item in again.seen] == [0]
-    again.add(2, [seen(2, (3.0, 4.0), flat)])
+    assert set(again.frames) == {0, 1} and [item.frame for item in seen_in(again)] == [0]
+    again.add(2, [seen(2, (3.0, 4.0), flat).to_record()])
     again.close(remove=False)
     third = Journal(path, "a")
     third.open()
-    assert third.done == {0, 1, 2} and [item.frame for item in third.seen] == [0, 2]
-    np.testing.assert_allclose(third.seen[1].foot, (3.0, 4.0))
+    assert set(third.frames) == {0, 1, 2} and [item.frame for item in seen_in(third)] == [0, 2]
+    np.testing.assert_allclose(seen_in(third)[1].foot, (3.0, 4.0))
     third.close(remove=False)
     other = Journal(path, "another run")
     other.open()
-    assert not other.done
+    assert not other.frames
     other.close(remove=True)
     assert not path.exists()
 
@@ -205,6 +186,41 @@ def test_observe_writes_what_smooth_reads(clip: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(track.head_likelihood.sum(axis=1), 1.0, atol=1e-3)
     body = EIGHT.mean_pan(np.log(track.body_likelihood + 1e-9))
     assert np.abs(body).mean() < np.deg2rad(60.0)  # they walk to the right; by chance: 90°
+
+
+def test_detection_that_was_broken_off_goes_on(
+    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[int] = []
+    boxes = read_boxes(clip / "boxes.txt")
+
+    def detect(self: PeopleDetector, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        looked.append(len(looked))
+        if len(looked) == 4:
+            raise KeyboardInterrupt
+        return np.array([boxes[min(len(looked), 6) - 1].box]), np.ones(1)
+
+    monkeypatch.setattr(PeopleDetector, "detect", detect)
+    arguments = "observe", clip / "frames", "--homography", clip / "homography.txt", "-o", tmp_path / "o.csv"
+    assert run(*arguments).returncode != 0
+    assert (tmp_path / "o.csv.detections").exists() and not (tmp_path / "o.csv").exists()
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert "going on after 3 frames" in done.stderr and "looked for people in 3 frames" in done.stderr
+    assert len(looked) == 4 + 3
+    assert [path.name for path in tmp_path.iterdir()] == ["o.csv"]
+
+
+def test_boxes_of_caviar_are_taken(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.xml"
+    item = '<object id="4"><box xc="20" yc="50" w="10" h="{}"/></object>'
+    inside = "<objectlist>" + item.format(40) + item.format(0) + "</objectlist>"
+    path.write_text(f'<dataset name="a"><frame number="7">{inside}</frame></dataset>')
+    assert read_boxes(path) == [PersonBox(7, 4, (15.0, 30.0, 10.0, 40.0))]
+    for text in ("<dataset>", '<dataset><frame number="x"><objectlist><object id="1"/></objectlist></frame>'):
+        path.write_text(text)
+        with pytest.raises(InputError):
+            read_boxes(path)
 
 
 def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: Path) -> None:
