@@ -1,0 +1,117 @@
+"""Short rendered videos of people who walk and look around, with the boxes a detector would give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graphtrack.angles import FloatArray
+from graphtrack.geometry import GroundCamera
+from graphtrack.simulation import simulate
+from graphtrack.tracks import Track, TrackSet
+from perception.boxes import PersonBox
+from perception.synthetic.appearance import random_appearance
+from perception.synthetic.cameras import Camera
+from perception.synthetic.pedestrians import jittered_box
+from perception.synthetic.person import Posture
+from perception.synthetic.raycast import Ground
+from perception.synthetic.scene import Furniture, Person, Scene, render_frame
+from perception.synthetic.sensor import Image, random_light, random_sensor
+
+_SIZE = (640, 480)
+_FOCAL = 760.0
+_AREA = 2.5
+"""Metres about the middle of the scene, within which the middles of the paths are."""
+_STEPS_A_METRE = 0.7
+"""Of each leg."""
+_SMALLEST = 40.0
+"""Pixels: people of less height, or at the border, have no box."""
+_VISIBLE = 0.5
+_BOX_OFFSET, _BOX_SCALE, _BOX_MARGIN = 0.03, 0.05, 1.06
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A rendered video.
+
+    Attributes
+    ----------
+    images : of frames 0, 1, 2 …
+    boxes : of people, off as a detector's are
+    truth : positions (metres) and angles (radians) of every person in every frame, as a `TrackSet`
+    camera : over the ground
+    fps : frames a second
+    """
+
+    images: list[Image]
+    boxes: list[PersonBox]
+    truth: TrackSet
+    camera: GroundCamera
+    fps: float
+
+
+def walking_clip(rng: np.random.Generator, *, people: int = 3, steps: int = 30, fps: float = 5.0) -> Clip:
+    """Render people who walk as the model "joint" has it, on a tiled floor with some furniture."""
+    walks = simulate("joint", n_tracks=people, n_steps=steps, fps=fps, rng=rng)
+    camera = Camera((0.0, -11.0, rng.uniform(2.2, 4.0)), np.pi / 2, -0.2, _FOCAL, _SIZE)
+    furniture = tuple(
+        Furniture(
+            (rng.uniform(-4.5, 4.5), rng.uniform(3.5, 6.0)),
+            (rng.uniform(0.4, 1.5), rng.uniform(0.4, 1.0), rng.uniform(0.5, 2.0)),
+            rng.uniform(0.0, np.pi),
+            tuple(rng.uniform(0.1, 0.7, 3)),
+        )
+        for _ in range(4)
+    )
+    floor = Ground(tuple(rng.uniform(0.2, 0.6) + rng.normal(0.0, 0.03, 3)), 0.6, rng.uniform(0.0, 0.2))
+    scene = Scene(camera, random_light(rng), floor, furniture, tuple(rng.uniform(0.3, 0.7, 3)))
+    looks, sensor = [random_appearance(rng) for _ in range(people)], random_sensor(rng)
+    tracks = [_moved(track, rng) for track in walks]
+    images, boxes = [], []
+    for k in range(steps):
+        present = [Person(look, _posture(track, k)) for look, track in zip(looks, tracks, strict=True)]
+        frame = render_frame(scene, present, sensor, rng)
+        images.append(frame.image)
+        for track, label in zip(tracks, frame.labels, strict=True):
+            if label.body_box is not None and label.visibility > _VISIBLE and _inside(label.body_box):
+                box = jittered_box(np.array(label.body_box), _BOX_OFFSET, _BOX_SCALE, _BOX_MARGIN, rng)
+                left, top, width, height = (float(value) for value in box)
+                boxes.append(PersonBox(k, track.track_id, (left, top, width, height)))
+    return Clip(images, boxes, TrackSet(tuple(tracks)), camera.ground_camera(), fps)
+
+
+def _moved(track: Track, rng: np.random.Generator) -> Track:
+    """The truth of a track, with the middle of its path at a place in view."""
+    assert track.true_position is not None
+    path = track.true_position
+    path = path - (path.min(axis=0) + path.max(axis=0)) / 2.0 + rng.uniform(-_AREA, _AREA, 2)
+    return Track(
+        track.track_id,
+        track.frame,
+        track.t,
+        path,
+        true_position=path,
+        true_body=track.true_body,
+        true_head=track.true_head,
+    )
+
+
+def _posture(track: Track, k: int) -> Posture:
+    assert track.true_body is not None and track.true_head is not None
+    walked = np.linalg.norm(np.diff(track.position[: k + 1], axis=0), axis=1).sum()
+    now: FloatArray = np.gradient(track.position, track.t, axis=0)[k]
+    x, y = (float(value) for value in track.position[k])
+    return Posture(
+        (x, y),
+        float(track.true_body[k]),
+        float(track.true_head[k]),
+        phase=float(2.0 * np.pi * _STEPS_A_METRE * walked),
+        stride=float(np.clip(np.linalg.norm(now) / 1.3, 0.0, 1.0)),
+    )
+
+
+def _inside(box: tuple[float, float, float, float]) -> bool:
+    left, top, width, height = box
+    edges = left > 1.0 and top > 1.0 and left + width < _SIZE[0] - 1.0 and top + height < _SIZE[1] - 1.0
+    return edges and height >= _SMALLEST
