@@ -40,7 +40,7 @@ def random_parameters(rng: np.random.Generator) -> Parameters:
         CouplingParameters(
             rng.uniform(1.0, 20.0), rng.choice([0.0, 0.2]), rng.uniform(0.5, 6.0), rng.choice([0.0, 0.2, 1.0])
         ),
-        LikelihoodParameters(
+        likelihood=LikelihoodParameters(
             position_std=rng.uniform(0.05, 0.3),
             robust=rng.choice(["none", "huber", "cauchy"]).item(),
             robust_threshold=rng.uniform(1.0, 3.0),

@@ -22,7 +22,7 @@ from graphtrack.model.pose import class_centres, class_kappa
 from graphtrack.tracks import Track, TrackSet
 
 EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)
-PRESETS = ("position", "separate", "joint")
+PRESETS = ("position", "separate", "joint", "intentional", "joint-intentional")
 EVERY_PRESET = pytest.mark.parametrize("preset", PRESETS)
 
 
