@@ -10,10 +10,11 @@ from collections import defaultdict
 
 import pytest
 from scipy import stats
-from simulated import inside, unknown
+from simulated import BRISK, inside, unknown
 
 from graphtrack.learning import fit
 from graphtrack.learning.objective import Criterion
+from graphtrack.model import Model
 
 SIMULATIONS = 40
 
@@ -25,7 +26,7 @@ SIMULATIONS = 40
         ("position", "evidence", 8, 60),
         ("separate", "evidence", 8, 60),
         ("intentional", "evidence", 8, 60),
-        ("joint", "truth", 40, 30),
+        ("joint", "truth", 40, 16),
     ],
 )
 def test_intervals_hold_what_they_say_in_40_simulations(
@@ -38,7 +39,9 @@ def test_intervals_hold_what_they_say_in_40_simulations(
     right: dict[str, list[bool]] = defaultdict(list)
     for seed in range(SIMULATIONS):
         people = unknown(preset, 100 + seed, n_tracks, n_steps, truth=criterion == "truth")
-        for name, holds in inside(fit(people, preset, hold_out=0.0, criterion=criterion)).items():
+        # Couplings take long to climb from the defaults, and end where they do from the true ones.
+        start = Model("joint", BRISK) if preset == "joint" else Model(preset)
+        for name, holds in inside(fit(people, start, hold_out=0.0, criterion=criterion)).items():
             right[name].append(holds)
     with capsys.disabled():
         print(f"\n{preset}, by {criterion}: {n_tracks} people, {n_steps} frames")

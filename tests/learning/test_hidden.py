@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -15,10 +15,11 @@ from graphtrack.baselines.kalman import smooth_states
 from graphtrack.degrade import add_noise
 from graphtrack.inference import solve
 from graphtrack.learning import fit
+from graphtrack.learning.free import free_parameters, with_values
 from graphtrack.learning.hidden import FOLDS, blurred, told
 from graphtrack.learning.objective import Objective
 from graphtrack.learning.solving import Solver
-from graphtrack.model import CouplingParameters, Model
+from graphtrack.model import CouplingParameters, GaitParameters, Model
 from graphtrack.tracks import Track, TrackSet
 
 
@@ -133,3 +134,29 @@ def test_modes_tell_of_people_of_both_kinds(criterion: str) -> None:
     }
     assert scores["full"] > scores["joint"]
     assert scores["full"] > scores["separate"]
+
+
+def test_every_parameter_of_the_modes_is_learned_within_its_range() -> None:
+    model = Model("full")
+    free = free_parameters(model, list(people_of_both_kinds(2, 10, 0)))
+    names = {one.name for one in free}
+    assert {f"gait.{field.name}" for field in fields(GaitParameters)} <= names
+    for one in free:
+        assert one.from_scale(one.to_scale(one.get(model))) == pytest.approx(one.get(model))
+        for far in (-20.0, 20.0):
+            changed = with_values(model, [one], np.array([far]))  # InputError if it is out of range
+            assert one.get(changed) != one.get(model)
+    probabilities = {one.name for one in free if one.is_probability}
+    assert {"gait.body_aligned", "gait.head_aligned", "gait.head_evidence"} <= probabilities
+    assert "gait.body_lead" not in probabilities
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("criterion", ["truth", "prediction"])
+def test_full_is_learned(criterion: str) -> None:
+    found = fit(people_of_both_kinds(12, 20, 2), "full", criterion=criterion, hold_out=0.25)  # type: ignore[arg-type]
+    assert found.scores["learned from"][1] > found.scores["learned from"][0]
+    told = {one.name: one for one in found.learned}
+    assert "gait.body_aligned" in told
+    for one in found.learned:
+        assert one.value == one.start if one.note else one.low < one.value < one.high
