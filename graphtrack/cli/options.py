@@ -32,6 +32,15 @@ ModelName = Annotated[
         help="position, separate, joint, intentional, joint-intentional, full, or a model file (.toml).",
     ),
 ]
+BestModelName = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        help="position, separate, joint, intentional, joint-intentional, full, or a model file (.toml); by "
+        "default full, or joint with an engine of GTSAM's, which do not have its modes.",
+        show_default=False,
+    ),
+]
 Format = Annotated[
     str | None,
     typer.Option(
@@ -189,3 +198,10 @@ def make_folder(path: Path) -> None:
         raise InputError(
             f"{error.strerror or error} when making the folder", "a place that can be written to", path=path
         ) from error
+
+
+def best_model(model: str | None, engine: str = "auto") -> str:
+    """The model that was asked for, else the best one that an engine has."""
+    if model is not None:
+        return model
+    return "full" if engine in ("auto", "chain") else "joint"

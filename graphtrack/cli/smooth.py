@@ -18,7 +18,7 @@ _LARGE = "Data sets larger than memory"
 def smooth(
     inputs: options.Inputs,
     output: options.Output,
-    model: options.ModelName = "joint",
+    model: options.BestModelName = None,
     fps: options.Fps = None,
     homography: options.Homography = None,
     point_pairs: options.PointPairs = None,
@@ -78,7 +78,7 @@ def smooth(
     from graphtrack.io.options import ReadOptions
     from graphtrack.model import Model
 
-    chosen = Model.named(model)
+    chosen = Model.named(options.best_model(model, engine))
     solver = engine_of(chosen, engine)  # type: ignore[arg-type]
     options.check_outputs(report, table=output)
     if is_streamed(inputs, output, stream, cluster):

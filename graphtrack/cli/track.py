@@ -28,7 +28,7 @@ def track(
             help="File to write: .csv, .csv.gz, .parquet or .txt (MOT); with -, rows go to standard output.",
         ),
     ] = None,
-    model: options.ModelName = "joint",
+    model: options.BestModelName = None,
     engine: Annotated[
         str,
         typer.Option(
@@ -62,7 +62,7 @@ def track(
     from graphtrack.io import write
     from graphtrack.model import Model
 
-    chosen = Model.named(model)
+    chosen = Model.named(options.best_model(model, engine))
     OnlineSmoother(chosen, engine=engine, lag=lag)  # type: ignore[arg-type]  # refuses a bad engine or lag
     if input == "-":
         _refuse_with_stream(
