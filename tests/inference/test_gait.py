@@ -1,5 +1,6 @@
 """Modes of the couplings: people who side-step, people who do not, and the recursion behind it."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,7 +44,7 @@ def people(offset: float, count: int, seed: int, seconds: float = 6.0, head: flo
     return add_noise(TrackSet(tuple(tracks)), position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=rng)
 
 
-def errors(tracks: TrackSet, found: list) -> np.ndarray:
+def errors(tracks: Iterable[Track], found: list) -> np.ndarray:
     """Mean errors of body and head in degrees."""
     return np.degrees(
         np.mean(
@@ -467,9 +468,16 @@ def test_people_of_every_gait_on_motion_capture(data_dir: Path) -> None:
         noisy = add_noise(
             tracks, position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=np.random.default_rng(11)
         )
-        full, joint, separate = (errors(noisy, smoothed(noisy, m)) for m in ("full", "joint", "separate"))
+        found = smoothed(noisy, "full")
+        full = errors(noisy, found)
+        joint, separate = (errors(noisy, smoothed(noisy, m)) for m in ("joint", "separate"))
         assert (full <= separate).all()
         assert (full <= joint).all()
+        medians = np.median([errors([t], [e]) for t, e in zip(noisy, found, strict=True)], axis=0)
+        assert (medians <= ((5.7, 6.2) if ordinary else (8.7, 6.1))).all()
+        apart = [e.position - t.true_position for t, e in zip(noisy, found, strict=True)]
+        distance = np.median([np.sqrt(np.mean(np.sum(one**2, axis=1))) for one in apart])
+        assert distance <= (0.038 if ordinary else 0.0425)
 
 
 def test_the_defaults_are_a_model_file(tmp_path: Path) -> None:
