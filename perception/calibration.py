@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
-from scipy.special import log_softmax, logsumexp
+from scipy.optimize import minimize, minimize_scalar
+from scipy.special import expit, log_softmax, logsumexp
 
 from graphtrack.angles import FloatArray
 
@@ -30,6 +30,33 @@ def fit_temperature(scores: FloatArray, labels: NDArray[np.int64], *, groups: in
     spread = max(float(np.std(scores)), 1e-6)
     around = np.log(spread)
     return float(np.exp(minimize_scalar(loss, bounds=(around - 8.0, around + 8.0), method="bounded").x))
+
+
+def with_neighbours(probability: FloatArray, share: float) -> FloatArray:
+    """Probabilities (..., k) around a circle, of which each class gives ``share`` to both neighbours."""
+    beside = np.roll(probability, 1, axis=-1) + np.roll(probability, -1, axis=-1)
+    return np.asarray((1.0 - 2.0 * share) * probability + share * beside, float)
+
+
+def fit_temperature_and_share(
+    scores: FloatArray, labels: NDArray[np.int64], *, groups: int = 1
+) -> tuple[float, float]:
+    """Temperature and `with_neighbours` share of the highest likelihood of the labels, together.
+
+    Angles near the border of two classes are told as either: a temperature alone, which must make up for
+    that too, leaves the surest answers too sure. The parameters are those of `fit_temperature`, for classes
+    all around a circle.
+    """
+    rows = np.arange(len(labels))
+    start = np.log(fit_temperature(scores, labels, groups=groups))
+
+    def loss(values: FloatArray) -> float:
+        log_p = log_softmax(scores / np.exp(values[0]), axis=1).reshape(len(scores), groups, -1)
+        p = with_neighbours(np.exp(logsumexp(log_p, axis=1)), 0.5 * expit(values[1]))
+        return -float(np.log(p[rows, labels] + 1e-300).mean())
+
+    found = minimize(loss, np.array([start, -3.0]), method="Nelder-Mead").x
+    return float(np.exp(found[0])), float(0.5 * expit(found[1]))
 
 
 @dataclass(frozen=True, eq=False)

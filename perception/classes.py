@@ -44,6 +44,11 @@ class PoseClasses:
     def __len__(self) -> int:
         return self.n_pan * self.n_tilt
 
+    @property
+    def all_around(self) -> bool:
+        """Whether the pans go around the whole circle."""
+        return bool(np.isclose(self.n_pan * self.step, 2.0 * np.pi))
+
     @cached_property
     def pan(self) -> FloatArray:
         """Centres (n_pan,) of the pan classes, radians in (−π, π]."""

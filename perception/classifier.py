@@ -14,7 +14,12 @@ from scipy.special import log_softmax
 
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from perception.calibration import fit_temperature, reliability
+from perception.calibration import (
+    fit_temperature,
+    fit_temperature_and_share,
+    reliability,
+    with_neighbours,
+)
 from perception.classes import PoseClasses
 from perception.images import Image
 from perception.storage import ModelCard, load_model, save_model
@@ -47,10 +52,10 @@ class Classifier(Protocol):
 
 
 class FeatureClassifier(ABC):
-    """A classifier that scores feature vectors, calibrated by a temperature.
+    """A classifier that scores feature vectors, calibrated by a temperature and a share for neighbours.
 
-    A fifth of the images is held out of the fit; on it the temperature is chosen and the figures of the card
-    are measured, for the pans, since tilts are summed out before use. The other images are taken with their
+    A fifth of the images is held out of the fit; on it the two are chosen and the figures of the card are
+    measured, for the pans, since tilts are summed out before use. The other images are taken with their
     reflections, so that left and right come equally often (000 §III-C). The model is not fitted to all
     images afterwards: measured on rendered people, the temperature of the first fit then no longer suits it
     (expected calibration error 0.08 in place of 0.05).
@@ -65,7 +70,7 @@ class FeatureClassifier(ABC):
 
     def __init__(self, classes: PoseClasses, *, seed: int = 0) -> None:
         self.classes, self.seed = classes, seed
-        self.temperature = 1.0
+        self.temperature, self.neighbour_share = 1.0, 0.0
         self.card = ModelCard(self.kind)
 
     @abstractmethod
@@ -109,8 +114,8 @@ class FeatureClassifier(ABC):
         self.fit_features(features, both, rng)
         scores = self._all_scores([images[i] for i in held_out])
         pan = labels[held_out] % self.classes.n_pan
-        self.temperature = fit_temperature(scores, pan, groups=self.classes.n_tilt)
-        found = self.classes.pan_log_likelihood(log_softmax(scores / self.temperature, axis=1))
+        self._fit_calibration(scores, pan)
+        found = self.classes.pan_log_likelihood(self._calibrated(scores))
         figures = {
             "accuracy_held_out": float(np.mean(found.argmax(axis=1) == pan)),
             "expected_calibration_error_held_out": reliability(found, pan).expected_calibration_error,
@@ -123,7 +128,7 @@ class FeatureClassifier(ABC):
         """Choose the temperature anew, on images (of use, say) whose pans (n,) in radians are known."""
         of_pan = PoseClasses(self.classes.first, self.classes.step, self.classes.n_pan)
         labels = check_labels(images, of_pan.index(pan), self.classes.n_pan, least=0)
-        self.temperature = fit_temperature(self._all_scores(images), labels, groups=self.classes.n_tilt)
+        self._fit_calibration(self._all_scores(images), labels)
         figures = {**self.card.figures, "temperature": self.temperature}
         self.card = replace(self.card, figures=figures)
         return self
@@ -136,7 +141,22 @@ class FeatureClassifier(ABC):
         """The same for many images at once, (n, n_classes)."""
         if not len(images):
             return np.zeros((0, len(self.classes)))
-        return np.asarray(log_softmax(self._all_scores(images) / self.temperature, axis=1), float)
+        return self._calibrated(self._all_scores(images))
+
+    def _fit_calibration(self, scores: FloatArray, pan: NDArray[np.int64]) -> None:
+        groups = self.classes.n_tilt
+        if self.classes.all_around:
+            self.temperature, self.neighbour_share = fit_temperature_and_share(scores, pan, groups=groups)
+        else:
+            self.temperature = fit_temperature(scores, pan, groups=groups)
+
+    def _calibrated(self, scores: FloatArray) -> FloatArray:
+        log_p = log_softmax(scores / self.temperature, axis=1)
+        if self.neighbour_share == 0.0:
+            return np.asarray(log_p, float)
+        levels = np.exp(log_p).reshape(len(scores), self.classes.n_tilt, self.classes.n_pan)
+        spread = with_neighbours(levels, self.neighbour_share).reshape(log_p.shape)
+        return np.asarray(np.log(np.maximum(spread, 1e-300)), float)
 
     def save(self, path: str | Path) -> None:
         """Write a model file (.npz) that `load` reads."""
@@ -146,6 +166,7 @@ class FeatureClassifier(ABC):
             "settings": self.settings(),
             "seed": self.seed,
             "temperature": self.temperature,
+            "neighbour_share": self.neighbour_share,
         }
         save_model(path, replace(self.card, kind=self.kind, parameters=parameters), self.arrays())
 
@@ -165,6 +186,7 @@ class FeatureClassifier(ABC):
                 PoseClasses(**parameters["classes"]), seed=parameters["seed"], **parameters["settings"]
             )
             model.temperature, model.card = float(parameters["temperature"]), card
+            model.neighbour_share = float(parameters.get("neighbour_share", 0.0))
             model.set_arrays(arrays)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError("an incomplete model", f"a model of kind {cls.kind!r}", path=path) from error

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from perception.calibration import fit_temperature, reliability
+from perception.calibration import fit_temperature, fit_temperature_and_share, reliability, with_neighbours
 from perception.classes import PoseClasses
 from perception.classifier import FeatureClassifier, split
 from perception.evaluation import evaluate
@@ -85,12 +85,12 @@ def test_a_saved_model_says_the_same(fitted: Fitted, heads: Heads, tmp_path: Pat
 def test_calibration_on_other_images_makes_up_for_scores_of_another_scale(
     fitted: Fitted, heads: Heads
 ) -> None:
-    model, before = fitted[0], fitted[0].temperature
+    model, before, share = fitted[0], fitted[0].temperature, fitted[0].neighbour_share
     model.temperature = 20.0 * before
     model.calibrate(heads[1].images, heads[1].pan)
     honest = evaluate(model, heads[1].images, heads[1].pan).expected_calibration_error
     assert before / 4.0 < model.temperature < 4.0 * before and honest < 0.15
-    model.temperature = before
+    model.temperature, model.neighbour_share = before, share
 
 
 def test_the_fit_is_repeatable(fitted: Fitted, heads: Heads) -> None:
@@ -165,6 +165,18 @@ def test_temperature_recovers_a_known_one() -> None:
     assert fit_temperature(7.0 * logits, labels) == pytest.approx(7.0, rel=0.05)
     assert reliability(logits, labels).expected_calibration_error < 0.03
     assert reliability(7.0 * logits, labels).expected_calibration_error > 0.1
+
+
+def test_temperature_and_share_recover_known_ones() -> None:
+    rng = np.random.default_rng(0)
+    logits = rng.normal(0.0, 3.0, (6000, 8))
+    p = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
+    spread = with_neighbours(p, 0.12)
+    np.testing.assert_allclose(spread.sum(axis=1), 1.0)
+    np.testing.assert_allclose(with_neighbours(np.eye(8)[0], 0.12)[[0, 1, 4, 7]], [0.76, 0.12, 0.0, 0.12])
+    labels = (rng.random(6000)[:, None] > spread.cumsum(axis=1)).sum(axis=1)
+    temperature, share = fit_temperature_and_share(4.0 * logits, labels)
+    assert temperature == pytest.approx(4.0, rel=0.1) and share == pytest.approx(0.12, abs=0.02)
 
 
 def test_classes_agree_with_the_observation_table() -> None:
