@@ -32,6 +32,10 @@ def looks_like(head: bytes, path: Path) -> bool:
     return len(cells & set(schema.NAMES)) >= 2
 
 
+_SMALL = 200_000
+"""Characters that are read before pyarrow would be imported."""
+
+
 def read(source: Source, options: ReadOptions) -> TrackSet:
     """Read the native CSV table (ARCHITECTURE: *the table*).
 
@@ -41,7 +45,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         With line and column of the first cell that cannot be used.
     """
     header = _header(source)
-    columns = _read_fast(source, header)
+    columns = _read_fast(source, header) if len(source.text) > _SMALL else None
     line_of: Callable[[int], int] = _LineFinder(source)
     if columns is None:
         columns, lines = _read_slowly(source, header)
