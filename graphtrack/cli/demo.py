@@ -30,7 +30,7 @@ def demo(
     from graphtrack.report.plots import plot_angles, plot_tracks
     from graphtrack.scenario import scenario
 
-    chosen = Model.named(options.best_model(model))
+    chosen = Model.named(model)
     options.make_folder(out)
     observed = scenario(np.random.default_rng(seed), seconds=seconds)
     console.print(f"{len(observed)} people, {observed.n_frames} person-frames, simulated", markup=False)

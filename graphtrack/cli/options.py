@@ -198,10 +198,3 @@ def make_folder(path: Path) -> None:
         raise InputError(
             f"{error.strerror or error} when making the folder", "a place that can be written to", path=path
         ) from error
-
-
-def best_model(model: str | None, engine: str = "auto") -> str:
-    """The model that was asked for, else the best one that an engine has."""
-    if model is not None:
-        return model
-    return "full" if engine in ("auto", "chain") else "joint"

@@ -78,7 +78,7 @@ def smooth(
     from graphtrack.io.options import ReadOptions
     from graphtrack.model import Model
 
-    chosen = Model.named(options.best_model(model, engine))
+    chosen = Model.named(model, engine)
     solver = engine_of(chosen, engine)  # type: ignore[arg-type]
     options.check_outputs(report, table=output)
     if is_streamed(inputs, output, stream, cluster):

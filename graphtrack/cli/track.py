@@ -62,7 +62,7 @@ def track(
     from graphtrack.io import write
     from graphtrack.model import Model
 
-    chosen = Model.named(options.best_model(model, engine))
+    chosen = Model.named(model, engine)
     OnlineSmoother(chosen, engine=engine, lag=lag)  # type: ignore[arg-type]  # refuses a bad engine or lag
     if input == "-":
         _refuse_with_stream(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -58,7 +59,7 @@ class OnlineSmoother:
 
     Parameters
     ----------
-    model : a `Model`, the name of a preset or a model file
+    model : a `Model`, the name of a preset or a model file; by default "full", or "joint" with GTSAM
     engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
         "fixed-lag"
     lag : seconds of history that chain and fixed lag keep open
@@ -79,7 +80,7 @@ class OnlineSmoother:
 
     def __init__(
         self,
-        model: Model | str = "joint",
+        model: Model | str | Path | None = None,
         *,
         engine: Engine = "auto",
         lag: float = 2.0,
@@ -96,7 +97,7 @@ class OnlineSmoother:
             raise InputError(f"step_tolerance = {step_tolerance}", "a number that is not negative")
         if max_iterations < 1:
             raise InputError(f"max_iterations = {max_iterations}", "at least 1")
-        self.model = Model.named(model)
+        self.model = Model.named(model, engine)
         self.engine = online_engine(self.model, engine)
         self.lag = float(lag)
         self.camera = camera
@@ -146,7 +147,7 @@ class OnlineSmoother:
 
     @classmethod
     def from_state(
-        cls, state: dict[str, Any], model: Model | str = "joint", **options: Any
+        cls, state: dict[str, Any], model: Model | str | Path | None = None, **options: Any
     ) -> OnlineSmoother:
         """A smoother that goes on where `state` was taken, given the same model and options.
 
@@ -319,7 +320,7 @@ def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float
 
 def track_online(
     track: Track,
-    model: Model | str = "joint",
+    model: Model | str | Path | None = None,
     *,
     engine: Engine = "auto",
     lag: float = 2.0,

@@ -69,7 +69,7 @@ def refuse_only_compiled(model: Model, engine: str) -> None:
 
 def solve(
     tracks: TrackSet,
-    model: Model | str | Path = "joint",
+    model: Model | str | Path | None = None,
     *,
     engine: Engine | Literal["auto"] = "auto",
     jobs: int | None = None,
@@ -81,7 +81,7 @@ def solve(
     Parameters
     ----------
     tracks : observations
-    model : a `Model`, a preset's name or a model file
+    model : a `Model`, a preset's name or a model file; by default "full", or "joint" with GTSAM
     engine : "auto", "chain" or "gtsam"; both find the same optimum
     jobs : threads of the chain engine, by default one for each processor; processes with GTSAM, which holds
         the interpreter's lock, by default one
@@ -92,7 +92,7 @@ def solve(
     -------
     list of Solution or Failure, in the order of the tracks
     """
-    model = Model.named(model)
+    model = Model.named(model, engine)
     options = SolverOptions() if options is None else options
     if engine_of(model, engine) == "chain":
         found: list[Solution | Failure] = []
@@ -114,7 +114,7 @@ def solve(
 
 def smooth(
     tracks: TrackSet,
-    model: Model | str | Path = "joint",
+    model: Model | str | Path | None = None,
     *,
     engine: Engine | Literal["auto"] = "auto",
     jobs: int | None = None,

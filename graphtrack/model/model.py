@@ -134,8 +134,13 @@ class Model:
             raise InputError(error.found, error.expected, path=path) from error
 
     @classmethod
-    def named(cls, model: Model | str | Path) -> Model:
-        """A model from a preset's name or a model file's path; a model is returned as it is."""
+    def named(cls, model: Model | str | Path | None, engine: str = "auto") -> Model:
+        """A model from a preset's name or a model file's path; a model is returned as it is.
+
+        None stands for the best preset that the engine has: "full", or "joint" with GTSAM.
+        """
+        if model is None:
+            return cls("full" if engine in ("auto", "chain") else "joint")
         if isinstance(model, Model):
             return model
         if isinstance(model, str) and model in presets:

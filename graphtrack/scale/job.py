@@ -61,7 +61,7 @@ class _NothingSmoothed(Exception):
 def smooth_dataset(
     dataset: Dataset | str | Path,
     output: str | Path,
-    model: Model | str | Path = "joint",
+    model: Model | str | Path | None = None,
     *,
     engine: Engine | Literal["auto"] = "auto",
     jobs: int | None = None,
@@ -99,7 +99,7 @@ def smooth_dataset(
         When the cluster is lost, or a batch ends every worker that takes it.
     """
     dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    output, model = Path(output), Model.named(model)
+    output, model = Path(output), Model.named(model, engine)
     if batch_frames < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"batch_frames = {batch_frames}, jobs = {jobs}", "numbers from 1")
     read_options, notes = _with_camera(dataset, ReadOptions() if read_options is None else read_options)

@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
+from graphtrack.inference import OnlineSmoother
 from graphtrack.model import (
     CouplingParameters,
     GaitParameters,
@@ -262,3 +263,10 @@ def test_parameters_check_themselves_without_a_file() -> None:
     for kind, values in bad:
         with pytest.raises(InputError, match=next(iter(values))):
             kind(**values)
+
+
+def test_without_a_name_it_is_the_best_preset_that_the_engine_has():
+    assert {Model.named(None, engine).preset for engine in ("auto", "chain")} == {"full"}
+    assert {Model.named(None, engine).preset for engine in ("gtsam", "fixed-lag", "isam2")} == {"joint"}
+    assert OnlineSmoother().model.preset == "full"
+    assert OnlineSmoother(engine="isam2").model.preset == "joint"

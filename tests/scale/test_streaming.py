@@ -103,7 +103,7 @@ def test_a_folder_is_one_table_and_its_files_may_have_different_columns(table, t
         rows.dropna(axis=1, how="all").drop(columns="track_id").to_parquet(part / "rows.parquet", index=False)
     (folder / "_SUCCESS").touch()
     expected = in_memory(whole, tmp_path / "expected.parquet", "joint")
-    smooth_dataset(folder, tmp_path / "out.parquet")
+    smooth_dataset(folder, tmp_path / "out.parquet", "joint")
     assert (tmp_path / "out.parquet").read_bytes() == expected.read_bytes()
 
 
@@ -114,7 +114,7 @@ def test_a_track_may_lie_in_several_files(table, tmp_path):
     for k in range(3):
         table.iloc[k::3].to_parquet(folder / f"{k}.parquet", index=False)
     expected = in_memory(whole, tmp_path / "expected.parquet", "joint")
-    smooth_dataset(folder, tmp_path / "out.parquet", batch_frames=30)
+    smooth_dataset(folder, tmp_path / "out.parquet", "joint", batch_frames=30)
     assert (tmp_path / "out.parquet").read_bytes() == expected.read_bytes()
 
 
