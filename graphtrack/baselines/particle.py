@@ -20,10 +20,10 @@ from graphtrack.baselines.particle_backward import backward
 from graphtrack.baselines.particle_data import Job, PoseModel, prepare
 from graphtrack.baselines.particle_kernels import FIRST, POSITION, RECOVERED, run, summarise
 from graphtrack.baselines.particle_recovery import draw_states, recover
-from graphtrack.baselines.resampling import generator
 from graphtrack.errors import InputError, InputWarning, SolveError
 from graphtrack.geometry import GroundCamera
 from graphtrack.model import Model
+from graphtrack.particles import generator
 from graphtrack.tracks import Track
 
 

@@ -10,8 +10,8 @@ from graphtrack.angles import FloatArray
 from graphtrack.baselines.particle_data import Motion
 from graphtrack.baselines.particle_densities import log_i0e
 from graphtrack.baselines.particle_kernels import carry, motion_pull
-from graphtrack.baselines.resampling import normalise
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.particles import normalise
 
 
 @compiled

@@ -18,13 +18,13 @@ from graphtrack.baselines.particle_densities import (
     sample_von_mises,
     wrapped,
 )
-from graphtrack.baselines.resampling import (
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.motion import STANDSTILL
+from graphtrack.particles import (
     effective_sample_size,
     normalise,
     systematic_ancestors,
 )
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.motion import STANDSTILL
 
 PROPAGATE, FIRST, RECOVERED = 0, 1, 2
 """How a run begins: from the frame before; with positions and velocities drawn already, angles from their

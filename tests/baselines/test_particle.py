@@ -26,16 +26,16 @@ from graphtrack.baselines.particle_densities import (
 )
 from graphtrack.baselines.particle_kernels import BODY, HEAD, POSITION, draw_angles, draw_motion, summarise
 from graphtrack.baselines.particle_recovery import draw_orientations, recover
-from graphtrack.baselines.resampling import (
+from graphtrack.errors import InputError, InputWarning, SolveError
+from graphtrack.geometry import GroundCamera
+from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters, States, Step, Term
+from graphtrack.model.pose import VonMisesMixture, class_centres, class_kappa
+from graphtrack.particles import (
     effective_sample_size,
     generator,
     normalise,
     systematic_ancestors,
 )
-from graphtrack.errors import InputError, InputWarning, SolveError
-from graphtrack.geometry import GroundCamera
-from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters, States, Step, Term
-from graphtrack.model.pose import VonMisesMixture, class_centres, class_kappa
 from graphtrack.simulation import von_mises_product
 from graphtrack.tracks import Track
 

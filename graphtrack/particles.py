@@ -31,6 +31,13 @@ def generator(seed: int | np.random.Generator) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
+def resample(weights: FloatArray, rng: np.random.Generator, count: int | None = None) -> NDArray[np.int64]:
+    """Ancestors (count,) of new particles, in order, by systematic resampling of normalised weights (n,)."""
+    ancestors = np.empty(len(weights) if count is None else count, np.int64)
+    systematic_ancestors(weights, rng.random(), ancestors)
+    return ancestors
+
+
 @compiled
 def normalise(log_weights: FloatArray, weights: FloatArray) -> float:
     """Normalise log-weights (n,) in place, write the weights (n,), and return the logarithm of their sum.

@@ -1,0 +1,138 @@
+"""What every tracker on pixels takes and gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.angles import FloatArray
+from perception.classes import PoseClasses
+from perception.images import Image
+
+Box = tuple[float, float, float, float]
+"""Left, top, width, height in pixels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Where somebody else expects the target in the next frame: a normal density of its box's centre.
+
+    Attributes
+    ----------
+    centre : (2,) pixels
+    covariance : (2, 2) pixels²
+    """
+
+    centre: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class BoxEstimate:
+    """What a tracker says of one frame.
+
+    Attributes
+    ----------
+    box : left, top, width, height in pixels
+    spread : (2,) 1-σ of the particles' centres, right and down (pixels)
+    confidence : 0…1, comparable within one tracker
+    found : whether the tracker says that the target is in the frame
+    particles : (n, 4) boxes
+    weights : (n,) of the particles; they sum to 1
+    pan : (n_pan,) distribution of the head's pan over the tracker's classes, image frame; it sums to 1
+    pan_likelihood : (n_pan,) likelihood of the pan by this frame alone, up to a factor
+    cues : strength of each cue, by name
+    """
+
+    box: Box
+    spread: FloatArray
+    confidence: float
+    found: bool
+    particles: FloatArray
+    weights: FloatArray
+    pan: FloatArray | None = None
+    pan_likelihood: FloatArray | None = None
+    cues: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def centre(self) -> FloatArray:
+        """Middle (2,) of the box, pixels."""
+        left, top, width, height = self.box
+        return np.array([left + width / 2.0, top + height / 2.0])
+
+
+class Tracker(Protocol):
+    """One target through consecutive frames of one size.
+
+    ``pan_classes`` are the classes of `BoxEstimate.pan`; None for trackers that know no pan.
+    """
+
+    name: ClassVar[str]
+    pan_classes: PoseClasses | None
+
+    def start(self, image: Image, box: Box | None) -> BoxEstimate:
+        """Begin with the target's box in the first frame; without one the tracker looks for a target.
+
+        Raises
+        ------
+        InputError
+            If the box cannot be used, or there is none and the tracker finds no target.
+        """
+        ...
+
+    def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
+        """Go on to the next frame (h, w, 3) uint8.
+
+        Raises
+        ------
+        InputError
+            If the frame's size is not that of the first.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """n weighed boxes and where they were a frame before.
+
+    Attributes
+    ----------
+    now, before : (n, 4) centre right and down (pixels), logarithms of width and height (pixels)
+    weights : (n,), they sum to 1
+    """
+
+    now: FloatArray
+    before: FloatArray
+    weights: FloatArray
+
+    def chosen(self, ancestors: NDArray[np.int64]) -> Cloud:
+        """Equal weights for the particles (n,) that were drawn."""
+        n = len(ancestors)
+        return Cloud(self.now[ancestors], self.before[ancestors], np.full(n, 1.0 / n))
+
+    @property
+    def boxes(self) -> FloatArray:
+        """Left, top, width and height (n, 4)."""
+        return boxes_of(self.now)
+
+    def mean(self) -> tuple[Box, FloatArray]:
+        """The mean box and the 1-σ (2,) of the centres (pixels)."""
+        mean = self.weights @ self.now
+        spread = np.sqrt(self.weights @ (self.now[:, :2] - mean[:2]) ** 2)
+        left, top, width, height = (float(value) for value in boxes_of(mean[None])[0])
+        return (left, top, width, height), spread
+
+
+def boxes_of(states: FloatArray) -> FloatArray:
+    """Boxes (n, 4) of states (n, 4): centre and logarithms of the size."""
+    size = np.exp(states[:, 2:])
+    return np.hstack([states[:, :2] - size / 2.0, size])
+
+
+def states_of(boxes: FloatArray) -> FloatArray:
+    """States (n, 4) of boxes (n, 4); the inverse of `boxes_of`."""
+    return np.hstack([boxes[:, :2] + boxes[:, 2:] / 2.0, np.log(boxes[:, 2:])])
