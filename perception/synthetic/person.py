@@ -13,6 +13,7 @@ from perception.synthetic.solids import Builder, Solids, rotation_up, rotation_z
 _REFERENCE_HEIGHT = 1.72
 _HEAD_HEIGHT = 1.585
 """Metres of the head's origin above the ground, for a person of the reference height."""
+_THIGH = 0.42
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Posture:
     tilt : of the head, radians above the horizontal
     phase : of the step, radians; a step of each leg is 2π
     stride : amplitude of the step, 0 (standing) to 1
+    sitting : how far the person has sat down, 0 (upright) to 1 (thighs level, as on a chair)
     """
 
     position: tuple[float, float]
@@ -34,23 +36,34 @@ class Posture:
     tilt: float = 0.0
     phase: float = 0.0
     stride: float = 0.0
+    sitting: float = 0.0
 
 
 def person_solids(look: Appearance, posture: Posture) -> tuple[Solids, Solids]:
     """Body and head in the world (metres)."""
     size = look.height / _REFERENCE_HEIGHT
     turn, place = rotation_z(posture.body), (*posture.position, 0.0)
-    body = _body(look, posture).scaled(size).moved(turn, place)
+    # Who sits down lowers hips, trunk and head by what the thighs lose in height.
+    lowered = _THIGH * (1.0 - np.cos(_bend(posture)))
+    upper, legs = _upper_body(look, posture).moved(np.eye(3), (0.0, 0.0, -lowered)), _legs(look, posture)
+    body = Solids.together(upper, legs).scaled(size).moved(turn, place)
     # The head turns about the neck, which bows forward a little.
     pivot = np.array([-0.03, 0.0, -0.10])
     facing = rotation_z(posture.head - posture.body) @ rotation_up(posture.tilt)
     head = (
-        head_solids(look).moved(np.eye(3), -pivot).moved(facing, pivot + np.array([0.01, 0.0, _HEAD_HEIGHT]))
+        head_solids(look)
+        .moved(np.eye(3), -pivot)
+        .moved(facing, pivot + np.array([0.01, 0.0, _HEAD_HEIGHT - lowered]))
     )
     return body, head.scaled(size).moved(turn, place)
 
 
-def _body(look: Appearance, posture: Posture) -> Solids:
+def _bend(posture: Posture) -> float:
+    """Radians that the thighs are off the vertical because the person sits."""
+    return 0.5 * np.pi * posture.sitting
+
+
+def _upper_body(look: Appearance, posture: Posture) -> Solids:
     make = Builder()
     wide, cloth = look.build, look.top_texture
     top, skin = np.array(look.top), np.array(look.skin)
@@ -68,18 +81,26 @@ def _body(look: Appearance, posture: Posture) -> Solids:
         for side in (-1.0, 1.0):
             make.ellipsoid((0.02, side * 0.11, 1.30), (0.105 * wide, 0.02, 0.16), look.hat_colour)
     for side in (-1.0, 1.0):
-        _leg(make, look, side, side * swing, posture)
         _arm(make, look, side, -side * swing)
     return make.build()
 
 
+def _legs(look: Appearance, posture: Posture) -> Solids:
+    make = Builder()
+    swing = posture.stride * np.sin(posture.phase)
+    for side in (-1.0, 1.0):
+        _leg(make, look, side, side * swing, posture)
+    return make.build()
+
+
 def _leg(make: Builder, look: Appearance, side: float, swing: float, posture: Posture) -> None:
-    hip = np.array([0.0, side * 0.085 * look.build, 0.90])
-    thigh = 0.45 * swing
+    bend = _bend(posture)
+    hip = np.array([0.0, side * 0.085 * look.build, 0.90 - _THIGH * (1.0 - np.cos(bend))])
+    thigh = 0.45 * swing + bend
     # The knee bends while the leg comes forward.
     lifted = max(0.0, side * np.cos(posture.phase)) * posture.stride
-    shin = thigh - 0.75 * lifted - 0.1 * posture.stride
-    knee = hip + 0.42 * np.array([np.sin(thigh), 0.0, -np.cos(thigh)])
+    shin = 0.45 * swing - 0.75 * lifted - 0.1 * posture.stride
+    knee = hip + _THIGH * np.array([np.sin(thigh), 0.0, -np.cos(thigh)])
     ankle = knee + 0.41 * np.array([np.sin(shin), 0.0, -np.cos(shin)])
     make.limb(hip, knee, 0.078 * look.build, look.trousers)
     make.limb(knee, ankle, 0.054 * look.build, look.trousers)

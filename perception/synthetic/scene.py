@@ -116,22 +116,41 @@ def render_frame(
     oversampling : rays a pixel and axis
     backdrop : (h, w, 3) light to use instead of the scene's even one
     """
-    camera = scene.camera
+    shown = cast_scene(scene, people, scene.camera.rays(oversampling))
+    return developed(scene, people, shown, sensor, rng, oversampling=oversampling, backdrop=backdrop)
+
+
+def cast_scene(scene: Scene, people: Sequence[Person], rays: FloatArray) -> Cast:
+    """What the camera's rays (h, w, 3) meet; the groups 3k … 3k + 2 are person k, the last ones furniture."""
     parts: list[Solids] = []
     for k, person in enumerate(people):
         body, head = person_solids(person.look, person.posture)
         parts += [body.in_group(3 * k), replace(head, group=head.group + 3 * k + 1)]
-    parts += [_furniture(item).in_group(3 * len(people) + k) for k, item in enumerate(scene.furniture)]
+    parts += [furniture_solids(item).in_group(3 * len(people) + k) for k, item in enumerate(scene.furniture)]
     owner = np.concatenate([np.arange(3 * len(people)) // 3, len(people) + np.arange(len(scene.furniture))])
-    shown = cast(
-        np.array(camera.position),
-        camera.rays(oversampling),
+    return cast(
+        np.array(scene.camera.position),
+        rays,
         Solids.together(Builder().build(), *parts),
         scene.light,
         ground=scene.ground,
         n_groups=len(owner),
         owner=owner,
     )
+
+
+def developed(
+    scene: Scene,
+    people: Sequence[Person],
+    shown: Cast,
+    sensor: Sensor,
+    rng: np.random.Generator,
+    *,
+    oversampling: int,
+    backdrop: NDArray[np.float32] | None = None,
+) -> Frame:
+    """The frame of what the rays of `cast_scene` met."""
+    camera = scene.camera
     w, h = camera.size
     colour, covered = shown.colour, shown.covered.astype(np.float32)
     if oversampling > 1:
@@ -144,7 +163,8 @@ def render_frame(
     return Frame(develop(light, sensor, rng), labels, skin)
 
 
-def _furniture(item: Furniture) -> Solids:
+def furniture_solids(item: Furniture) -> Solids:
+    """A piece of furniture in the world (metres)."""
     make = Builder()
     length, width, height = item.size
     x, y = item.position
