@@ -298,7 +298,7 @@ def _walk(
     last: int,
     chair: FloatArray,
 ) -> Walk:
-    """Through the door in frame ``first``, to and fro, with halts and seats; out by ``last`` where that ends it."""
+    """Through the door in frame ``first``, to and fro, with halts and seats; out again by ``last``."""
     there = np.zeros(frames, bool)
     position, sitting = np.tile(_OUTSIDE, (frames, 1)), np.zeros(frames)
     there[first:] = True

@@ -17,8 +17,8 @@ from perception.synthetic.still import StillScene
 FRAMES = 100
 
 
-def drawn(name: str, seed: int = 1) -> CeilingSequence:
-    return ceiling_sequence(KINDS[name], np.random.default_rng(seed), frames=FRAMES, oversampling=1)
+def drawn(name: str, frames: int = FRAMES) -> CeilingSequence:
+    return ceiling_sequence(KINDS[name], np.random.default_rng(1), frames=frames, oversampling=1)
 
 
 @pytest.mark.parametrize("oversampling", [1, 2])
@@ -66,10 +66,10 @@ def test_the_label_encloses_the_pixels_of_the_person() -> None:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_what_happens_in_each_kind(name: str) -> None:
-    kind, sequence = KINDS[name], drawn(name)
+    kind, sequence = KINDS[name], drawn(name, 400)
     walk = sequence.walks[0]
     assert not walk.there[:15].any() and walk.there[15:].all()
-    assert len(sequence) == FRAMES
+    assert len(sequence) == 400
     assert (walk.sitting.max() > 0.99) == bool(kind.sits)
     speeds = np.linalg.norm(np.diff(walk.position, axis=0), axis=1) * sequence.fps
     assert speeds.max() < 1.05 * kind.speed
@@ -77,7 +77,7 @@ def test_what_happens_in_each_kind(name: str) -> None:
     assert len(sequence.moved) == len(kind.moves)
     for (_, places), (first, last) in zip(sequence.moved, kind.moves, strict=True):
         moving = np.flatnonzero(np.abs(np.diff(places, axis=0)).max(axis=1) > 0.0)
-        assert first * FRAMES - 1 <= moving.min() and moving.max() <= last * FRAMES + 1
+        assert first * 400 - 1 <= moving.min() and moving.max() <= last * 400 + 1
     assert len(sequence.walks) == (1 if kind.distracter is None else 2)
 
 
