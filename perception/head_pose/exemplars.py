@@ -27,7 +27,7 @@ Density = Literal["gaussian", "saturated"]
 SATURATION = -3.0
 """log T of eq. 5."""
 
-_SMALLEST_DEVIATION = 0.2
+SMALLEST_DEVIATION = 0.2
 _FEW = 3
 """Exemplars of so few images take the deviations of their whole class."""
 
@@ -71,8 +71,8 @@ class Exemplars(FeatureClassifier):
         if density not in ("gaussian", "saturated"):
             raise InputError(f"density {density!r}", "'gaussian' or 'saturated'")
         self.exemplars, self.density, self.weigh_filters = exemplars, density, weigh_filters
-        self._centre = self._deviation = np.empty((0, 0, 0), np.float32)
-        self._log_weight = np.empty((0, 0), np.float32)
+        self.centre = self.deviation = np.empty((0, 0, 0), np.float32)
+        self.log_weight = np.empty((0, 0), np.float32)
         self._exponent = np.ones(_FILTERS)
 
     def settings(self) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class Exemplars(FeatureClassifier):
             others = rng.permutation(others)[:_WEIGHED_ON]
             self._make_exemplars(features[made_of], labels[made_of], rng)
             self._exponent = _best_exponents(
-                self._by_filter(features[others]), self._log_weight, labels[others]
+                self._by_filter(features[others]), self.log_weight, labels[others]
             )
         self._make_exemplars(features, labels, rng)
 
@@ -116,48 +116,63 @@ class Exemplars(FeatureClassifier):
             for j in range(count):
                 cluster = members[means.labels_ == j]
                 spread = cluster.std(axis=0) if len(cluster) > _FEW else pooled
-                deviation[m, j] = np.maximum(spread, _SMALLEST_DEVIATION)
+                deviation[m, j] = np.maximum(spread, SMALLEST_DEVIATION)
                 weight[m, j] = len(cluster) / len(members)
-        in_steps = _steps(centre, CENTRE_STEP, np.int8), _steps(deviation, DEVIATION_STEP, np.uint8)
+        in_steps = whole_steps(centre, CENTRE_STEP, np.int8), whole_steps(deviation, DEVIATION_STEP, np.uint8)
         self._set_exemplars(*in_steps)
         with np.errstate(divide="ignore"):
-            self._log_weight = np.log(weight).astype(np.float32)
+            self.log_weight = np.log(weight).astype(np.float32)
 
     def _by_filter(self, features: FloatArray) -> NDArray[np.float32]:
         """Log densities (n, n_classes, exemplars, 4) of the responses of each filter."""
         floor = SATURATION if self.density == "saturated" else -np.inf
-        inverse = 1.0 / self._deviation
-        shape = (*self._centre.shape[:2], _FILTERS, -1)
-        found = _log_densities(
-            np.asarray(features, np.float32), self._centre, inverse, np.float32(floor), _FILTERS
-        )
-        return np.asarray(found + np.log(inverse).reshape(shape).sum(axis=3), np.float32)
+        return filter_log_densities(features, self.centre, self.deviation, floor)
 
     def scores(self, features: FloatArray) -> FloatArray:
         """Log likelihoods (n, n_classes)."""
-        return _mixed(self._by_filter(features), self._log_weight, self._exponent)
+        return _mixed(self._by_filter(features), self.log_weight, self._exponent)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Centres and deviations in whole steps, weights of exemplars and filters."""
         return {
-            "centre": _steps(self._centre, CENTRE_STEP, np.int8),
-            "deviation": _steps(self._deviation, DEVIATION_STEP, np.uint8),
-            "log_weight": self._log_weight,
+            "centre": whole_steps(self.centre, CENTRE_STEP, np.int8),
+            "deviation": whole_steps(self.deviation, DEVIATION_STEP, np.uint8),
+            "log_weight": self.log_weight,
             "exponent": self._exponent,
         }
 
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Take over what `arrays` gave."""
         self._set_exemplars(arrays["centre"], arrays["deviation"])
-        self._log_weight = arrays["log_weight"]
+        self.log_weight = arrays["log_weight"]
         self._exponent = arrays["exponent"].astype(float)
 
     def _set_exemplars(self, centre: NDArray[Any], deviation: NDArray[Any]) -> None:
-        self._centre = centre.astype(np.float32) * np.float32(CENTRE_STEP)
-        self._deviation = deviation.astype(np.float32) * np.float32(DEVIATION_STEP)
+        self.centre = centre.astype(np.float32) * np.float32(CENTRE_STEP)
+        self.deviation = deviation.astype(np.float32) * np.float32(DEVIATION_STEP)
 
 
-def _steps(values: NDArray[np.float32], step: float, kind: type[np.integer]) -> NDArray[Any]:
+def filter_log_densities(
+    features: NDArray[np.floating],
+    centre: NDArray[np.float32],
+    deviation: NDArray[np.float32],
+    floor: float,
+) -> NDArray[np.float32]:
+    """Log densities (n, classes, k, 4) of responses (n, 764), filter by filter (eq. 4, or 5 with a floor).
+
+    Parameters
+    ----------
+    centre, deviation : (classes, k, 764) of the exemplars
+    floor : least log density of a response before its normalisation: log T, or −∞
+    """
+    inverse = 1.0 / deviation
+    shape = (*centre.shape[:2], _FILTERS, -1)
+    found = _log_densities(np.asarray(features, np.float32), centre, inverse, np.float32(floor), _FILTERS)
+    return np.asarray(found + np.log(inverse).reshape(shape).sum(axis=3), np.float32)
+
+
+def whole_steps(values: NDArray[np.float32], step: float, kind: type[np.integer]) -> NDArray[Any]:
+    """Values as whole numbers of steps, as far as the kind of number reaches, for a file."""
     limits = np.iinfo(kind)
     return np.asarray(np.clip(np.rint(values / step), limits.min, limits.max).astype(kind))
 

@@ -9,6 +9,7 @@ from perception.body_pose import BodyPose
 from perception.classifier import FeatureClassifier
 from perception.head_pose import DeepBelief, Exemplars, Templates
 from perception.heads import HeadLocaliser
+from perception.trackers.head_exemplars import KIND, HeadExemplars
 
 CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "templates": Templates,
@@ -17,7 +18,7 @@ CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "body_pose": BodyPose,
 }
 HEAD_POSE = ("deep_belief", "templates", "exemplars")
-NAMES = (*CLASSIFIERS, HeadLocaliser.kind)
+NAMES = (*CLASSIFIERS, HeadLocaliser.kind, KIND)
 
 
 def model_path(name: str) -> Path:
@@ -49,3 +50,8 @@ def load_classifier(name: str, path: str | Path | None = None) -> FeatureClassif
 def load_head_localiser(path: str | Path | None = None) -> HeadLocaliser:
     """The head localiser of the package or of a file."""
     return HeadLocaliser.load(path or model_path(HeadLocaliser.kind))
+
+
+def load_head_exemplars(path: str | Path | None = None) -> HeadExemplars:
+    """The exemplars of the mixed-state tracker, of the package or of a file."""
+    return HeadExemplars.load(path or model_path(KIND))

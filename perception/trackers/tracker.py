@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
 from perception.classes import PoseClasses
 from perception.images import Image
 
@@ -136,3 +138,42 @@ def boxes_of(states: FloatArray) -> FloatArray:
 def states_of(boxes: FloatArray) -> FloatArray:
     """States (n, 4) of boxes (n, 4); the inverse of `boxes_of`."""
     return np.hstack([boxes[:, :2] + boxes[:, 2:] / 2.0, np.log(boxes[:, 2:])])
+
+
+def check_frame(image: Image, shape: tuple[int, int] | None) -> None:
+    """Refuse a frame that is no colour image, or of another size (height, width) than the first one.
+
+    Raises
+    ------
+    InputError
+        With both sizes.
+    """
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise InputError(f"an array {image.shape} of {image.dtype}", "a frame (h, w, 3) of uint8")
+    if shape is not None and image.shape[:2] != shape:
+        found, first = f"{image.shape[1]} × {image.shape[0]}", f"{shape[1]} × {shape[0]}"
+        raise InputError(f"a frame of {found} pixels", f"{first}, as the first one")
+
+
+def grey_frame(image: Image, shape: tuple[int, int] | None) -> NDArray[np.uint8]:
+    """The grey values (h, w) of a frame, which is checked as by `check_frame`."""
+    check_frame(image, shape)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def check_box(box: Box, image: Image) -> FloatArray:
+    """A box (4,) to begin with.
+
+    Raises
+    ------
+    InputError
+        If it is not finite, smaller than 2 pixels, or its middle is outside the image.
+    """
+    left, top, width, height = values = np.asarray(box, float)
+    h, w = image.shape[:2]
+    if not np.isfinite(values).all() or min(width, height) < 2.0:
+        raise InputError(f"a box {values.tolist()}", "left, top, width and height of at least 2 pixels")
+    if not (0.0 <= left + width / 2.0 <= w and 0.0 <= top + height / 2.0 <= h):
+        expected = f"one with its middle inside the frame of {w} × {h} pixels"
+        raise InputError(f"a box {values.tolist()}", expected)
+    return values
