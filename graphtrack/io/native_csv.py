@@ -50,7 +50,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     if columns is None:
         columns, lines = _read_slowly(source, header)
         line_of = lines.__getitem__
-    ignored = [name for name in header if name not in schema.NAMES]
+    ignored = schema.unknown(header)
     return from_columns(
         columns, path=source.path, format="csv", options=options, line_of=line_of, ignored=ignored
     )

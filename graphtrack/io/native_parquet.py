@@ -47,7 +47,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         table = file.read(columns=known)
         table.validate(full=True)
     columns = {name: column_values(table.column(name), name, source.path) for name in known}
-    ignored = [name for name in names if name not in schema.NAMES]
+    ignored = schema.unknown(names)
     return from_columns(
         columns,
         path=source.path,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,6 +97,15 @@ BY_NAME = {column.name: column for column in COLUMNS}
 INTEGERS = {"track_id": LARGEST_ID, "frame": LARGEST_FRAME}
 NAMES = (*INTEGERS, *BY_NAME, "label")
 """Every column of the native table, in the order of writing."""
+
+BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
+"""Columns that a tracker on pixels writes beside those of a track; nothing is read from them."""
+
+
+def unknown(names: Iterable[str]) -> list[str]:
+    """The columns of a file that are neither of the native table nor known to say nothing of a track."""
+    return [name for name in names if name not in NAMES and name not in BOX_COLUMNS]
+
 
 TOGETHER: tuple[tuple[str, ...], ...] = (
     ("x", "y"),

@@ -91,7 +91,7 @@ def from_table(table: pd.DataFrame, *, fps: float | None = None) -> TrackSet:
         format="table",
         options=ReadOptions(fps=fps),
         line_of=lambda i: i + 1,
-        ignored=[name for name in names if name not in schema.NAMES],
+        ignored=schema.unknown(names),
     )
 
 

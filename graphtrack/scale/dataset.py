@@ -216,5 +216,5 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
                 raise InputError(f"the folder {part}", f"a number after {name}=", path=place)
             constants[name] = number
     columns = frozenset(name for name in names if name in schema.NAMES)
-    others = [name for name in names if name not in schema.NAMES] + [name for name, _ in foreign]
+    others = schema.unknown(names) + [name for name, _ in foreign]
     return DataFile(place, first_row, n_rows, columns, constants, tuple(foreign)), others
