@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from graphtrack.cli.main import run
-from perception.cli import evaluate, observe, train
+from perception.cli import evaluate, follow, observe, train
 
 app = typer.Typer(
     name="perception", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
@@ -18,6 +18,7 @@ def start() -> None:
 
 
 app.command("observe")(observe.observe)
+app.command("follow")(follow.follow)
 app.command("train")(train.train)
 app.command("evaluate")(evaluate.evaluate)
 app.command("card")(train.card)

@@ -1,0 +1,169 @@
+"""`perception follow`."""
+
+from __future__ import annotations
+
+import time
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from graphtrack.cli.console import console, counted, progress_bar
+from graphtrack.cli.options import Seed, check_outputs
+
+if TYPE_CHECKING:
+    from perception.box_camera import BoxCamera
+    from perception.guidance import GraphGuide
+    from perception.images import Image
+    from perception.trackers.tracker import Box
+
+_FILE = {"exists": True, "dir_okay": False}
+_SHOWN = 5
+
+
+def follow(
+    source: Annotated[
+        Path, typer.Argument(help="A video, or a folder of images.", metavar="VIDEO|FOLDER", exists=True)
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv.")],
+    tracker: Annotated[
+        str, typer.Option("--tracker", help="mixed-state, sigma-pi or color.")
+    ] = "mixed-state",
+    init: Annotated[
+        str | None,
+        typer.Option(
+            "--init",
+            help="The target's box in the first frame, in pixels; without it, mixed-state looks for a "
+            "head and sigma-pi waits for something that moves.",
+            metavar="LEFT,TOP,WIDTH,HEIGHT",
+        ),
+    ] = None,
+    guided: Annotated[
+        bool, typer.Option("--guided", help="The graph tells the tracker where to look next.")
+    ] = False,
+    render: Annotated[
+        Path | None,
+        typer.Option("--render", help="Draw it all: a video .mp4 or .avi, or else a folder of images."),
+    ] = None,
+    particles: Annotated[
+        int | None, typer.Option("--particles", min=2, help="Number of particles.", show_default=False)
+    ] = None,
+    seed: Seed = 0,
+    homography: Annotated[
+        Path | None,
+        typer.Option("--homography", help="File with 3×3 numbers: image → ground in metres.", **_FILE),
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="Camera calibration (.ci).", **_FILE)
+    ] = None,
+    foot_at: Annotated[
+        float | None,
+        typer.Option(
+            "--foot-at",
+            min=-20.0,
+            max=20.0,
+            help="Where the foot point is, in box heights below the box's top; by default 1, or 7.3 for the "
+            "box of a head before a known camera.",
+            show_default=False,
+        ),
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option("--fps", min=0.1, help="Frames a second, if not the video's (else 25).")
+    ] = None,
+    head_pose: Annotated[
+        str,
+        typer.Option(
+            "--head-pose", help="head_p*: frame (what each frame says by itself) or filtered (the tracker's)."
+        ),
+    ] = "frame",
+) -> None:
+    """Follow one person or head through a video, and write its boxes as observations for graphtrack."""
+    from graphtrack.errors import InputError
+    from graphtrack.geometry import GroundCamera
+    from graphtrack.io.cameras import read_calibration, read_homography
+    from perception import following
+    from perception.box_camera import PERSON_IN_HEADS, BoxCamera
+    from perception.drawing import check_render, renderer
+    from perception.frames import FrameSource
+    from perception.trackers.registry import OF_HEADS, make_tracker
+
+    if head_pose not in ("frame", "filtered"):
+        raise InputError(f"--head-pose {head_pose}", "frame or filtered")
+    if output.suffix.lower() != ".csv":
+        raise InputError(f"{output.name}", "a file to write that ends in .csv", path=output)
+    check_outputs(output)
+    if render is not None:
+        check_render(render)
+    box = None if init is None else following.parse_box(init)
+    frames = FrameSource.open(source)
+    rate = fps or frames.fps or 25.0
+    camera = None
+    if calibration is not None:
+        camera = read_calibration(calibration)
+    elif homography is not None:
+        camera = GroundCamera.from_homography(read_homography(homography))
+    follower = make_tracker(tracker, particles, seed)
+    of_heads = tracker in OF_HEADS
+    if foot_at is None:
+        foot_at = PERSON_IN_HEADS if of_heads and camera is not None else 1.0
+
+    def on_ground(first: Box) -> BoxCamera:
+        if camera is not None:
+            return BoxCamera(camera, foot_at)
+        return BoxCamera.from_box(first, PERSON_IN_HEADS if of_heads else 1.0, foot_at)
+
+    def guide(first: Box) -> GraphGuide:
+        from perception.guidance import GraphGuide
+
+        return GraphGuide(on_ground(first), follower.pan_classes)
+
+    refused: list[str] = []
+    with (
+        progress_bar(frames.count, "frames") as advance,
+        nullcontext() if render is None else renderer(render, rate, follower.pan_classes) as show,
+    ):
+        begun = time.perf_counter()
+        found = following.follow(
+            follower,
+            frames,
+            partial(_start, box, tracker),
+            guide=guide if guided else None,
+            fps=rate,
+            refuse=refused.append,
+            advance=advance,
+            show=show,
+        )
+        seconds = time.perf_counter() - begun
+        first = next(item.estimate.box for item in found if item.estimate.found)
+        track = following.to_track(
+            found, on_ground(first), follower.pan_classes, rate, filtered=head_pose == "filtered"
+        )
+        following.write_boxes(found, track, output)
+    for reason in refused[:_SHOWN]:
+        console.print(f"  skipped: {reason}", markup=False)
+    if len(refused) > _SHOWN:
+        console.print(f"  skipped: {len(refused) - _SHOWN} more", markup=False)
+    for note in following.notes(found, track):
+        console.print(f"  note: {note}", markup=False)
+    if camera is None:
+        console.print("  note: no camera is known: positions are pixels times a scale", markup=False)
+    console.print(
+        f"followed {counted(len(found), 'frame')} in {seconds:.1f} s "
+        f"({len(found) / max(seconds, 1e-9):.1f} a second)",
+        markup=False,
+    )
+    console.print(f"wrote {output}" + ("" if render is None else f" and {render}"), markup=False)
+
+
+def _start(box: Box | None, tracker: str, image: Image) -> Box | None:
+    """The box to begin with; a head is looked for where the tracker needs one, and nothing else."""
+    from graphtrack.errors import InputError
+    from perception.following import find_head
+
+    if box is not None or tracker == "sigma-pi":
+        return box
+    if tracker == "mixed-state":
+        return find_head(image)
+    raise InputError("no target in the first frame", f"--init with its box, for the tracker {tracker}")

@@ -1,0 +1,126 @@
+"""Drawn estimates: where things are in the picture, and what stands on the disk."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from blob_tracker import SIZE, BlobTracker, blob_image
+
+from graphtrack.errors import InputError
+from perception.drawing import check_render, draw, renderer
+from perception.trackers.tracker import BoxEstimate
+
+CENTRE = (80.0, 60.0)
+
+
+@pytest.fixture
+def estimate() -> BoxEstimate:
+    return BlobTracker().start(blob_image(CENTRE), (72.0, 50.0, 16.0, 20.0))
+
+
+def changed(estimate: BoxEstimate, other: BoxEstimate, pans: bool = False) -> np.ndarray:
+    """Rows and columns (n, 2) in which two pictures differ, in pixels of the image before it was enlarged."""
+    classes = BlobTracker().pan_classes if pans else None
+    grey = np.full((SIZE[1], SIZE[0], 3), 100, np.uint8)
+    first, second = (draw(grey, 1, item, classes) for item in (estimate, other))
+    factor = first.shape[0] // SIZE[1]
+    found = np.argwhere((first != second).any(axis=2)[:, : factor * SIZE[0]])
+    return np.asarray(found / factor)
+
+
+def test_particles_are_drawn_where_they_are(estimate: BoxEstimate) -> None:
+    particle = np.array([[20.0, 90.0, 10.0, 10.0]])
+    alone = replace(estimate, particles=particle, weights=np.ones(1))
+    elsewhere = replace(alone, particles=particle + np.array([[100.0, 0.0, 0.0, 0.0]]))
+    rows, columns = changed(alone, elsewhere).T
+    assert np.abs(rows - 95.0).max() < 2.0
+    near = np.minimum(np.abs(columns - 25.0), np.abs(columns - 125.0))
+    assert near.max() < 2.0 and columns.min() < 30.0 and columns.max() > 120.0
+
+
+@pytest.mark.parametrize(("pan_class", "along"), [(0, (0, 1)), (3, (1, 0)), (6, (0, -1)), (9, (-1, 0))])
+def test_the_arrow_points_down_to_the_camera_and_right_at_a_quarter(
+    estimate: BoxEstimate, pan_class: int, along: tuple[int, int]
+) -> None:
+    pan = np.full(12, 1e-6)
+    pan[pan_class] = 1.0
+    turned = replace(estimate, pan=pan / pan.sum())
+    opposite = replace(turned, pan=np.roll(turned.pan, 6))
+    # Both arrows begin in the middle; what lies on the asked side must be this one's.
+    grey = np.full((SIZE[1], SIZE[0], 3), 100, np.uint8)
+    plain, arrow = draw(grey, 1, turned), draw(grey, 1, turned, BlobTracker().pan_classes)
+    factor = plain.shape[0] // SIZE[1]
+    rows, columns = np.argwhere((plain != arrow).any(axis=2)[:, : factor * SIZE[0]]).T / factor
+    away = np.array([columns.mean() - CENTRE[0], rows.mean() - CENTRE[1]])
+    assert away @ along > 5.0 and abs(away @ along[::-1]) < 2.0
+    assert len(changed(turned, opposite, pans=True))
+
+
+def test_not_found_is_shown(estimate: BoxEstimate) -> None:
+    rows, columns = changed(estimate, replace(estimate, found=False)).T
+    assert ((rows < 12.0) & (columns < 60.0)).any()
+
+
+def test_pictures_of_a_video_have_one_size_whatever_is_drawn(estimate: BoxEstimate) -> None:
+    image = blob_image(CENTRE)
+    bare = replace(estimate, pan=None, cues={}, found=False, box=(-50.0, -9.0, 900.0, 3.0))
+    many = replace(estimate, cues={f"cue {k}": k / 30.0 for k in range(30)})
+    shapes = {
+        draw(image, k, item, BlobTracker().pan_classes).shape for k, item in enumerate((estimate, bare, many))
+    }
+    assert len(shapes) == 1
+
+
+def test_a_bar_is_as_long_as_its_value(estimate: BoxEstimate) -> None:
+    image = blob_image(CENTRE)
+    lengths = []
+    for value in (0.0, 0.5, 1.0, 7.0, float("nan")):
+        picture = draw(image, 1, replace(estimate, confidence=0.0, cues={"red": value}))
+        full = draw(image, 1, replace(estimate, confidence=0.0, cues={"red": 0.0}))
+        lengths.append(np.unique(np.argwhere((picture != full)[34 + 24 + 16 : 34 + 24 + 21])[:, 1]).size)
+    assert lengths[0] == lengths[4] == 0
+    assert lengths[1] == pytest.approx(lengths[2] / 2, abs=2) and lengths[2] == lengths[3] > 100
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "film.avi"])
+def test_a_video_has_the_frames_that_were_shown(tmp_path: Path, estimate: BoxEstimate, name: str) -> None:
+    with renderer(tmp_path / name, 10.0) as show:
+        for k in range(7):
+            show(k, blob_image(CENTRE), estimate)
+    video = cv2.VideoCapture(str(tmp_path / name))
+    images = []
+    while (read := video.read())[0]:
+        images.append(read[1])
+    assert len(images) == 7 and video.get(cv2.CAP_PROP_FPS) == pytest.approx(10.0)
+    expected = draw(blob_image(CENTRE), 0, estimate)
+    assert images[0].shape == expected.shape
+    assert np.abs(images[0].astype(float) - expected).mean() < 8.0
+
+
+def test_a_folder_has_an_image_for_each_frame_by_its_number(tmp_path: Path, estimate: BoxEstimate) -> None:
+    with renderer(tmp_path / "shown", 25.0) as show:
+        for k in (3, 12):
+            show(k, blob_image(CENTRE), estimate)
+    assert sorted(path.name for path in (tmp_path / "shown").iterdir()) == ["000003.png", "000012.png"]
+    picture = cv2.imread(str(tmp_path / "shown" / "000012.png"))
+    np.testing.assert_array_equal(picture, draw(blob_image(CENTRE), 12, estimate))
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "shown"])
+def test_nothing_is_left_of_a_rendering_that_failed(tmp_path: Path, estimate: BoxEstimate, name: str) -> None:
+    with pytest.raises(InputError, match="lost"), renderer(tmp_path / name, 25.0) as show:
+        show(0, blob_image(CENTRE), estimate)
+        raise InputError("lost", "found")
+    assert not list(tmp_path.iterdir())
+
+
+def test_places_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a.txt").write_text("")
+    for path in (tmp_path / "film.webm", tmp_path / "no" / "film.mp4", tmp_path / "full"):
+        with pytest.raises(InputError):
+            check_render(path)
