@@ -88,7 +88,16 @@ class HeadExemplars:
 
     def prior(self) -> FloatArray:
         """π_l for equally likely poses (labels,); it sums to 1."""
-        return np.exp(self.log_weight).ravel() / len(self.classes)
+        weight = np.exp(self.log_weight).ravel()
+        return np.asarray(weight / weight.sum(), float)
+
+    def within(self, pan_limit: float) -> HeadExemplars:
+        """The same without the poses that face away by more than ``pan_limit`` (radians).
+
+        004 knows pans from −90° to 90° only. The classes stay; the other ones become impossible.
+        """
+        facing = np.tile(np.abs(self.classes.pan) <= pan_limit + 1e-9, self.classes.n_tilt)
+        return replace(self, log_weight=np.where(facing[:, None], self.log_weight, -np.inf))
 
     def transitions(self, pan_std: float, tilt_share: float, stay: float) -> FloatArray:
         """p(k_t | k_{t−1}) (labels, labels), rows sum to 1 (eq. 9).
@@ -112,7 +121,9 @@ class HeadExemplars:
             np.fill_diagonal(same, stay)
         for m in range(n):
             exemplar[m * k : (m + 1) * k, m] = same
-        return np.asarray((np.repeat(pose, k, axis=0)[:, :, None] * exemplar).reshape(n * k, n * k), float)
+        both = (np.repeat(pose, k, axis=0)[:, :, None] * exemplar).reshape(n * k, n * k)
+        possible = both * np.isfinite(self.log_weight).ravel()
+        return np.asarray(possible / possible.sum(axis=1, keepdims=True), float)
 
     def save(self, path: str | Path) -> None:
         """Write a model file (.npz) that `load` reads."""
