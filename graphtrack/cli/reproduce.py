@@ -23,7 +23,8 @@ def reproduce(
     name: Annotated[
         str,
         typer.Argument(
-            help="baxter-simulated, baxter-occlusion, baxter-statistics, chen-joint, or all.",
+            help="baxter-simulated, baxter-occlusion, baxter-statistics, chen-joint, ba-mixed-state, "
+            "yan-sigma-pi, or all.",
             show_default=False,
         ),
     ],
@@ -41,11 +42,12 @@ def reproduce(
     seed: options.Seed = 0,
 ) -> None:
     """Run an experiment of the papers again: tables with their numbers beside ours, and a page of figures."""
-    from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings
+    from graphtrack.evaluation.reproduce import Settings, all_experiments
     from graphtrack.io import atomic_path
 
-    if name != "all" and name not in EXPERIMENTS:
-        raise InputError(f"experiment {name!r}", f"one of {', '.join(EXPERIMENTS)}, or all")
+    experiments = all_experiments()
+    if name != "all" and name not in experiments:
+        raise InputError(f"experiment {name!r}", f"one of {', '.join(experiments)}, or all")
     if data is not None and not data.is_dir():
         raise InputError("no such folder", "a folder of recordings", path=data)
     options.check_outputs(json_path)
@@ -55,7 +57,7 @@ def reproduce(
         console.print("no recordings: simulated people only; --data names a folder of them", markup=False)
     settings = Settings(quick=quick, seed=seed, data=folder)
     tables = []
-    for experiment in EXPERIMENTS.values() if name == "all" else [EXPERIMENTS[name]]:
+    for experiment in experiments.values() if name == "all" else [experiments[name]]:
         console.print(f"{experiment.name}: {experiment.source}", markup=False)
         with input_warnings_as_notes(), progress_bar(experiment.work(settings), "parts") as advance:
             found = experiment.run(settings, advance)

@@ -16,7 +16,7 @@ from graphtrack.baselines.kalman import filter_states, kalman_filter
 from graphtrack.cli.main import app
 from graphtrack.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.errors import InputError
-from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table
+from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table, all_experiments
 from graphtrack.evaluation.reproduce.baxter_simulated import squared_error
 from graphtrack.evaluation.reproduce.chen_joint import PAPER, concentration_of
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
@@ -221,9 +221,9 @@ def test_wrong_use(arguments: list[str], said: str, tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(EXPERIMENTS))
+@pytest.mark.parametrize("name", list(all_experiments()))
 def test_every_experiment_runs(name: str, data_dir: Path) -> None:
-    experiment, done = EXPERIMENTS[name], 0
+    experiment, done = all_experiments()[name], 0
 
     def progress(count: int) -> None:
         nonlocal done

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.metadata import entry_points
 from types import MappingProxyType
 
 from graphtrack.evaluation.reproduce import (
@@ -13,7 +14,7 @@ from graphtrack.evaluation.reproduce import (
 )
 from graphtrack.evaluation.reproduce.experiment import Experiment, Reproduction, Settings, Table
 
-__all__ = ["EXPERIMENTS", "Experiment", "Reproduction", "Settings", "Table"]
+__all__ = ["EXPERIMENTS", "Experiment", "Reproduction", "Settings", "Table", "all_experiments"]
 
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
     {
@@ -21,4 +22,15 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
         for module in (baxter_simulated, baxter_occlusion, baxter_statistics, chen_joint)
     }
 )
-"""Name → experiment."""
+"""Name → experiment on tables."""
+
+GROUP = "graphtrack.experiments"
+"""Entry points under which other packages, such as ``perception``, add experiments."""
+
+
+def all_experiments() -> dict[str, Experiment]:
+    """Those on tables, and those that installed packages add, by name."""
+    added: list[Experiment] = [
+        point.load() for point in sorted(entry_points(group=GROUP), key=lambda p: p.name)
+    ]
+    return {**EXPERIMENTS, **{experiment.name: experiment for experiment in added}}

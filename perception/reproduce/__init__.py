@@ -1,0 +1,1 @@
+"""The papers' experiments on pixels, with their own numbers beside ours."""
