@@ -9,6 +9,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from perception.body_pose import BodyPose
+from perception.classes import PoseClasses
 from perception.classifier import FeatureClassifier
 from perception.evaluation import evaluate
 from perception.features.skin import SkinColours
@@ -16,7 +17,7 @@ from perception.head_pose import DeepBelief, Exemplars, Templates
 from perception.heads import HeadLocaliser
 from perception.images import intersection_over_union
 from perception.labels import read_labelled
-from perception.models import NAMES, model_path
+from perception.models import CLASSIFIERS, NAMES, model_path
 from perception.synthetic import (
     HeadVariation,
     PedestrianSet,
@@ -24,6 +25,8 @@ from perception.synthetic import (
     make_heads,
     make_pedestrians,
 )
+from perception.trackers.head_exemplars import KIND, HeadExemplars
+from perception.trackers.training import train_head_exemplars
 
 COUNTS = {
     "templates": 8000,
@@ -31,6 +34,7 @@ COUNTS = {
     "deep_belief": 50000,
     "body_pose": 6000,
     "head_localiser": 1000,
+    "head_exemplars": 7680,
 }
 """Rendered images that the models of the package are trained on."""
 
@@ -62,9 +66,13 @@ _FAR_TOO = "; a third of them of 24-80 pixels, from up to 45 degrees above, befo
 _REAL = "not judged on real pictures here; "
 
 
+Trained = FeatureClassifier | HeadLocaliser | HeadExemplars
+"""Any model of the package."""
+
+
 def train_on_rendered(
     name: str, *, images: int | None = None, test_images: int = 1000, seed: int = 0
-) -> FeatureClassifier | HeadLocaliser:
+) -> Trained:
     """Train a model by name on rendered crops; its card tells of ``test_images`` other ones.
 
     Parameters
@@ -85,6 +93,8 @@ def train_on_rendered(
     if name == BodyPose.kind:
         people = make_pedestrians(count - count // 3, rng) + make_pedestrians(count // 3, rng, FAR)
         return _body_pose(people, make_pedestrians(test_images, other), seed)
+    if name not in CLASSIFIERS:
+        return train_head_exemplars(people=max(2, count // len(PoseClasses.circle(16, 3))), seed=seed)
     return _head_pose(name, count, test_images, rng, other, seed)
 
 
@@ -134,9 +144,7 @@ def head_pose_figures(model: FeatureClassifier, count: int, rng: np.random.Gener
     return figures | {f"{name}_found": value for name, value in of_found.items()}
 
 
-def train_on_files(
-    name: str, folder: str | Path, labels: str | Path, *, seed: int = 0
-) -> FeatureClassifier | HeadLocaliser:
+def train_on_files(name: str, folder: str | Path, labels: str | Path, *, seed: int = 0) -> Trained:
     """Train a model by name on a user's images.
 
     The CSV has the columns ``image`` and: ``pan_deg`` and ``tilt_deg`` for head pose, ``body_deg`` for body
@@ -146,10 +154,12 @@ def train_on_files(
     Raises
     ------
     InputError
-        If there is no model of that name, or the files cannot be used.
+        If there is no model of that name that learns from such files, or they cannot be used.
     """
-    if name not in NAMES:
-        raise InputError(f"model {name!r}", f"one of {', '.join(NAMES)}")
+    # The labels do not say who is who, which the tracker's exemplars need.
+    known = [known for known in NAMES if known != KIND]
+    if name not in known:
+        raise InputError(f"model {name!r}", f"one of {', '.join(known)}")
     model: FeatureClassifier | HeadLocaliser
     if name == HeadLocaliser.kind:
         given = read_labelled(folder, labels, ("left", "top", "width", "height"))

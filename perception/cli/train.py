@@ -10,7 +10,13 @@ import typer
 from graphtrack.cli.console import console
 from graphtrack.cli.options import Seed, check_outputs
 
-Name = Annotated[str, typer.Argument(help="templates, exemplars, deep_belief, body_pose or head_localiser.")]
+Name = Annotated[
+    str,
+    typer.Argument(
+        help="templates, exemplars, deep_belief, body_pose, head_localiser, or head_exemplars (of the "
+        "mixed-state tracker)."
+    ),
+]
 
 
 def train(

@@ -17,8 +17,8 @@ from graphtrack.evaluation.reproduce.experiment import (
     Table,
 )
 from perception.head_pose.exemplars import Density
+from perception.recognition import recognition_table
 from perception.reproduce.head_runs import METHODS, Job, Run, run_job
-from perception.reproduce.identification import rates, still_heads
 from perception.reproduce.side_by_side import run_all
 from perception.synthetic.head_clips import HeadClip
 
@@ -61,14 +61,8 @@ def _jobs(settings: Settings) -> list[Job]:
 
 
 def work(settings: Settings) -> int:
-    """Sequences, and kinds of exemplars."""
-    return len(_jobs(settings)) + len(_kinds(settings))
-
-
-def _kinds(settings: Settings) -> list[tuple[Density, int]]:
-    numbers = (1, 2) if settings.quick else (1, 2, 3, 4)
-    densities: tuple[Density, ...] = ("gaussian", "saturated")
-    return [(density, number) for number in numbers for density in densities]
+    """Sequences, and the identification of still heads."""
+    return len(_jobs(settings)) + 1
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
@@ -93,20 +87,18 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 
 def _identification(settings: Settings, progress: Progress) -> Table:
-    people, splits = (30, 3) if settings.quick else (140, 20)
-    features = still_heads(people, settings.rng(100))
-    records: list[dict[str, Cell]] = []
-    for density, number in _kinds(settings):
-        found = 100.0 * rates(features, number, density, splits, settings.rng(101, number))
-        records.append(
-            {
-                "exemplars a pose": number,
-                "density": density,
-                "paper (%)": _PAPER.get((density, number)),
-                "ours (%)": f"{found.mean():.1f} ± {found.std():.1f} ({people // 2})",
-            }
-        )
-        progress(1)
+    people, exemplars, splits = (30, (1, 2), 2) if settings.quick else (140, (1, 2, 3, 4), 10)
+    rows, _ = recognition_table(people, exemplars, settings.rng(100), repetitions=splits)
+    progress(1)
+    records: list[dict[str, Cell]] = [
+        {
+            "exemplars a pose": row.exemplars,
+            "density": row.density,
+            "paper (%)": _PAPER.get((row.density, row.exemplars)),
+            "ours (%)": f"{100.0 * row.rate:.1f} ± {100.0 * row.deviation:.1f} ({people // 2})",
+        }
+        for row in rows
+    ]
     return Table.of("Identification of nine pans, in brackets people learned from", records)
 
 
