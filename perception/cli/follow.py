@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import nullcontext
 from functools import partial
@@ -69,6 +70,16 @@ def follow(
             show_default=False,
         ),
     ] = None,
+    pan_limit: Annotated[
+        float,
+        typer.Option(
+            "--pan-limit",
+            min=0.0,
+            max=180.0,
+            help="Degrees: mixed-state leaves out heads that face away from the camera by more; 90 if they "
+            "never turn their backs.",
+        ),
+    ] = 180.0,
     fps: Annotated[
         float | None, typer.Option("--fps", min=0.1, help="Frames a second, if not the video's (else 25).")
     ] = None,
@@ -87,6 +98,7 @@ def follow(
     from perception.box_camera import PERSON_IN_HEADS, BoxCamera
     from perception.drawing import check_render, renderer
     from perception.frames import FrameSource
+    from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
     from perception.trackers.registry import OF_HEADS, make_tracker
 
     if head_pose not in ("frame", "filtered"):
@@ -104,7 +116,10 @@ def follow(
         camera = read_calibration(calibration)
     elif homography is not None:
         camera = GroundCamera.from_homography(read_homography(homography))
-    follower = make_tracker(tracker, particles, seed)
+    parameters = None
+    if tracker == MixedStateTracker.name:
+        parameters = MixedStateParameters(pan_limit=math.radians(pan_limit))
+    follower = make_tracker(tracker, particles, seed, parameters)
     of_heads = tracker in OF_HEADS
     if foot_at is None:
         foot_at = PERSON_IN_HEADS if of_heads and camera is not None else 1.0

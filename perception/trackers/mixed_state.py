@@ -34,6 +34,8 @@ class MixedStateParameters:
     labels : "sampled": every particle has one label, as in the paper; "summed": every particle has the
         distribution of its labels given its path, so that only boxes are sampled (Rao–Blackwell)
     dynamics : of the box
+    pan_limit : radians; poses that face away from the camera by more are left out. The exemplars confuse
+        faces with backs of heads; 004 has −90° to 90° only.
     pan_std : radians a frame, of p(θ_t|θ_{t−1})
     tilt_share : a frame, to each neighbouring tilt class, relative to staying
     stay : probability of the same exemplar while the pose stays
@@ -45,6 +47,7 @@ class MixedStateParameters:
     particles: int = 200
     labels: Labels = "summed"
     dynamics: BoxDynamics = field(default_factory=BoxDynamics)
+    pan_limit: float = float(np.pi)
     pan_std: float = float(np.radians(12.0))
     tilt_share: float = 0.05
     stay: float = 0.9
@@ -58,6 +61,8 @@ class MixedStateParameters:
             raise InputError(f"{self.particles} particles", "at least 2")
         if self.labels not in ("sampled", "summed"):
             raise InputError(f"labels {self.labels!r}", "'sampled' or 'summed'")
+        if not 0.0 <= self.pan_limit <= np.pi + 1e-9:
+            raise InputError(f"pan_limit = {self.pan_limit} radians", "an angle from 0 to π")
 
 
 class MixedStateTracker:
@@ -84,7 +89,8 @@ class MixedStateTracker:
         seed: int | np.random.Generator = 0,
     ) -> None:
         self.parameters = parameters if particles is None else replace(parameters, particles=particles)
-        self.exemplars = load_head_exemplars() if exemplars is None else exemplars
+        loaded = load_head_exemplars() if exemplars is None else exemplars
+        self.exemplars = loaded.within(self.parameters.pan_limit)
         classes = self.exemplars.classes
         self.pan_classes: PoseClasses | None = PoseClasses(classes.first, classes.step, classes.n_pan)
         self._rng = generator(seed)
