@@ -1,0 +1,136 @@
+"""Motion, colour and shape against sums and formulas that are written out."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from perception.cues import colour, motion, shape
+from perception.cues.windows import activation, enlarged, integral, overlap, sums
+
+
+def test_sums_over_windows_are_direct_sums() -> None:
+    rng = np.random.default_rng(0)
+    saliency = rng.random((40, 60)).astype(np.float32)
+    windows = np.column_stack([rng.integers(-20, 70, (200, 2)), rng.integers(1, 50, (200, 2))]).astype(float)
+    found = sums(integral(saliency), windows)
+    for (left, top, width, height), value in zip(windows.astype(int), found, strict=True):
+        rows = slice(max(top, 0), max(top + height, 0))
+        columns = slice(max(left, 0), max(left + width, 0))
+        assert value == pytest.approx(saliency[rows, columns].sum(dtype=float), abs=1e-4)
+
+
+def test_the_window_that_fits_a_thing_overlaps_most() -> None:
+    saliency = np.zeros((100, 100), np.float32)
+    saliency[30:60, 40:70] = 1.0
+    table = integral(saliency)
+    rng = np.random.default_rng(0)
+    fitting = np.array([[40.0, 30.0, 30.0, 30.0]])
+    others = fitting + np.rint(rng.normal(0.0, 6.0, (300, 4)))
+    others = others[(np.abs(others - fitting) > 0.5).any(axis=1)]
+
+    def fit(windows: np.ndarray) -> np.ndarray:
+        within = sums(table, windows)
+        return overlap(within, sums(table, enlarged(windows, 3.0)) - within, windows[:, 2] * windows[:, 3])
+
+    assert fit(fitting)[0] == 1.0
+    assert fit(others).max() < 1.0
+
+
+@given(st.floats(0.05, 0.95), st.floats(0.01, 0.3))
+def test_an_activation_rises_from_0_to_1(middle: float, width: float) -> None:
+    values = activation(np.linspace(-0.5, 1.5, 41), middle, width)
+    assert values[0] == 0.0 and values[10] == 0.0 and values[-1] == 1.0
+    assert (np.diff(values) >= 0.0).all()
+
+
+def test_the_running_average_has_its_closed_form() -> None:
+    rng = np.random.default_rng(0)
+    first, image = (rng.uniform(0, 255, (8, 9, 3)).astype(np.float32) for _ in range(2))
+    background = first
+    for _ in range(30):
+        background = motion.running_average(background, image, 0.07)
+    np.testing.assert_allclose(background, image + 0.93**30 * (first - image), rtol=1e-4, atol=1e-3)
+
+
+def test_what_stays_still_is_absorbed_after_the_time_that_its_contrast_takes() -> None:
+    background = np.full((4, 4, 3), 50.0, np.float32)
+    image = background.copy()
+    image[1:3, 1:3, 2] = 150.0
+    frames = 0
+    while motion.foreground(background, image, 20.0).any():
+        expected = np.zeros((4, 4))
+        expected[1:3, 1:3] = 1.0
+        np.testing.assert_array_equal(motion.foreground(background, image, 20.0), expected)
+        background = motion.running_average(background, image, 0.05)
+        frames += 1
+    assert frames == int(np.ceil(np.log(20.0 / 100.0) / np.log(0.95)))
+
+
+def test_every_pixel_is_in_the_bin_of_its_hue_saturation_and_value() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV).astype(float)
+    hues, saturations, values = colour.BINS
+    expected = np.floor(hsv[..., 0] / 180 * hues) * saturations * values
+    expected += np.floor(hsv[..., 1] / 256 * saturations) * values + np.floor(hsv[..., 2] / 256 * values)
+    np.testing.assert_array_equal(colour.bins(image), expected)
+
+
+def test_back_projection_finds_the_colour_of_the_target() -> None:
+    image = np.full((60, 80, 3), (120, 130, 125), np.uint8)
+    image[20:40, 30:50] = (40, 40, 200)
+    inside = np.zeros((60, 80), np.float32)
+    inside[20:40, 30:50] = 1.0
+    numbers = colour.bins(image)
+    target, background = colour.histogram(numbers, inside), colour.histogram(numbers, 1.0 - inside)
+    assert target.sum() == pytest.approx(1.0) and background.sum() == pytest.approx(1.0)
+    share = colour.ratio(target, background, 3.0)[numbers]
+    assert share[inside > 0.0].min() > 0.95 and share[inside == 0.0].max() < 0.05
+    assert colour.histogram(numbers, 0.0 * inside).sum() == 0.0
+
+
+def descriptors(count: int, seed: int) -> np.ndarray:
+    values = np.random.default_rng(seed).exponential(1.0, (count, shape.DIMENSION)) ** 2
+    return np.sqrt(values / values.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def test_features_match_themselves_after_a_shift_of_the_image() -> None:
+    picture = cv2.GaussianBlur(np.random.default_rng(0).normal(128, 90, (120, 160)), (0, 0), 2.0)
+    grey = np.clip(128 + 6 * (picture - 128), 0, 255).astype(np.uint8)
+    sift = cv2.SIFT_create()  # type: ignore[attr-defined]
+    still, moved = shape.detect(sift, grey[:100, :140]), shape.detect(sift, grey[8:108, 12:152])
+    assert len(still.points) > 20
+    np.testing.assert_allclose(np.linalg.norm(still.descriptors, axis=1), 1.0, atol=1e-5)
+    match = (moved.descriptors @ still.descriptors.T).argmax(axis=1)
+    shift = still.points[match] - moved.points
+    assert np.mean(np.abs(shift - [12, 8]).max(axis=1) < 1.5) > 0.6
+    assert shape.matching_rate(moved.descriptors, still.descriptors, 0.9) > 0.6
+    assert len(shape.detect(sift, np.zeros((50, 50), np.uint8)).points) == 0
+
+
+def test_similarity_to_a_memory_is_the_greatest_weighted_one() -> None:
+    new, frames, weights = descriptors(7, 0), [descriptors(5, 1), descriptors(3, 2)], np.array([0.4, 1.0])
+    expected = [
+        max(w * float(one @ known) for frame, w in zip(frames, weights, strict=True) for known in frame)
+        for one in new
+    ]
+    np.testing.assert_allclose(shape.memory_similarity(new, frames, weights), expected, rtol=1e-5)
+    assert (shape.memory_similarity(new, [], np.zeros(0)) == 0.0).all()
+
+
+def test_features_of_the_background_speak_against_the_target() -> None:
+    target, background = np.array([0.95, 0.95, 0.7, 0.5]), np.array([0.6, 0.93, 0.97, 0.6])
+    scores = shape.point_scores(target, background, 0.85, 0.1)
+    np.testing.assert_allclose(scores, [1.0, -0.3, -1.0, 0.0], atol=1e-9)
+
+
+def test_points_in_windows_are_counted_one_by_one() -> None:
+    rng = np.random.default_rng(0)
+    points, windows = rng.uniform(0, 100, (40, 2)), rng.uniform(5, 60, (25, 4))
+    found = shape.inside(points, windows)
+    for i, (left, top, width, height) in enumerate(windows):
+        for j, (x, y) in enumerate(points):
+            assert found[i, j] == (left <= x < left + width and top <= y < top + height)
