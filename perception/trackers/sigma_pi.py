@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import ClassVar
 
 import cv2
@@ -14,74 +14,15 @@ from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from graphtrack.particles import generator, resample
 from perception.classes import PoseClasses
-from perception.cues.windows import enlarged
 from perception.images import Image, as_uint8
-from perception.trackers.dynamics import BoxDynamics, predict
-from perception.trackers.sigma_pi_cues import ColourCue, Cue, CueParameters, MotionCue, ShapeCue
+from perception.trackers.dynamics import predict
+from perception.trackers.sigma_pi_cues import ColourCue, Cue, MotionCue, ShapeCue
 from perception.trackers.sigma_pi_network import CUES, TERM_NAMES, TERMS, adapted, output
+from perception.trackers.sigma_pi_parameters import SigmaPiParameters
+from perception.trackers.sigma_pi_windows import covered, cut_off, kernel, usable
 from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes_of, states_of
 
-_BORDER = 3.0
-"""Pixels: who is as near to the border of the frame is taken to be cut off by it."""
-
-
-@dataclass(frozen=True)
-class SigmaPiParameters:
-    """Of the Sigma-Pi tracker. Lengths are pixels of frames reduced to ``width``.
-
-    Attributes
-    ----------
-    particles : how many there are
-    width : of the frames that are looked at; larger ones are reduced
-    cues : which are used; the others stay silent
-    random_share : of the particles that are drawn anew anywhere in each step
-    random_weight : factor of the weight of particles drawn anew while the person is found: people jump less
-        often than the particles that look out for them (importance sampling)
-    lost_share : the same for particles that nothing supports, while the person is not found
-    learning_rate, offset : ε and β of eq. 5
-    reliability : of every term at first
-    first_size : width and height of the person that is looked for where no box is given
-    size_std : 1-σ of the logarithm of the size of particles that are drawn anew
-    size_range : least and greatest width and height, in sizes of the first box and of ``first_size``
-    size_rate : by which the size that is expected follows the one that is found, in a frame
-    support : activity from which a cue supports the estimate
-    found, lost : confidence from which the person is found, and below which they are lost again
-    young : frames of the person in which one cue that supports the estimate is enough for the others to
-        learn from it; later two have to
-    stale : frames in a row with motion alone after which what was learned is taken to be of no more use
-    patience : frames without or with support until that is believed
-    dynamics : of the particles
-    sights : of the cues
-    """
-
-    particles: int = 50
-    width: int = 320
-    cues: tuple[str, ...] = CUES
-    random_share: float = 0.05
-    random_weight: float = 0.3
-    lost_share: float = 0.5
-    learning_rate: float = 0.05
-    offset: float = 0.01
-    reliability: float = 1.0
-    first_size: tuple[float, float] = (36.0, 36.0)
-    size_std: float = 0.25
-    size_range: tuple[float, float] = (0.75, 2.0)
-    size_rate: float = 0.05
-    young: int = 40
-    stale: int = 15
-    support: float = 0.5
-    found: float = 0.5
-    lost: float = 0.3
-    patience: int = 3
-    dynamics: BoxDynamics = field(default_factory=lambda: BoxDynamics(0.6, 0.12, 0.2, 0.05, 0.03))
-    sights: CueParameters = field(default_factory=CueParameters)
-
-    def __post_init__(self) -> None:
-        if self.particles < 1:
-            raise InputError(f"{self.particles} particles", "at least 1")
-        unknown = set(self.cues) - set(CUES)
-        if unknown or not self.cues:
-            raise InputError(f"the cues {', '.join(self.cues) or 'none'}", f"some of {', '.join(CUES)}")
+__all__ = ["SigmaPiParameters", "SigmaPiTracker"]
 
 
 class SigmaPiTracker:
@@ -129,11 +70,11 @@ class SigmaPiTracker:
         self._scale = min(1.0, p.width / image.shape[1])
         small = self._reduced(image)
         self._shape = np.array([small.shape[1], small.shape[0]], float)
-        first = None if box is None else _usable(box, image.shape) * self._scale
+        first = None if box is None else usable(box, image.shape) * self._scale
         used = np.array([all(self._used[c] for c in term) for term in TERMS])
         self.reliabilities = np.where(used, p.reliability, 0.0)
         self._offset = p.offset * used
-        self._motion = MotionCue(p.sights, small, None if first is None else self._covered(first, 1.2))
+        self._motion = MotionCue(p.sights, small, None if first is None else covered(small.shape, first, 1.2))
         self._colour = ColourCue(p.sights, small)
         self._form = ShapeCue(p.sights)
         self._form.give(self._never)
@@ -155,16 +96,17 @@ class SigmaPiTracker:
             self._surroundings(None)
             return self._estimate(self._best())
         states = np.tile(states_of(first[None]), (p.particles, 1))
-        if _cut_off(first, self._shape):
+        if cut_off(first, self._shape):
             # Of somebody who comes in only a part is in the box: they are as large as people usually are.
             self._reference = np.maximum(self._reference, usual)
             states[:, 2:] += self._rng.random((p.particles, 1)) * (self._reference - states[:, 2:])
         self._cloud = Cloud(states, states, np.full(p.particles, 1.0 / p.particles))
         self._surroundings(first)
-        self._colour.adapt(_kernel(small.shape, first))
-        self._form.adapt(first)
-        self._colour.look(small)
-        self._form.look(small)
+        if self._used[1]:
+            self._colour.adapt(kernel(small.shape, first))
+        if self._used[2]:
+            self._form.adapt(first)
+        self._look(small)
         return self._estimate(states_of(first[None])[0])
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
@@ -297,7 +239,7 @@ class SigmaPiTracker:
                 self._surroundings(None)
             self._motion.adapt(None)
             return
-        self._motion.adapt(self._covered(window, 1.2))
+        self._motion.adapt(covered(self._motion.saliency.shape, window, 1.2))
         active = self._active >= p.support
         moving, coloured, formed = active
         enough = active.sum() >= min(2, self._used.sum())
@@ -315,50 +257,17 @@ class SigmaPiTracker:
 
     def _own_pixels(self, window: FloatArray) -> NDArray[np.float32]:
         """Weights (h, w) of pixels that may be the person's: in the window, and not the empty scene's."""
-        own = _kernel(self._motion.saliency.shape, window)
+        own = kernel(self._motion.saliency.shape, window)
         return own * self._motion.novel if self._used[0] and self._motion.novel.any() else own
 
     def _surroundings(self, window: FloatArray | None) -> None:
         """Let colour and shape know what is not the person."""
         outside = np.ones(self._motion.saliency.shape, bool)
         if window is not None:
-            outside = ~self._covered(window, 1.3)
+            outside = ~covered(outside.shape, window, 1.3)
         if self._used[1]:
             self._colour.surroundings(outside)
         points = self._form.features.points
         w, h = self._shape
         places = np.clip(points.astype(int), 0, [int(w) - 1, int(h) - 1])
         self._form.surroundings(outside[places[:, 1], places[:, 0]])
-
-    def _covered(self, window: FloatArray, factor: float) -> NDArray[np.bool_]:
-        """Pixels (h, w) in a window (4,) that is enlarged about its centre."""
-        left, top, width, height = enlarged(window[None], factor)[0]
-        w, h = (int(value) for value in self._shape)
-        mask = np.zeros((h, w), bool)
-        rows = slice(max(round(top), 0), max(round(top + height), 0))
-        mask[rows, max(round(left), 0) : max(round(left + width), 0)] = True
-        return mask
-
-
-def _usable(box: Box, shape: tuple[int, ...]) -> FloatArray:
-    values = np.asarray(box, float)
-    h, w = shape[:2]
-    if values.shape != (4,) or not np.isfinite(values).all() or values[2:].min() <= 0.0:
-        raise InputError(f"a box {np.round(values, 1).tolist()}", "left, top, width and height above 0")
-    left, top, width, height = values
-    if left >= w or top >= h or left + width <= 0.0 or top + height <= 0.0:
-        raise InputError(f"a box {values.round(1).tolist()}", f"one inside the image of {w} × {h} pixels")
-    return values
-
-
-def _cut_off(window: FloatArray, shape: FloatArray) -> bool:
-    """Whether a window (4,) ends at the border of a frame of width and height (2,)."""
-    return bool((window[:2] <= _BORDER).any() or (window[:2] + window[2:] >= shape - _BORDER).any())
-
-
-def _kernel(shape: tuple[int, ...], window: FloatArray) -> NDArray[np.float32]:
-    """Epanechnikov's kernel (h, w) over a window (4,): what is in a box's corners is rarely the person."""
-    rows, columns = np.indices(shape[:2], np.float32) + 0.5
-    left, top, width, height = window
-    x, y = (columns - left) / width * 2.0 - 1.0, (rows - top) / height * 2.0 - 1.0
-    return np.asarray(np.maximum(1.0 - x**2 - y**2, 0.0), np.float32)
