@@ -76,8 +76,13 @@ def _bars(axes: Axes, success: Mapping[str, Mapping[str, np.ndarray]], paper: Ma
         if name in paper:
             label = "003, Table 1" if k == 0 else None
             axes.plot([k - 0.4, k + 0.4], [paper[name]] * 2, color="#D55E00", lw=1.6, zorder=4, label=label)
-    names = [name.replace(", ", ",\n").replace(" and ", "\nand ") for name in success]
-    axes.set_xticks(range(len(success)), names, fontsize=8, rotation=35 if len(success) > 6 else 0)
-    axes.set(ylabel="success (%); whiskers: least and greatest of the seeds", ylim=(0.0, 102.0))
+    many = len(success) > 6
+    names = [name if many else name.replace(" and ", "\nand ") for name in success]
+    axes.set_xticks(range(len(success)), names, fontsize=8)
+    if many:
+        axes.tick_params(axis="x", labelrotation=30)
+        for tick in axes.get_xticklabels():
+            tick.set_horizontalalignment("right")
+    axes.set(ylabel="success (%), least and greatest", ylim=(0.0, 102.0))
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     tidy(axes, grid="y")

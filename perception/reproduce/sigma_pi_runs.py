@@ -192,3 +192,34 @@ def on_recording(recording: Recording, seed: Sequence[int], frames: int | None =
             estimate = tracker.step(image) if k else tracker.start(image, box)
             tallies[name].add(estimate, box)
     return tallies
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One sequence with one seed.
+
+    Attributes
+    ----------
+    sequence : a kind of rendered sequence, or a person of a recording
+    seed : of everything that is drawn
+    frames : at most; all of a recording for None
+    """
+
+    sequence: str | Recording
+    seed: tuple[int, ...]
+    frames: int | None
+
+    @property
+    def name(self) -> str:
+        """Of the sequence."""
+        if isinstance(self.sequence, str):
+            return self.sequence
+        one = self.sequence
+        return f"{one.name} {one.numbers[0]}–{one.numbers[-1]}, person {one.person}"
+
+
+def run_job(job: Job) -> dict[str, Tally]:
+    """Every method on one sequence."""
+    if isinstance(job.sequence, str):
+        return rendered(job.sequence, job.seed, job.frames or 0)
+    return on_recording(job.sequence, job.seed, job.frames)

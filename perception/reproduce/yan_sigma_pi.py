@@ -16,14 +16,15 @@ from graphtrack.evaluation.reproduce.experiment import (
     Settings,
     Table,
 )
+from perception.reproduce.side_by_side import run_all
 from perception.reproduce.sigma_pi_runs import (
     METHODS,
+    Job,
     Recording,
     Score,
     Tally,
-    on_recording,
     recordings,
-    rendered,
+    run_job,
 )
 from perception.synthetic.ceiling import KINDS
 
@@ -66,27 +67,30 @@ def _people(settings: Settings) -> list[Recording]:
     return recordings(Path(settings.data) / "caviar", REAL, _FEWEST)
 
 
+def _jobs(settings: Settings) -> tuple[list[Job], list[Job]]:
+    """Rendered sequences and real ones, each with every seed."""
+    seeds, frames = _effort(settings)
+    drawn = [Job(kind, (settings.seed, i, k), frames) for i, kind in enumerate(KINDS) for k in range(seeds)]
+    most = 60 if settings.quick else None
+    real = [Job(person, (settings.seed, k), most) for person in _people(settings) for k in range(seeds)]
+    return drawn, real
+
+
 def work(settings: Settings) -> int:
     """Sequences and seeds."""
-    return _effort(settings)[0] * (len(KINDS) + len(_people(settings)))
+    return sum(len(jobs) for jobs in _jobs(settings))
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment."""
     seeds, frames = _effort(settings)
+    rooms, people = _jobs(settings)
+    jobs = [*rooms, *people]
+    done = run_all(run_job, jobs, progress, processes=1 if settings.quick else None)
     drawn: dict[str, list[dict[str, Tally]]] = {}
-    for i, kind in enumerate(KINDS):
-        for k in range(seeds):
-            drawn.setdefault(kind, []).append(rendered(kind, (settings.seed, i, k), frames))
-            progress(1)
     real: dict[str, list[dict[str, Tally]]] = {}
-    for recording in _people(settings):
-        first, last = recording.numbers[0], recording.numbers[-1]
-        name = f"{recording.name}, person {recording.person}, frames {first}–{last}"
-        for k in range(seeds):
-            found = on_recording(recording, (settings.seed, k), 60 if settings.quick else None)
-            real.setdefault(name, []).append(found)
-            progress(1)
+    for job, found in zip(jobs, done, strict=True):
+        (drawn if isinstance(job.sequence, str) else real).setdefault(job.name, []).append(found)
     notes = [
         "Success: the person is found and the estimated centre lies in the labelled box. Missing: the person "
         "is there and not found. Mismatch: found, but the centre is outside the box.",
@@ -159,9 +163,12 @@ def _beside(runs: Runs) -> Table:
         cells = [record[column] for record in records]
         values = [float(cell) for cell in cells if isinstance(cell, int | float)]
         mean[column] = float(np.mean(values)) if values else None
+    total, missing, mismatch = (sum(values[k] for values in PAPER.values()) for k in range(3))
     mean.update(
         {
-            "paper: frames": sum(values[0] for values in PAPER.values()),
+            "paper: frames": total,
+            "paper: missing (%)": 100.0 * missing / total,
+            "paper: mismatch (%)": 100.0 * mismatch / total,
             "ours: frames": sum(one["sigma-pi"].score.frames for found in runs.values() for one in found),
             "paper: success (%)": PAPER_MEAN,
             "paper: motion alone (%)": PAPER_MOTION,

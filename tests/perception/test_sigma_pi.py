@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
 from perception.images import Image
+from perception.reproduce.sigma_pi_runs import Tally, recordings
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
 from perception.trackers.sigma_pi import SigmaPiParameters, SigmaPiTracker
 from perception.trackers.sigma_pi_cues import ColourCue, CueParameters, ShapeCue
@@ -221,3 +223,39 @@ def test_somebody_who_comes_into_a_rendered_room_is_found() -> None:
             x, y = estimate.centre
             good.append(estimate.found and left < x < left + width and top < y < top + height)
     assert np.mean(good[15:]) > 0.9
+
+
+def test_missing_and_mismatch_are_counted_as_in_the_papers_table() -> None:
+    tally, label = Tally(), (10.0, 10.0, 20.0, 20.0)
+    estimate = SigmaPiTracker(seed=0).start(ROOM, None)
+    inside = replace(estimate, found=True, box=(15.0, 15.0, 4.0, 4.0))
+    outside = replace(estimate, found=True, box=(26.0, 15.0, 10.0, 4.0))
+    lost = replace(inside, found=False)
+    for one, times in ((inside, 5), (outside, 2), (lost, 1)):
+        for _ in range(times):
+            tally.add(one, label)
+    tally.add(inside, None)
+    tally.add(lost, None)
+    tally.add(outside, label, counts=False)
+    score = tally.score
+    assert (score.frames, score.missing, score.mismatch, score.empty, score.alarms) == (8, 1, 2, 2, 1)
+    assert score.success == 5 / 8 and len(tally.estimates) == 11
+
+
+def test_people_of_a_recording_are_cut_where_frames_are_left_out(tmp_path: Path) -> None:
+    numbers = [*range(3, 9), *range(12, 16)]
+    (tmp_path / "frames" / "walk").mkdir(parents=True)
+    for number in numbers:
+        cv2.imwrite(str(tmp_path / "frames" / "walk" / f"{number:04d}.jpg"), np.full((20, 30, 3), number))
+    (tmp_path / "xml").mkdir()
+    box = '<box xc="10" yc="10" w="6" h="4"/>'
+    frames = "".join(
+        f'<frame number="{k}"><objectlist><object id="7">{box}</object></objectlist></frame>'
+        for k in range(20)
+    )
+    (tmp_path / "xml" / "walk.xml").write_text(f"<dataset>{frames}</dataset>")
+    found = recordings(tmp_path, ["walk", "missing"], 4)
+    assert [one.numbers for one in found] == [tuple(range(3, 9)), tuple(range(12, 16))]
+    assert [int(image.mean()) for image in found[1].images()] == list(range(12, 16))
+    assert found[0].labels[3] == (7.0, 8.0, 6.0, 4.0)
+    assert len(recordings(tmp_path, ["walk"], 5)) == 1
