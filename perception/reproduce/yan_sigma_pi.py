@@ -163,12 +163,12 @@ def _beside(runs: Runs) -> Table:
         cells = [record[column] for record in records]
         values = [float(cell) for cell in cells if isinstance(cell, int | float)]
         mean[column] = float(np.mean(values)) if values else None
-    total, missing, mismatch = (sum(values[k] for values in PAPER.values()) for k in range(3))
+    whole, unseen, astray = (sum(values[k] for values in PAPER.values()) for k in range(3))
     mean.update(
         {
-            "paper: frames": total,
-            "paper: missing (%)": 100.0 * missing / total,
-            "paper: mismatch (%)": 100.0 * mismatch / total,
+            "paper: frames": int(whole),
+            "paper: missing (%)": 100.0 * unseen / whole,
+            "paper: mismatch (%)": 100.0 * astray / whole,
             "ours: frames": sum(one["sigma-pi"].score.frames for found in runs.values() for one in found),
             "paper: success (%)": PAPER_MEAN,
             "paper: motion alone (%)": PAPER_MOTION,
