@@ -18,6 +18,8 @@ from perception.pipeline import world_likelihood
 PERSON_IN_HEADS = 7.3
 """Height of a person over that of the box of their head (skull, hair and face)."""
 
+_LEVEL = 0.3
+"""Rendered walkers' heads leave their course by so much less down the image than across it."""
 _HEAD = PoseClasses.circle(HEAD_CLASSES)
 _ELSEWHERE = 1e-3
 """Likelihood, over the greatest, of pans that classes of a part of the circle leave out."""
@@ -33,14 +35,17 @@ class BoxCamera:
     foot_at : where the foot point is, in box heights below the box's top: 1 for a box of a whole person,
         `PERSON_IN_HEADS` for that of a head
     smallest_std : a position's standard deviation is never less than so many box widths
+    level : factor of predicted standard deviations down the image; less than 1 where people walk level, as
+        before an upright camera of which nothing else is known
     """
 
     camera: GroundCamera
     foot_at: float = 1.0
-    smallest_std: float = 0.1
+    smallest_std: float = 0.05
+    level: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, low, high in (("foot_at", -20.0, 20.0), ("smallest_std", 1e-6, 1e3)):
+        for name, low, high in (("foot_at", -20.0, 20.0), ("smallest_std", 1e-6, 1e3), ("level", 0.0, 1.0)):
             value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(f"{name} = {value}", f"a number from {low:g} to {high:g}")
@@ -49,7 +54,7 @@ class BoxCamera:
     def from_box(cls, box: ArrayLike, person_height: float, foot_at: float = 1.0) -> BoxCamera:
         """Without a camera: a scale, such that a person who is ``person_height`` such boxes high is 1.7 m."""
         height = float(np.asarray(box, float)[3])
-        return cls(GroundCamera.from_scale(PERSON_HEIGHT / (person_height * height)), foot_at)
+        return cls(GroundCamera.from_scale(PERSON_HEIGHT / (person_height * height)), foot_at, level=_LEVEL)
 
     def foot(self, boxes: ArrayLike) -> FloatArray:
         """Foot points (..., 2) in pixels of boxes (..., 4): left, top, width, height."""
@@ -80,7 +85,7 @@ class BoxCamera:
     def pixel_covariance(self, position: ArrayLike, covariance: FloatArray) -> FloatArray:
         """Covariance (2, 2) in pixels² of a place (2,) whose covariance is (2, 2) m²."""
         jacobian = self.camera.ground_jacobian(self.camera.ground_to_image(position))
-        inverse = np.linalg.inv(jacobian)
+        inverse = np.diag([1.0, self.level]) @ np.linalg.inv(jacobian)
         return np.asarray(inverse @ covariance @ inverse.T, float)
 
     def head_likelihood(self, pan: FloatArray, classes: PoseClasses, position: FloatArray) -> FloatArray:

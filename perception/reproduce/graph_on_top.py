@@ -1,0 +1,107 @@
+"""What the graph adds to a tracker: errors of its boxes and pans before and after, and lost targets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from graphtrack.angles import FloatArray, difference, direction, unit
+from graphtrack.inference import smooth
+from graphtrack.model import Model
+from graphtrack.tracks import TrackSet
+from perception.box_camera import BoxCamera
+from perception.classes import PoseClasses
+from perception.following import Followed, to_track
+from perception.images import intersection_over_union
+from perception.trackers.tracker import BoxEstimate
+
+_HALF = 0.5
+
+
+@dataclass(frozen=True)
+class GraphOnTop:
+    """Mean errors over the frames in which the target was found: the tracker's own, and the graph's.
+
+    Attributes
+    ----------
+    tracker_centre, graph_centre : of the middle of the box, in widths of the true box
+    tracker_pan, graph_pan : radians; NaN for a tracker that knows no pan
+    """
+
+    tracker_centre: float
+    graph_centre: float
+    tracker_pan: float
+    graph_pan: float
+
+
+def graph_on_top(
+    estimates: Sequence[BoxEstimate],
+    true_boxes: FloatArray,
+    true_pan: FloatArray,
+    boxes: BoxCamera,
+    pan_classes: PoseClasses | None,
+    fps: float,
+    model: Model | str | None = None,
+    *,
+    filtered: bool = False,
+) -> GraphOnTop:
+    """Smooth what a tracker said of consecutive frames, and compare both with the truth.
+
+    Parameters
+    ----------
+    estimates : of n frames
+    true_boxes, true_pan : (n, 4) pixels, (n,) radians in the image frame
+    boxes : to the ground and back
+    model : of the graph; by default the package's
+    filtered : whether the graph is given the tracker's own distribution of the pan; see `to_track`
+    """
+    observed = to_track(
+        [Followed(k, estimate) for k, estimate in enumerate(estimates)],
+        boxes,
+        pan_classes,
+        fps,
+        filtered=filtered,
+    )
+    smoothed = smooth(TrackSet((observed,)), model).tracks[0]
+    found = np.asarray(np.isfinite(observed.position).all(axis=1))
+    middle = np.array([estimate.centre for estimate in estimates])
+    height = np.array([estimate.box[3] for estimate in estimates])
+    true_middle = true_boxes[:, :2] + true_boxes[:, 2:] / 2.0
+    of_centre = [
+        np.linalg.norm(place - true_middle, axis=1) / true_boxes[:, 2]
+        for place in (middle, boxes.box_centre(smoothed.position, height))
+    ]
+    of_pan = [np.full(len(found), np.nan)] * 2
+    pans = [estimate.pan for estimate in estimates if estimate.pan is not None]
+    if pan_classes is not None and smoothed.head is not None and len(pans) == len(estimates):
+        of_tracker = direction(np.array(pans) @ unit(pan_classes.pan))
+        of_graph = boxes.camera.image_angle(smoothed.head, smoothed.position)
+        of_pan = [np.abs(difference(pan, true_pan)) for pan in (of_tracker, of_graph)]
+    means = [float(error[found].mean()) for error in (*of_centre, *of_pan)]
+    return GraphOnTop(*means)
+
+
+def survives(
+    found_boxes: FloatArray,
+    true_boxes: FloatArray,
+    visible: FloatArray,
+    *,
+    after: int = 10,
+    share: float = 0.9,
+) -> bool:
+    """Whether a tracker is on its target again after an occlusion.
+
+    That is: its boxes (n, 4) overlap the true ones (n, 4) in at least ``share`` of the frames from ``after``
+    frames after the target's reappearance on. It reappears when half of it is seen (``visible`` (n,), 0…1)
+    after it was last hidden altogether.
+    """
+    hidden = np.flatnonzero(visible == 0.0)
+    last = int(hidden[-1]) if len(hidden) else -1
+    back = np.flatnonzero((visible >= _HALF) & (np.arange(len(visible)) > last))
+    if not len(back) or back[0] + after >= len(visible):
+        raise ValueError("the target does not come back before the end")
+    rest = slice(int(back[0]) + after, None)
+    overlap = intersection_over_union(found_boxes[rest], true_boxes[rest])
+    return bool(np.mean(overlap > 0.0) >= share)

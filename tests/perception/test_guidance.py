@@ -1,0 +1,200 @@
+"""The graph in a tracker's loop, with targets whose course is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graphtrack.angles import wrap
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference import OnlineSmoother
+from graphtrack.model import Observation
+from perception.box_camera import PERSON_IN_HEADS, BoxCamera
+from perception.classes import PoseClasses
+from perception.following import follow
+from perception.frames import Frame
+from perception.guidance import GUIDE_MODEL, Doubt, DoubtParameters, GraphGuide
+from perception.reproduce.graph_on_top import graph_on_top, survives
+from perception.synthetic.head_clips import HeadClipParameters, head_clip
+from perception.trackers.color import ColourTracker
+from perception.trackers.tracker import BoxEstimate
+
+FPS = 25.0
+STEP = np.array([3.0, 0.5])
+BOXES = BoxCamera(GroundCamera.from_scale(0.007), 0.5)
+
+
+def estimate(
+    centre: np.ndarray, *, found: bool = True, confidence: float = 0.95, noise: float = 1.0
+) -> BoxEstimate:
+    """A box of 30 × 40 pixels with a cloud about it."""
+    box = (float(centre[0]) - 15.0, float(centre[1]) - 20.0, 30.0, 40.0)
+    cloud = np.tile(box, (20, 1))
+    cloud[:, :2] += np.random.default_rng(0).normal(0.0, noise, (20, 2))
+    return BoxEstimate(box, np.full(2, noise), confidence, found, cloud, np.full(20, 0.05))
+
+
+def course(k: int) -> np.ndarray:
+    return np.array([60.0, 80.0]) + k * STEP
+
+
+def guided(frames: int, **options: object) -> GraphGuide:
+    guide = GraphGuide(BOXES, **options)
+    for k in range(frames):
+        guide.observe(estimate(course(k)), k / FPS)
+    return guide
+
+
+def test_the_prediction_is_that_of_a_graph_with_an_empty_frame_more() -> None:
+    guide, smoother = guided(20), OnlineSmoother(GUIDE_MODEL)
+    for k in range(20):
+        found = estimate(course(k))
+        x, y = BOXES.position(found.box)
+        std = BOXES.position_std(found.box, found.particles, found.weights)
+        smoother.update(Observation(k / FPS, position=(float(x), float(y)), position_std=std))
+    for ahead in (20, 30):
+        expected = smoother.update(Observation(ahead / FPS))
+        proposal = guide.predict(ahead / FPS)
+        centre = BOXES.box_centre(expected.position, 40.0)
+        np.testing.assert_allclose(proposal.centre, centre, atol=1e-6)
+        covariance = BOXES.pixel_covariance(expected.position, expected.covariance[:2, :2])
+        floor = (BOXES.smallest_std * 40.0) ** 2 * np.eye(2)
+        np.testing.assert_allclose(proposal.covariance, covariance + floor, rtol=1e-6, atol=1e-9)
+
+
+def test_while_hidden_it_goes_on_and_becomes_less_sure() -> None:
+    guide = guided(30)
+    sizes = []
+    for k in range(30, 55):
+        proposal = guide.predict(k / FPS)
+        assert np.linalg.norm(proposal.centre - course(k)) < 2.0
+        sizes.append(np.trace(proposal.covariance))
+        guide.observe(estimate(np.zeros(2), found=False), k / FPS)
+    assert np.all(np.diff(sizes) > 0.0)
+
+
+def test_what_a_tracker_says_as_its_target_is_covered_is_forgotten() -> None:
+    """The box stands still for ten frames, as at the edge of a wall, before the tracker owns up."""
+    errors = {}
+    for forget in (0.0, 0.4):
+        guide = guided(30, doubt=DoubtParameters(forget=forget))
+        for k in range(30, 40):
+            guide.observe(estimate(course(29) + (k - 29) * 0.3 * STEP), k / FPS)
+        for k in range(40, 60):
+            guide.observe(estimate(np.zeros(2), found=False), k / FPS)
+        errors[forget] = np.linalg.norm(guide.predict(60 / FPS).centre - course(60))
+    assert errors[0.4] < 0.4 * errors[0.0]
+
+
+def test_a_tracker_that_is_much_less_sure_is_not_believed() -> None:
+    """It stays at something like its target, with a confidence that is low for this tracker."""
+    rng = np.random.default_rng(0)
+    guide, trusting = GraphGuide(BOXES), GraphGuide(BOXES, doubt=DoubtParameters(deviations=1e6))
+    for k in range(60):
+        sure = 0.95 + rng.uniform(-0.01, 0.01)
+        seen = estimate(course(min(k, 35)), confidence=sure if k <= 35 else 0.7)
+        for one in (guide, trusting):
+            one.observe(seen, k / FPS)
+    assert np.linalg.norm(guide.predict(60 / FPS).centre - course(60)) < 8.0
+    assert np.linalg.norm(trusting.predict(60 / FPS).centre - course(35)) < 8.0
+
+
+@pytest.mark.parametrize("on_course", [True, False])
+def test_a_target_is_found_again_where_it_is_expected(on_course: bool) -> None:
+    guide = guided(30)
+    for k in range(30, 45):
+        guide.observe(estimate(np.zeros(2), found=False), k / FPS)
+    for k in range(45, 60):
+        # Off the course something like the target stands still.
+        guide.observe(estimate(course(k) if on_course else course(45)), k / FPS)
+    size = np.sqrt(np.trace(guide.predict(60 / FPS).covariance))
+    assert (size < 8.0) == on_course
+    assert np.linalg.norm(guide.predict(60 / FPS).centre - course(60)) < (3.0 if on_course else 8.0)
+
+
+def test_patience_ends() -> None:
+    guide = guided(30, doubt=DoubtParameters(patience=1.0))
+    for k in range(30, 90):
+        guide.observe(estimate(np.array([20.0, 20.0]), found=k > 35), k / FPS)
+    assert np.linalg.norm(guide.predict(90 / FPS).centre - 20.0) < 3.0
+
+
+def test_nothing_is_said_before_anything_is_known() -> None:
+    guide = GraphGuide(BOXES)
+    assert guide.predict(0.0) is None
+    guide.observe(estimate(np.zeros(2), found=False), 0.0)
+    assert guide.predict(0.04) is None
+    guide.observe(estimate(course(1)), 0.04)
+    assert guide.predict(0.08) is not None
+
+
+def test_doubt_learns_what_is_usual() -> None:
+    rng = np.random.default_rng(0)
+    for usual in (0.6, 0.9, 0.9999):
+        doubt, odds = Doubt(), np.log(usual / (1.0 - usual))
+        for k in range(60):
+            assert doubt.sure(1.0 / (1.0 + np.exp(-odds - rng.uniform(-0.3, 0.3))), k / FPS)
+            doubt.learn()
+        assert [doubt.sure(1.0 / (1.0 + np.exp(-odds + 3.0)), k / FPS) for k in range(60, 70)][-1] is False
+
+
+# -- what the graph adds -----------------------------------------------------------------------------------
+
+
+def test_the_graph_lowers_the_errors_of_noisy_boxes_and_pans() -> None:
+    rng = np.random.default_rng(1)
+    classes = PoseClasses.circle(16)
+    n = 100
+    pan = 0.5 * np.sin(np.arange(n) / 25.0)
+    true = np.array([estimate(course(k)).box for k in range(n)])
+    said = []
+    for k in range(n):
+        seen = estimate(course(k) + rng.normal(0.0, 4.0, 2), noise=4.0)
+        about = wrap(classes.pan - (pan[k] + rng.normal(0.0, 0.5)))
+        likelihood = np.exp(-0.5 * (about / 0.5) ** 2) + 0.01
+        said.append(replace(seen, pan=likelihood / likelihood.sum(), pan_likelihood=likelihood))
+    figures = graph_on_top(said, true, pan, BOXES, classes, FPS, "separate")
+    assert figures.tracker_centre == pytest.approx(4.0 * np.sqrt(np.pi / 2.0) / 30.0, rel=0.15)
+    assert figures.graph_centre < 0.7 * figures.tracker_centre
+    assert figures.graph_pan < 0.8 * figures.tracker_pan
+
+
+def test_survival_counts_from_the_reappearance_on() -> None:
+    true = np.array([estimate(course(k)).box for k in range(60)])
+    visible = np.ones(60)
+    visible[20:30] = 0.0
+    visible[30:33] = 0.3
+    boxes = true.copy()
+    boxes[22:42] += 1000.0  # back on the target nine frames after half of it is seen
+    assert survives(boxes, true, visible)
+    boxes[42:49] += 1000.0
+    assert not survives(boxes, true, visible)
+    with pytest.raises(ValueError, match="come back"):
+        survives(boxes, true, np.where(np.arange(60) < 55, 1.0, 0.0))
+
+
+def test_guided_the_colour_tracker_finds_a_head_again_behind_a_wall() -> None:
+    clip = head_clip(
+        np.random.default_rng(3),
+        HeadClipParameters(
+            80, (240, 180), head_width=(16.0, 20.0), speed=(1.8, 2.2), occlusion=(32, 25), clutter=0.0
+        ),
+    )
+    first = tuple(clip.boxes[0].tolist())
+    found = {}
+    for is_guided in (False, True):
+        tracker = ColourTracker(seed=0)
+        estimates = follow(
+            tracker,
+            (Frame(k, image) for k, image in enumerate(clip.images)),
+            lambda image: first,
+            guide=(lambda box: GraphGuide(BoxCamera.from_box(box, PERSON_IN_HEADS, 0.5)))
+            if is_guided
+            else None,
+            fps=clip.fps,
+        )
+        boxes = np.array([item.estimate.box for item in estimates])
+        found[is_guided] = survives(boxes, clip.boxes, clip.visible, after=5)
+    assert found == {False: False, True: True}
