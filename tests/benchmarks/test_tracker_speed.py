@@ -1,0 +1,69 @@
+"""Speed of the Sigma-Pi tracker: frames a second, against OpenCV's SIFT in the same run, and by particles."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+
+import cv2
+import numpy as np
+import pytest
+
+from perception.images import Image
+from perception.synthetic.ceiling import KINDS, ceiling_sequence
+from perception.trackers.sigma_pi import SigmaPiParameters, SigmaPiTracker
+
+pytestmark = pytest.mark.benchmark
+REPEATS, FRAMES = 3, 60
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Image]:
+    """320 × 240, somebody walks in them."""
+    kind, rng = KINDS["person moving 1"], np.random.default_rng(0)
+    sequence = ceiling_sequence(kind, rng, frames=40 + FRAMES, oversampling=1)
+    return [frame.image for frame in sequence]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_core() -> Iterable[None]:
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    yield
+    cv2.setNumThreads(threads)
+
+
+def seconds(run: Callable[[], float]) -> float:
+    return min(run() for _ in range(REPEATS)) / FRAMES
+
+
+def tracking(frames: list[Image], particles: int) -> float:
+    """Seconds of processor time that the frames with the person take."""
+    tracker = SigmaPiTracker(SigmaPiParameters(particles=particles), seed=0)
+    tracker.start(frames[0], None)
+    for image in frames[1:-FRAMES]:
+        tracker.step(image)
+    start = time.process_time()
+    found = [tracker.step(image).found for image in frames[-FRAMES:]]
+    spent = time.process_time() - start
+    assert np.mean(found) > 0.9
+    return spent
+
+
+def features(frames: list[Image]) -> float:
+    sift = cv2.SIFT_create()  # type: ignore[attr-defined]
+    grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in frames[-FRAMES:]]
+    start = time.process_time()
+    for image in grey:
+        sift.detectAndCompute(image, None)
+    return time.process_time() - start
+
+
+def test_sigma_pi(frames: list[Image], record: Callable[[str, float], None]) -> None:
+    own = {n: seconds(lambda n=n: tracking(frames, n)) for n in (50, 100, 200, 400)}  # type: ignore[misc]
+    base = seconds(lambda: features(frames))
+    for n, spent in own.items():
+        print(f"\nsigma-pi, {n} particles: {1.0 / spent:.0f} frames a second", end="")
+    print(f"\nSIFT of the whole frame alone: {1.0 / base:.0f} frames a second")
+    record("sigma-pi with 50 particles / SIFT of the frame, processor time", own[50] / base)
+    record("sigma-pi with 400 particles / with 50, processor time", own[400] / own[50])
