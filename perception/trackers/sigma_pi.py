@@ -31,8 +31,9 @@ class SigmaPiTracker:
     Parameters
     ----------
     parameters : see there
-    seed : of the particles
     background : images of what is never the person (furniture), for the shape cue
+    particles : how many, if not as in the parameters
+    seed : of the particles
 
     Raises
     ------
@@ -47,10 +48,11 @@ class SigmaPiTracker:
         self,
         parameters: SigmaPiParameters = SigmaPiParameters(),
         *,
-        seed: int | np.random.Generator = 0,
         background: Sequence[Image] = (),
+        particles: int | None = None,
+        seed: int | np.random.Generator = 0,
     ) -> None:
-        self.parameters = parameters
+        self.parameters = parameters if particles is None else replace(parameters, particles=particles)
         self._rng = generator(seed)
         self._never = [as_uint8(image) for image in background]
         self._used = np.array([name in parameters.cues for name in CUES])
