@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
@@ -11,9 +12,9 @@ from graphtrack.errors import InputError
 from perception.trackers.tracker import Tracker
 
 _HOMES = {
-    "mixed-state": ("perception.trackers.mixed_state", "MixedStateTracker"),
-    "sigma-pi": ("perception.trackers.sigma_pi", "SigmaPiTracker"),
-    "color": ("perception.trackers.color", "ColourTracker"),
+    "mixed-state": ("perception.trackers.mixed_state", "MixedStateTracker", "MixedStateParameters"),
+    "sigma-pi": ("perception.trackers.sigma_pi", "SigmaPiTracker", "SigmaPiParameters"),
+    "color": ("perception.trackers.color", "ColourTracker", "ColourParameters"),
 }
 TRACKERS = tuple(_HOMES)
 OF_HEADS = ("mixed-state",)
@@ -39,7 +40,11 @@ def make_tracker(
         raise InputError(f"tracker {name!r}", f"one of {', '.join(TRACKERS)}")
     if particles is not None and particles < 2:
         raise InputError(f"{particles} particles", "at least 2")
-    module, kind = _HOMES[name]
-    make = getattr(import_module(module), kind)
-    tracker: Tracker = make(*(() if parameters is None else (parameters,)), particles=particles, seed=seed)
+    module, kind, settings = _HOMES[name]
+    home = import_module(module)
+    if parameters is None:
+        parameters = getattr(home, settings)()
+    if particles is not None:
+        parameters = replace(parameters, particles=particles)
+    tracker: Tracker = getattr(home, kind)(parameters, seed=seed)
     return tracker
