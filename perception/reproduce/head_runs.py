@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from graphtrack.angles import FloatArray, difference, direction, unit
+from perception.box_camera import PERSON_IN_HEADS, BoxCamera
 from perception.classes import PoseClasses
+from perception.following import follow
+from perception.frames import Frame
+from perception.guidance import GraphGuide
 from perception.models import load_head_exemplars
+from perception.reproduce.graph_on_top import GraphOnTop, graph_on_top, survives
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import ColourTracker
 from perception.trackers.head_exemplars import HeadExemplars
 from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
-from perception.trackers.tracker import BoxEstimate, Tracker
+from perception.trackers.tracker import Box, BoxEstimate, Tracker
+
+SEQUENTIAL, JOINT, AS_PRINTED = "colour, then pose", "mixed-state", "mixed-state, as in the paper"
 
 METHODS: Mapping[str, Callable[[HeadExemplars, int], Tracker]] = {
-    "colour, then pose": lambda exemplars, seed: ColourTracker(exemplars=exemplars, seed=seed),
-    "mixed-state, labels sampled": lambda exemplars, seed: MixedStateTracker(
-        MixedStateParameters(labels="sampled"), exemplars=exemplars, seed=seed
+    SEQUENTIAL: lambda exemplars, seed: ColourTracker(exemplars=exemplars, seed=seed),
+    AS_PRINTED: lambda exemplars, seed: MixedStateTracker(
+        MixedStateParameters(labels="sampled", colour=None), exemplars=exemplars, seed=seed
     ),
-    "mixed-state": lambda exemplars, seed: MixedStateTracker(exemplars=exemplars, seed=seed),
+    JOINT: lambda exemplars, seed: MixedStateTracker(exemplars=exemplars, seed=seed),
 }
-"""Same frames, first box, number of particles, motion of boxes and exemplars for all."""
+"""Same frames, first box, number of particles, motion of boxes and exemplars for all. As in the paper:
+labels are sampled and colours are not looked at."""
 
 PAN_LIMIT = float(np.pi / 2.0)
 """004 knows heads that face the camera by 90° at most; in its experiment all methods do."""
@@ -39,13 +47,29 @@ class Job:
     seed : of the sequence and of the trackers
     frames : its length
     all_around : whether the head turns through all pans; if not, methods know that it faces the camera
+    occlusion : first frame and number of frames in which the head is hidden
     methods : which of `METHODS`
     """
 
     seed: tuple[int, ...]
     frames: int = 100
     all_around: bool = False
-    methods: tuple[str, ...] = tuple(METHODS)
+    occlusion: tuple[int, int] | None = None
+    methods: tuple[str, ...] = (SEQUENTIAL, JOINT)
+
+    def render(self) -> HeadClip:
+        """The sequence."""
+        parameters = HeadClipParameters(
+            frames=self.frames, all_around=self.all_around, occlusion=self.occlusion
+        )
+        return head_clip(np.random.default_rng(self.seed), parameters)
+
+    def tracker(self, method: str) -> Tracker:
+        """A tracker for it."""
+        exemplars = load_head_exemplars()
+        if not self.all_around:
+            exemplars = exemplars.within(PAN_LIMIT)
+        return METHODS[method](exemplars, self.seed[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +81,13 @@ class Run:
     error : (n,) e(t), 0…1
     pan : (n,) estimated pan (radians), mean of the distribution
     pan_error : (n,) radians
+    on_top : what smoothing in the graph makes of it
     """
 
     error: FloatArray
     pan: FloatArray
     pan_error: FloatArray
+    on_top: GraphOnTop
 
     @property
     def lost(self) -> bool:
@@ -70,24 +96,50 @@ class Run:
 
 
 def run_job(job: Job) -> tuple[HeadClip, dict[str, Run]]:
-    """Render the sequence and follow the head with every method."""
-    parameters = HeadClipParameters(frames=job.frames, all_around=job.all_around)
-    clip = head_clip(np.random.default_rng(job.seed), parameters)
-    exemplars = load_head_exemplars()
-    if not job.all_around:
-        exemplars = exemplars.within(PAN_LIMIT)
+    """Render a sequence, follow the head with every method, and smooth that in the graph."""
+    clip = job.render()
     runs = {}
     for name in job.methods:
-        tracker = METHODS[name](exemplars, job.seed[-1])
-        runs[name] = scored(follow(tracker, clip), tracker.pan_classes, clip)
+        tracker = job.tracker(name)
+        runs[name] = scored(followed(tracker, clip), tracker.pan_classes, clip)
     return clip, runs
 
 
-def follow(tracker: Tracker, clip: HeadClip) -> list[BoxEstimate]:
+def run_occlusion(job: Job) -> dict[tuple[str, bool], bool]:
+    """Whether each method, without and with the graph's guidance, is on the head after it was hidden."""
+    clip = job.render()
+    survived = {}
+    for name in job.methods:
+        for guided in (False, True):
+            found = followed(job.tracker(name), clip, guided=guided)
+            boxes = np.array([item.box for item in found])
+            survived[name, guided] = survives(boxes, clip.boxes, clip.visible)
+    return survived
+
+
+def followed(tracker: Tracker, clip: HeadClip, *, guided: bool = False) -> list[BoxEstimate]:
     """All estimates, begun with the true box of the first frame."""
     left, top, width, height = (float(value) for value in clip.boxes[0])
-    found = [tracker.start(clip.images[0], (left, top, width, height))]
-    return found + [tracker.step(image) for image in clip.images[1:]]
+
+    def guide(first: Box) -> GraphGuide:
+        return GraphGuide(_ground(first), tracker.pan_classes)
+
+    found = follow(
+        tracker,
+        _frames(clip),
+        lambda image: (left, top, width, height),
+        guide=guide if guided else None,
+        fps=clip.fps,
+    )
+    return [item.estimate for item in found]
+
+
+def _frames(clip: HeadClip) -> Iterator[Frame]:
+    return (Frame(k, image) for k, image in enumerate(clip.images))
+
+
+def _ground(first: ArrayLike) -> BoxCamera:
+    return BoxCamera.from_box(first, PERSON_IN_HEADS)
 
 
 def scored(found: Sequence[BoxEstimate], classes: PoseClasses | None, clip: HeadClip) -> Run:
@@ -95,7 +147,8 @@ def scored(found: Sequence[BoxEstimate], classes: PoseClasses | None, clip: Head
     assert classes is not None
     pan = mean_pan(np.array([item.pan for item in found]), classes)
     error = tracking_error(np.array([item.box for item in found]), clip.boxes)
-    return Run(error, pan, np.abs(difference(pan, clip.pan)))
+    on_top = graph_on_top(found, clip.boxes, clip.pan, _ground(found[0].box), classes, clip.fps)
+    return Run(error, pan, np.abs(difference(pan, clip.pan)), on_top)
 
 
 def mean_pan(distribution: FloatArray, classes: PoseClasses) -> FloatArray:

@@ -10,7 +10,7 @@ import pytest
 from graphtrack.errors import InputError
 from perception.features.gabor import gabor_features
 from perception.models import load_head_exemplars
-from perception.reproduce.head_runs import follow, tracking_error
+from perception.reproduce.head_runs import followed, tracking_error
 from perception.reproduce.side_by_side import run_all
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import (
@@ -32,7 +32,7 @@ MAKE: dict[str, Callable[..., Tracker]] = {
     "color": lambda **options: ColourTracker(exemplars=FACING, **options),
     "mixed-state": lambda **options: MixedStateTracker(exemplars=FACING, **options),
     "sampled": lambda **options: MixedStateTracker(
-        MixedStateParameters(labels="sampled"), exemplars=FACING, **options
+        MixedStateParameters(labels="sampled", colour=None), exemplars=FACING, **options
     ),
 }
 
@@ -110,7 +110,7 @@ def test_the_bhattacharyya_coefficient_is_1_for_equal_histograms_only() -> None:
 
 def test_summed_labels_are_the_forward_algorithm_of_a_hidden_markov_chain(clip: HeadClip) -> None:
     # With one box that does not move, the exact filter is known.
-    parameters = MixedStateParameters(particles=3, dynamics=STILL, start_std=0.0)
+    parameters = MixedStateParameters(particles=3, colour=None, dynamics=STILL, start_std=0.0)
     tracker = MixedStateTracker(parameters, exemplars=FACING, seed=0)
     box = tuple(clip.boxes[0])
     found = [tracker.start(clip.images[0], box), *(tracker.step(image) for image in clip.images[1:5])]
@@ -132,7 +132,7 @@ def test_sampled_labels_tend_to_the_summed_ones(clip: HeadClip) -> None:
     box = tuple(clip.boxes[0])
     pans = {}
     for labels in ("sampled", "summed"):
-        parameters = MixedStateParameters(2000, labels, STILL, start_std=0.0)  # type: ignore[arg-type]
+        parameters = MixedStateParameters(2000, labels, dynamics=STILL, start_std=0.0)  # type: ignore[arg-type]
         tracker = MixedStateTracker(parameters, exemplars=FACING, seed=1)
         tracker.start(clip.images[0], box)
         pans[labels] = tracker.step(clip.images[1]).pan
@@ -145,7 +145,7 @@ def test_sampled_labels_tend_to_the_summed_ones(clip: HeadClip) -> None:
 @pytest.mark.parametrize("name", MAKE)
 def test_a_head_is_followed(name: str, clip: HeadClip) -> None:
     tracker = MAKE[name](seed=0, particles=120)
-    found = follow(tracker, clip)
+    found = followed(tracker, clip)
     error = tracking_error(np.array([item.box for item in found]), clip.boxes)
     assert error.mean() < 0.35
     assert all(item.found for item in found)
@@ -160,7 +160,7 @@ def test_a_head_is_followed(name: str, clip: HeadClip) -> None:
 
 @pytest.mark.parametrize("name", MAKE)
 def test_the_seed_decides(name: str, clip: HeadClip) -> None:
-    runs = [[item.box for item in follow(MAKE[name](seed=seed, particles=20), clip)] for seed in (3, 3, 4)]
+    runs = [[item.box for item in followed(MAKE[name](seed=seed, particles=20), clip)] for seed in (3, 3, 4)]
     assert runs[0] == runs[1] != runs[2]
 
 
@@ -203,7 +203,7 @@ def test_what_cannot_be_used_is_refused(name: str, clip: HeadClip) -> None:
 def test_a_wall_hides_the_head_and_the_tracker_says_so() -> None:
     parameters = HeadClipParameters(frames=34, clutter=0.0, occlusion=(12, 10))
     hidden = head_clip(np.random.default_rng(11), parameters)
-    found = follow(MAKE["mixed-state"](seed=0, particles=150), hidden)
+    found = followed(MAKE["mixed-state"](seed=0, particles=150), hidden)
     covered = hidden.visible < 0.05
     confidence = np.array([item.confidence for item in found])
     assert confidence[:10].min() > 0.5
