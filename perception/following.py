@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,10 +34,11 @@ _EVEN = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """The estimate of one frame, by the frame's number."""
+    """The estimate of one frame, by the frame's number, and whether a graph that guides believes it."""
 
     frame: int
     estimate: BoxEstimate
+    believed: bool = True
 
 
 def parse_box(text: str) -> Box:
@@ -152,6 +153,8 @@ def follow(
         raise InputError("no frame that can be decoded", "a video or images with a target")
     if not any(item.estimate.found for item in found):
         raise InputError(f"no target in any of {len(found)} frames", "frames in which something moves")
+    if graph is not None:
+        found = [replace(item, believed=item.frame / fps not in graph.rejected) for item in found]
     return found
 
 
@@ -166,7 +169,8 @@ def to_track(
 ) -> Track:
     """What a tracker said, as observations: places, their spread, and likelihoods of the head in the world.
 
-    Frames in which the target was not found, or is at or beyond the horizon, have no observation.
+    Frames in which the target was not found, or not believed by the graph that guided the tracker, or is at
+    or beyond the horizon, have no observation.
 
     Parameters
     ----------
@@ -180,7 +184,7 @@ def to_track(
     std, head = np.full(n, np.nan), np.full((n, HEAD_CLASSES), np.nan)
     for k, estimate in enumerate(item.estimate for item in found):
         place = boxes.position(estimate.box)
-        if not estimate.found or not np.isfinite(place).all():
+        if not (estimate.found and found[k].believed) or not np.isfinite(place).all():
             continue
         pixel[k], position[k] = boxes.foot(estimate.box), place
         std[k] = boxes.position_std(estimate.box, estimate.particles, estimate.weights)
@@ -232,7 +236,10 @@ def notes(found: Sequence[Followed], track: Track) -> list[str]:
         said.append(
             f"the target was not found in {len(lost)} of {len(found)} frames, first in frame {lost[0]}"
         )
-    beyond = int(np.isnan(track.position[:, 0]).sum()) - len(lost)
+    doubted = sum(item.estimate.found and not item.believed for item in found)
+    if doubted:
+        said.append(f"the graph does not believe the tracker in {doubted} more frames")
+    beyond = int(np.isnan(track.position[:, 0]).sum()) - len(lost) - doubted
     if beyond:
         said.append(f"in {beyond} frames the foot point is at or beyond the camera's horizon")
     return said

@@ -121,6 +121,10 @@ class GraphGuide:
     model : of the graph; by default `GUIDE_MODEL`
     lag : seconds of history that the graph keeps open
     doubt : when estimates are not taken in
+
+    Attributes
+    ----------
+    rejected : times (seconds) of the frames of which the graph took nothing in, or has forgotten it
     """
 
     def __init__(
@@ -138,6 +142,7 @@ class GraphGuide:
         self._smoother = self._new_smoother()
         self._last: Estimate | None = None
         self._height = 0.0
+        self.rejected: set[float] = set()
         self._lost_at: float | None = None
         self._again: list[Observation] = []
         self._seen: deque[tuple[Observation, FloatArray]] = deque()
@@ -179,6 +184,8 @@ class GraphGuide:
             self._height = estimate.box[3]
             self._doubt.learn()
             self._again.clear()
+        else:
+            self.rejected.add(t)
         self._last = self._smoother.update(observation)
         self._seen.append((observation, estimate.centre))
         while self._seen[0][0].t < t - self._smoother.lag:
@@ -214,6 +221,7 @@ class GraphGuide:
         for place, (observation, middle) in enumerate(seen):
             if observation.t > from_there and place > 0:
                 observation = Observation(observation.t)
+                self.rejected.add(observation.t)
                 self._seen[place] = observation, middle
             self._last = self._smoother.update(observation)
 

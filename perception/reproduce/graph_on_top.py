@@ -22,7 +22,7 @@ _HALF = 0.5
 
 @dataclass(frozen=True)
 class GraphOnTop:
-    """Mean errors over the frames in which the target was found: the tracker's own, and the graph's.
+    """Mean errors over frames: the tracker's own, and the graph's.
 
     Attributes
     ----------
@@ -46,8 +46,10 @@ def graph_on_top(
     model: Model | str | None = None,
     *,
     filtered: bool = False,
+    believed: Sequence[bool] | None = None,
+    hidden: bool = False,
 ) -> GraphOnTop:
-    """Smooth what a tracker said of consecutive frames, and compare both with the truth.
+    """Smooth what a tracker said, and compare both with the truth where the target was found.
 
     Parameters
     ----------
@@ -56,16 +58,18 @@ def graph_on_top(
     boxes : to the ground and back
     model : of the graph; by default the package's
     filtered : whether the graph is given the tracker's own distribution of the pan; see `to_track`
+    believed : n, whether the graph that guided the tracker believes each; by default all
+    hidden : whether frames count in which the target was not found, or not believed
     """
-    observed = to_track(
-        [Followed(k, estimate) for k, estimate in enumerate(estimates)],
-        boxes,
-        pan_classes,
-        fps,
-        filtered=filtered,
-    )
+    if believed is None:
+        believed = [True] * len(estimates)
+    followed = [
+        Followed(k, estimate, bool(is_true))
+        for k, (estimate, is_true) in enumerate(zip(estimates, believed, strict=True))
+    ]
+    observed = to_track(followed, boxes, pan_classes, fps, filtered=filtered)
     smoothed = smooth(TrackSet((observed,)), model).tracks[0]
-    found = np.asarray(np.isfinite(observed.position).all(axis=1))
+    found = np.asarray(np.isfinite(observed.position).all(axis=1) | hidden)
     middle = np.array([estimate.centre for estimate in estimates])
     height = np.array([estimate.box[3] for estimate in estimates])
     true_middle = true_boxes[:, :2] + true_boxes[:, 2:] / 2.0

@@ -13,7 +13,7 @@ from graphtrack.inference import OnlineSmoother
 from graphtrack.model import Observation
 from perception.box_camera import PERSON_IN_HEADS, BoxCamera
 from perception.classes import PoseClasses
-from perception.following import follow
+from perception.following import Followed, follow, to_track
 from perception.frames import Frame
 from perception.guidance import GUIDE_MODEL, Doubt, DoubtParameters, GraphGuide
 from perception.reproduce.graph_on_top import graph_on_top, survives
@@ -98,6 +98,8 @@ def test_a_tracker_that_is_much_less_sure_is_not_believed() -> None:
         for one in (guide, trusting):
             one.observe(seen, k / FPS)
     assert np.linalg.norm(guide.predict(60 / FPS).centre - course(60)) < 8.0
+    assert guide.rejected.issuperset(k / FPS for k in range(40, 60)) and not trusting.rejected
+    assert 20 / FPS not in guide.rejected
     assert np.linalg.norm(trusting.predict(60 / FPS).centre - course(35)) < 8.0
 
 
@@ -154,11 +156,32 @@ def test_the_graph_lowers_the_errors_of_noisy_boxes_and_pans() -> None:
         seen = estimate(course(k) + rng.normal(0.0, 4.0, 2), noise=4.0)
         about = wrap(classes.pan - (pan[k] + rng.normal(0.0, 0.5)))
         likelihood = np.exp(-0.5 * (about / 0.5) ** 2) + 0.01
-        said.append(replace(seen, pan=likelihood / likelihood.sum(), pan_likelihood=likelihood))
+        seen = replace(seen, pan=likelihood / likelihood.sum(), pan_likelihood=likelihood)
+        said.append(seen)
     figures = graph_on_top(said, true, pan, BOXES, classes, FPS, "separate")
     assert figures.tracker_centre == pytest.approx(4.0 * np.sqrt(np.pi / 2.0) / 30.0, rel=0.15)
     assert figures.graph_centre < 0.7 * figures.tracker_centre
     assert figures.graph_pan < 0.8 * figures.tracker_pan
+
+
+def test_what_the_graph_rejects_is_no_observation_but_counts_where_it_is_asked_for() -> None:
+    true = np.array([estimate(course(k)).box for k in range(40)])
+    said = [
+        Followed(k, estimate(course(k) + (80.0 if 15 <= k < 25 else 0.0)), not 15 <= k < 25)
+        for k in range(40)
+    ]
+    observed = to_track(said, BOXES, None, FPS)
+    np.testing.assert_array_equal(np.isnan(observed.position[:, 0]), [not item.believed for item in said])
+    estimates, believed = [item.estimate for item in said], [item.believed for item in said]
+    seen, everywhere = (
+        graph_on_top(
+            estimates, true, np.zeros(40), BOXES, None, FPS, "position", believed=believed, hidden=hidden
+        )
+        for hidden in (False, True)
+    )
+    assert seen.tracker_centre < 1e-9 and np.isnan(seen.graph_pan)
+    assert everywhere.tracker_centre == pytest.approx(0.25 * 80.0 * np.sqrt(2.0) / 30.0)
+    assert everywhere.graph_centre < 0.05
 
 
 def test_survival_counts_from_the_reappearance_on() -> None:
