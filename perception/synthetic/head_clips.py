@@ -13,9 +13,10 @@ from graphtrack.angles import FloatArray, direction, wrap
 from graphtrack.errors import InputError
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
+from perception.synthetic.head_scenery import room, wall
 from perception.synthetic.person import Posture, person_solids
 from perception.synthetic.raycast import Light, cast
-from perception.synthetic.sensor import Image, develop, random_background, random_light, random_sensor
+from perception.synthetic.sensor import Image, develop, random_light, random_sensor
 from perception.synthetic.solids import Solids
 
 _FOCAL = 800.0
@@ -25,8 +26,6 @@ _HEAD_ORIGIN = 1.585 / 1.72
 """Height of the head's origin over the person's."""
 _RAYS = 2
 """A pixel and axis."""
-_PATCHES = 22
-"""Things of skin and hair colour at clutter 1, before an image of 320 × 240."""
 _ATTEMPTS = 30
 _BODY, _CORE, _EXTRA = 0, 1, 2
 
@@ -145,14 +144,14 @@ def head_clip(
         camera = _camera(p, look, walk, rng)
         rays = camera.rays(_RAYS)
         shown = [_person(k, walk, look, camera, rays, light) for k in range(p.frames)]
-        wall = None if p.occlusion is None else _wall(shown, p.occlusion)
-        if p.occlusion is None or wall is not None:
+        hiding = None if p.occlusion is None else _wall(shown, p.occlusion)
+        if p.occlusion is None or hiding is not None:
             break
     else:
         raise InputError(f"occlusion = {p.occlusion}", "one that a head can walk behind within the image")
-    background = _background(p, look, light, rng)
-    board = _board(p, light, rng)
-    share = np.zeros(p.size[0]) if wall is None else _cover(wall, p.size[0])
+    background = room(p.size, p.clutter, sum(p.head_width) / 2.0, look, light, rng)
+    board = wall(p.size, light, rng)
+    share = np.zeros(p.size[0]) if hiding is None else _cover(hiding, p.size[0])
     shake = rng.normal(0.0, p.jitter, (p.frames, 2))
     images = []
     for item, offset in zip(shown, shake, strict=True):
@@ -163,7 +162,7 @@ def head_clip(
         images.append(develop(picture, sensor, rng))
     boxes = np.array([item.box for item in shown])
     boxes[:, :2] += shake
-    visible = np.array([_visible(item, wall) for item in shown])
+    visible = np.array([_visible(item, hiding) for item in shown])
     return HeadClip(images, boxes, wrap(walk.pan), walk.tilt, visible, p.fps)
 
 
@@ -304,83 +303,3 @@ def _composed(background: NDArray[np.float32], shown: _Shown) -> NDArray[np.floa
     part *= 1.0 - covered[..., None]
     part += colour
     return picture
-
-
-def _background(
-    p: HeadClipParameters, look: Appearance, light: Light, rng: np.random.Generator
-) -> NDArray[np.float32]:
-    """Light (h, w, 3) of a room, with things that have the colours of the person's skin and hair."""
-    w, h = p.size
-    if p.clutter == 0.0:
-        ramp = (rng.uniform(-0.08, 0.08) * np.linspace(-1.0, 1.0, w))[None, :, None]
-        shade = rng.uniform(0.3, 0.6) + rng.normal(0.0, 0.02, 3)
-        return np.asarray(np.broadcast_to(np.clip(shade + ramp, 0.0, 1.0), (h, w, 3)), np.float32).copy()
-    picture = np.ascontiguousarray(random_background(h, w, rng))
-    middle = (p.head_width[0] + p.head_width[1]) / 2.0
-    for _ in range(round(_PATCHES * p.clutter * w * h / (320 * 240))):
-        skin, hair = (_lit(colour, light, rng) for colour in (look.skin, look.hair_colour))
-        place = rng.uniform(0, w), rng.uniform(0, 0.8 * h)
-        size = middle * rng.uniform(0.3, 1.1, 2)
-        kind = rng.choice(4, p=(0.25, 0.25, 0.2, 0.3))
-        if kind == 3:
-            _face_like(picture, place, middle * rng.uniform(0.7, 1.2), skin, hair, rng)
-        else:
-            _thing(int(kind), picture, place, size, skin if rng.random() < 0.6 else hair, rng)
-    return cv2.GaussianBlur(picture, (0, 0), 0.6).astype(np.float32)
-
-
-def _lit(colour: tuple[float, float, float], light: Light, rng: np.random.Generator) -> list[float]:
-    """The light that a surface of this albedo sends, turned anyhow to the lamp."""
-    strength = np.array(light.ambient) + rng.uniform(0.1, 1.0) * np.array(light.key)
-    return np.clip(np.array(colour) * strength, 0.0, 1.0).tolist()
-
-
-def _thing(
-    kind: int,
-    picture: NDArray[np.float32],
-    place: tuple[float, float],
-    size: FloatArray,
-    shade: list[float],
-    rng: np.random.Generator,
-) -> None:
-    """A box, a blob or a hand with its fingers."""
-    u, v = (round(value) for value in place)
-    half = np.maximum(size / 2.0, 2.0).astype(int)
-    angle = rng.uniform(0.0, 180.0)
-    if kind == 0:
-        cv2.rectangle(picture, (u - half[0], v - half[1]), (u + half[0], v + half[1]), shade, -1)
-        return
-    cv2.ellipse(picture, (u, v), (int(half[0]), int(half[1])), angle, 0, 360, shade, -1)
-    if kind == 2:
-        for k in range(4):
-            way = np.deg2rad(angle + 18.0 * (k - 1.5))
-            tip = (round(u + 1.9 * half[0] * np.cos(way)), round(v + 1.9 * half[0] * np.sin(way)))
-            cv2.line(picture, (u, v), tip, shade, max(2, int(half[1]) // 2))
-
-
-def _face_like(
-    picture: NDArray[np.float32],
-    place: tuple[float, float],
-    width: float,
-    skin: list[float],
-    hair: list[float],
-    rng: np.random.Generator,
-) -> None:
-    """An ellipse of skin with a cap of hair, as a poster or a ball has it."""
-    u, v = (round(value) for value in place)
-    axes = (round(width / 2.0), round(0.65 * width))
-    tilt = rng.normal(0.0, 15.0)
-    cv2.ellipse(picture, (u, v), axes, tilt, 0, 360, skin, -1)
-    start = 180.0 + rng.uniform(-60.0, 60.0)
-    cv2.ellipse(picture, (u, v), axes, tilt, start, start + rng.uniform(120.0, 220.0), hair, -1)
-
-
-def _board(p: HeadClipParameters, light: Light, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Light (h, w, 3) of the wall: bluish or greenish, with planks."""
-    w, h = p.size
-    colour = rng.uniform(0.15, 0.7) * np.array([1.0, rng.uniform(0.6, 1.0), rng.uniform(0.25, 0.55)])
-    if rng.random() < 0.5:
-        colour[[0, 1]] = colour[[1, 0]]
-    planks = 1.0 - 0.25 * (np.arange(w) // int(rng.integers(6, 20)) % 2)
-    shade = colour * (np.array(light.ambient) + 0.5 * np.array(light.key))
-    return np.asarray(np.broadcast_to(np.clip(planks[:, None] * shade, 0.0, 1.0), (h, w, 3)), np.float32)
