@@ -11,10 +11,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, direction, unit
+from graphtrack.angles import FloatArray, unit
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
-from perception.synthetic.person import Posture
+from perception.synthetic.ceiling_walks import INSIDE, ROOM, CeilingKind, Walk, walk
 from perception.synthetic.raycast import Ground, Light
 from perception.synthetic.scene import Furniture, Label, Person, Scene
 from perception.synthetic.sensor import Image, Sensor
@@ -23,37 +23,9 @@ from perception.synthetic.still import StillScene
 SIZE = (320, 240)
 _HEIGHT, _FOCAL = 2.9, 118.0
 """Metres of the camera above the floor; pixels a radian."""
-_ROOM = np.array([3.3, 2.4])
-"""Half of the room's length and width in metres; the door is in the middle of the side towards +x."""
-_INSIDE = _ROOM - np.array([1.15, 1.05])
-"""People walk within these halves, clear of what stands along the walls."""
 _DOOR = 0.55
-_OUTSIDE = np.array([_ROOM[0] + 1.6, 0.0])
-_STEPS_A_METRE = 0.7
-_TURNING = 4.0
-"""1/s: how fast bodies turn to where they go."""
 _CHAIR = (0.42, 0.42, 0.40)
 _TABLE = (1.0, 0.6, 0.72)
-
-
-@dataclass(frozen=True)
-class CeilingKind:
-    """What happens in a sequence; times are shares of its length.
-
-    Attributes
-    ----------
-    speed : of walking, metres a second
-    pauses : seconds of a halt at a place, least and most
-    sits : spans in which the person sits on a chair
-    moves : spans in which a piece of furniture is moved
-    distracter : span in which somebody else is in the room
-    """
-
-    speed: float = 1.0
-    pauses: tuple[float, float] = (0.2, 1.0)
-    sits: tuple[tuple[float, float], ...] = ()
-    moves: tuple[tuple[float, float], ...] = ()
-    distracter: tuple[float, float] | None = None
 
 
 KINDS: Mapping[str, CeilingKind] = MappingProxyType(
@@ -78,37 +50,6 @@ class CeilingFrame:
     image: Image
     target: Label | None
     distracter: Label | None
-
-
-@dataclass(frozen=True, eq=False)
-class Walk:
-    """Somebody's way through the room, n frames.
-
-    Attributes
-    ----------
-    there : (n,) whether they are in the room or on the way in or out
-    position : (n, 2) metres
-    body : (n,) radians
-    phase : (n,) radians of the step
-    stride, sitting : (n,) in 0…1
-    """
-
-    there: np.ndarray
-    position: FloatArray
-    body: FloatArray
-    phase: FloatArray
-    stride: FloatArray
-    sitting: FloatArray
-
-    def posture(self, k: int) -> Posture | None:
-        """How they stand in frame k; None where they are not there."""
-        if not self.there[k]:
-            return None
-        x, y = (float(value) for value in self.position[k])
-        body = float(self.body[k])
-        return Posture(
-            (x, y), body, body, -0.15, float(self.phase[k]), float(self.stride[k]), float(self.sitting[k])
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +89,7 @@ class CeilingSequence:
             if room is None or room[0] != furniture:
                 scene = replace(self.scene, furniture=(*self.scene.furniture, *furniture))
                 room = furniture, StillScene(scene, oversampling=self.oversampling)
-            postures = [walk.posture(k) for walk in self.walks]
+            postures = [one.posture(k) for one in self.walks]
             present = [(i, posture) for i, posture in enumerate(postures) if posture is not None]
             people = [Person(self.looks[i], posture) for i, posture in present]
             frame = room[1].render(people, self.sensor, rng, moving=pushed)
@@ -201,10 +142,10 @@ def ceiling_sequence(
     )
     camera = Camera((0.0, 0.0, _HEIGHT), np.pi / 2, -np.pi / 2, _FOCAL, SIZE, "fisheye")
     still = (*_walls(rng), *furniture, *([chair] if kind.sits else []))
-    walks = [_walk(kind, rng, frames, fps, empty, frames, np.array(chair.position))]
+    walks = [walk(kind, rng, frames, fps, empty, frames, np.array(chair.position))]
     if kind.distracter is not None:
         first, last = (round(share * frames) for share in kind.distracter)
-        walks.append(_walk(replace(kind, sits=()), rng, frames, fps, first, last, np.zeros(2)))
+        walks.append(walk(replace(kind, sits=()), rng, frames, fps, first, last, np.zeros(2)))
     sensor = Sensor(
         gain=float(rng.uniform(0.8, 1.1)),
         gamma=float(rng.uniform(0.5, 0.7)),
@@ -231,7 +172,7 @@ def _colour(rng: np.random.Generator, low: float = 0.08, high: float = 0.75) -> 
 
 def _walls(rng: np.random.Generator) -> list[Furniture]:
     """Four walls with a door, and the corridor's wall behind it."""
-    x, y = _ROOM
+    x, y = ROOM
     colour = _colour(rng, 0.55, 0.75)
     side = y - _DOOR
     return [
@@ -245,7 +186,7 @@ def _walls(rng: np.random.Generator) -> list[Furniture]:
 
 def _furniture(rng: np.random.Generator) -> list[Furniture]:
     """A sofa, shelves, tables and columns along the walls, and a rug."""
-    x, y = _ROOM
+    x, y = ROOM
     rug = Furniture(
         tuple(rng.uniform(-0.6, 0.6, 2)),
         (*rng.uniform(1.0, 2.0, 2), 0.01),
@@ -270,13 +211,13 @@ def _furniture(rng: np.random.Generator) -> list[Furniture]:
 
 
 def _chair(rng: np.random.Generator) -> Furniture:
-    place = rng.uniform(-1.0, 1.0, 2) * _INSIDE
+    place = rng.uniform(-1.0, 1.0, 2) * INSIDE
     return Furniture((float(place[0]), float(place[1])), _CHAIR, rng.uniform(0.0, np.pi), _colour(rng))
 
 
 def _table(rng: np.random.Generator, k: int) -> Furniture:
     """What is moved: at first in a corner on the left."""
-    place = (-_INSIDE[0] - 0.35, (1.0 if k % 2 else -1.0) * (_INSIDE[1] - 0.1))
+    place = (-INSIDE[0] - 0.35, (1.0 if k % 2 else -1.0) * (INSIDE[1] - 0.1))
     size = tuple(np.array(_TABLE) * rng.uniform(0.75, 1.1, 3))
     return Furniture(place, size, rng.uniform(-0.4, 0.4), _colour(rng))
 
@@ -287,75 +228,3 @@ def _pushed(item: Furniture, span: tuple[float, float], frames: int, rng: np.ran
     end = start + rng.uniform(1.0, 2.0) * unit(rng.uniform(-0.35, 0.35))
     share = np.clip((np.arange(frames) / frames - span[0]) / (span[1] - span[0]), 0.0, 1.0)
     return start + share[:, None] * (end - start)
-
-
-def _walk(
-    kind: CeilingKind,
-    rng: np.random.Generator,
-    frames: int,
-    fps: float,
-    first: int,
-    last: int,
-    chair: FloatArray,
-) -> Walk:
-    """Through the door in frame ``first``, to and fro, with halts and seats; out again by ``last``."""
-    there = np.zeros(frames, bool)
-    position, sitting = np.tile(_OUTSIDE, (frames, 1)), np.zeros(frames)
-    there[first:] = True
-    step, k, place = kind.speed / fps, first, _OUTSIDE
-    sits = [tuple(round(share * frames) for share in span) for span in kind.sits]
-    goals: list[FloatArray] = [np.array([_INSIDE[0], 0.0])]
-    leaving = False
-    while k < frames:
-        due = bool(sits) and k >= sits[0][0] - _steps(place, chair, step) and not goals
-        if not goals:
-            goals = [chair] if due else [_goal(place, rng)]
-            if last < frames and k >= last - _steps(place, _OUTSIDE, step):
-                goals, leaving = [np.array([_INSIDE[0], 0.0]), _OUTSIDE], True
-        goal = goals.pop(0)
-        count = max(_steps(place, goal, step), 1)
-        for j in range(1, count + 1):
-            if k < frames:
-                position[k] = place + (goal - place) * j / count
-                k += 1
-        place = goal
-        if leaving:
-            if not goals:
-                there[k:] = False
-                break
-            continue
-        if due:
-            halt = max(sits.pop(0)[1] - k, round(2 * fps))
-            down = np.minimum(np.arange(halt), np.arange(halt)[::-1]) / (0.8 * fps)
-            sitting[k : k + halt] = np.clip(down, 0.0, 1.0)[: frames - k]
-        else:
-            halt = round(rng.uniform(*kind.pauses) * fps)
-        position[k : k + halt] = place
-        k += halt
-    return _moving(there, position, sitting, fps)
-
-
-def _steps(start: FloatArray, end: FloatArray, step: float) -> int:
-    return int(np.ceil(np.linalg.norm(end - start) / step))
-
-
-def _goal(place: FloatArray, rng: np.random.Generator) -> FloatArray:
-    while True:
-        goal = rng.uniform(-1.0, 1.0, 2) * _INSIDE
-        if np.linalg.norm(goal - place) > 0.8:
-            return np.asarray(goal, float)
-
-
-def _moving(there: np.ndarray, position: FloatArray, sitting: FloatArray, fps: float) -> Walk:
-    """Bodies that turn to where they go, and steps that fit the way."""
-    step = np.diff(position, axis=0, prepend=position[:1])
-    length = np.linalg.norm(step, axis=1)
-    body = np.empty(len(position))
-    facing = np.array([-1.0, 0.0])
-    gain = 1.0 - np.exp(-_TURNING / fps)
-    for k in range(len(position)):
-        if length[k] > 1e-9:
-            facing = facing + gain * (step[k] / length[k] - facing)
-        body[k] = direction(facing)
-    stride = np.convolve(np.clip(length * fps / 1.3, 0.0, 1.0), np.ones(3) / 3, mode="same")
-    return Walk(there, position, body, 2.0 * np.pi * _STEPS_A_METRE * np.cumsum(length), stride, sitting)
