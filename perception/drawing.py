@@ -98,7 +98,10 @@ def _bar(panel: Image, row: int, name: str, value: float) -> None:
     """A bar that is full at 1."""
     whole = _PANEL_WIDTH - 20
     share = float(np.clip(value, 0.0, 1.0)) if np.isfinite(value) else 0.0
-    cv2.putText(panel, f"{name} {value:.2f}", (10, row + 12), _FONT, 0.4, _TEXT, 1, cv2.LINE_AA)
+    # OpenCV's letters are ASCII; a long name is written smaller, so that its end is seen.
+    text = f"{name} {value:.2f}".replace("·", " x ").encode("ascii", "replace").decode()
+    length = cv2.getTextSize(text, _FONT, 0.4, 1)[0][0]
+    cv2.putText(panel, text, (10, row + 12), _FONT, 0.4 * min(1.0, whole / length), _TEXT, 1, cv2.LINE_AA)
     cv2.rectangle(panel, (10, row + 16), (10 + whole, row + 20), _TRACK, -1)
     cv2.rectangle(panel, (10, row + 16), (10 + round(share * whole), row + 20), _PARTICLE, -1)
 

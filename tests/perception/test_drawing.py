@@ -86,6 +86,13 @@ def test_a_bar_is_as_long_as_its_value(estimate: BoxEstimate) -> None:
     assert lengths[1] == pytest.approx(lengths[2] / 2, abs=2) and lengths[2] == lengths[3] > 100
 
 
+def test_long_names_are_written_to_their_end(estimate: BoxEstimate) -> None:
+    image = blob_image(CENTRE)
+    long = "reliability motion·colour·shape "
+    pictures = [draw(image, 1, replace(estimate, cues={long + end: 0.0})) for end in ("one", "two")]
+    assert (pictures[0] != pictures[1]).any()
+
+
 @pytest.mark.parametrize("name", ["film.mp4", "film.avi"])
 def test_a_video_has_the_frames_that_were_shown(tmp_path: Path, estimate: BoxEstimate, name: str) -> None:
     with renderer(tmp_path / name, 10.0) as show:
