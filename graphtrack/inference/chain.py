@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from graphtrack.inference.chain_kernels import NOT_FINITE
-from graphtrack.inference.elimination_kernels import workspace
+from graphtrack.inference.elimination_kernels import Workspace, workspace
 from graphtrack.inference.gait_kernels import renew_tracks
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.inference.initial_kernels import initialise
@@ -55,30 +55,41 @@ def solve_packed(
     """
     result, problem, seen = empty_result(packed), problem_of(packed), seen_in(packed, model)
     linear = not (model.has_body or model.has_head) and packed.is_linear
-    gait = gait_of(model.parameters.gait) if model.has_modes else None
-    if gait is not None:
-        # Without couplings first: from there both the modes and the states are found.
-        for name in ("motion_body_kappa", "head_body_kappa", "steer_gain"):
-            problem.records[name] = 0.0
-
-    m, longest = len(packed.tracks), int(np.diff(packed.offsets).max())
-    initialise(problem, 0, m, seen, linear, np.empty((3, longest)), result)
+    longest = int(np.diff(packed.offsets).max())
+    initialise(problem, seen, linear, np.empty((3, longest)), result)
     if not linear:
-        memory = workspace(longest)
-        solve_tracks(problem, 0, m, max_iterations, tolerance, restart, memory, result)
-        for _ in range(PASSES):
-            if gait is None:
-                break
-            renew_tracks(problem, 0, m, result.states, gait, result.modes)
-            solve_tracks(problem, 0, m, max_iterations, tolerance, False, memory, result)
-    finish(problem, 0, m, model.has_body, model.has_head, result)
+        solve_terms(model, problem, max_iterations, tolerance, restart, workspace(longest), result)
+    finish(problem, model.has_body, model.has_head, result)
     return result
 
 
+def solve_terms(
+    model: Model,
+    problem: Problem,
+    max_iterations: int,
+    tolerance: float,
+    restart: bool,
+    memory: Workspace,
+    result: Result,
+) -> None:
+    """Solve all tracks from the states in ``result``, in place; modes of couplings alternate with states."""
+    if not model.has_modes:
+        solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+        return
+    # Without couplings first: from there both the modes and the states are found.
+    for name in ("motion_body_kappa", "head_body_kappa", "steer_gain"):
+        problem.records[name] = 0.0
+    solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+    gait = gait_of(model.parameters.gait)
+    for _ in range(PASSES):
+        renew_tracks(problem, result.states, gait, result.modes)
+        solve_tracks(problem, max_iterations, tolerance, False, memory, result)
+
+
 @compiled
-def finish(problem: Problem, begin: int, end: int, has_body: bool, has_head: bool, result: Result) -> None:
+def finish(problem: Problem, has_body: bool, has_head: bool, result: Result) -> None:
     """States back in the world's frame, and NaN for what the model does not have or was not found."""
-    for track in range(begin, end):
+    for track in range(len(problem.offsets) - 1):
         failed = result.status[track] == NOT_FINITE
         for k in range(problem.offsets[track], problem.offsets[track + 1]):
             state, covariance = result.states[k], result.covariance[k]

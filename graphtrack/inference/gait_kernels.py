@@ -239,12 +239,10 @@ def renew_couplings(
 
 
 @compiled
-def renew_tracks(
-    problem: Problem, begin: int, end: int, states: FloatArray, gait: Gait, modes: FloatArray
-) -> None:
-    """`renew_couplings` of tracks ``begin`` to ``end``, whole."""
+def renew_tracks(problem: Problem, states: FloatArray, gait: Gait, modes: FloatArray) -> None:
+    """`renew_couplings` of all tracks, whole."""
     before = np.zeros((2, ROW))
-    for track in range(begin, end):
+    for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         filtered = np.empty((2, b - a, ROW))
         renew_couplings(problem, track, states[a:b], gait, before, filtered, modes[a:b])

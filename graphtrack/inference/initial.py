@@ -96,7 +96,7 @@ def initial_states(track: Track, model: Model) -> States:
     packed = pack([track], model)
     require_position(track)
     result = empty_result(packed)
-    initialise(problem_of(packed), 0, 1, seen_in(packed, model), False, np.empty((3, len(track))), result)
+    initialise(problem_of(packed), seen_in(packed, model), False, np.empty((3, len(track))), result)
     states = result.states
     none = np.full(len(track), np.nan)
     return States(

@@ -77,14 +77,12 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
 
 
 @compiled
-def initialise(
-    problem: Problem, begin: int, end: int, seen: Seen, only: bool, angles: FloatArray, result: Result
-) -> None:
-    """Fill in the states of tracks ``begin`` to ``end``; ``angles`` (3, n) is memory.
+def initialise(problem: Problem, seen: Seen, only: bool, angles: FloatArray, result: Result) -> None:
+    """Fill in the states of all tracks; ``angles`` (3, n) is memory.
 
     ``only``: the linear solution is all there is to find, so costs, covariances and status come from it.
     """
-    for track in range(begin, end):
+    for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         n, t, states = b - a, seen.t[a:b], result.states[a:b]
         spread, memory = np.empty((n, 3)), np.empty((n, 7))

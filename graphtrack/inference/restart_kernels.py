@@ -61,16 +61,14 @@ def find_other_basin(
 @compiled
 def solve_tracks(
     problem: Problem,
-    begin: int,
-    end: int,
     max_iterations: int,
     tolerance: float,
     restart: bool,
     workspace: Workspace,
     result: Result,
 ) -> None:
-    """Minimise the costs of tracks ``begin`` to ``end`` and find their covariances."""
-    for track in range(begin, end):
+    """Minimise the costs of all tracks and find their covariances."""
+    for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         states, again = result.states[a:b], np.empty((b - a, N))
         begun_elsewhere = restart and find_other_basin(problem, track, states, AT_START, again)

@@ -9,16 +9,13 @@ import numpy as np
 
 from graphtrack.angles import FloatArray
 from graphtrack.geometry import GroundCamera
-from graphtrack.inference.chain import PASSES, solve_packed
+from graphtrack.inference.chain import solve_packed, solve_terms
 from graphtrack.inference.chain_kernels import NOT_FINITE
 from graphtrack.inference.elimination_kernels import Workspace, workspace
-from graphtrack.inference.gait_kernels import renew_tracks
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.inference.problem import Problem, Result
-from graphtrack.inference.restart_kernels import solve_tracks
 from graphtrack.inference.solution import bounded
 from graphtrack.model import Model
-from graphtrack.model.gait import gait_of
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.tracks import Track
 
@@ -76,13 +73,6 @@ class Solver:
         packed = pack(self._tracks, model, self._camera)
         problem, result = problem_of(packed), empty_result(packed)
         result.states[:] = self._start
-        memory, m = workspace(self._longest), len(self._tracks)
-        if model.has_modes:
-            gait = gait_of(model.parameters.gait)
-            for name in ("motion_body_kappa", "head_body_kappa", "steer_gain"):
-                problem.records[name] = 0.0
-            for _ in range(PASSES):
-                solve_tracks(problem, 0, m, MAX_ITERATIONS, TOLERANCE, False, memory, result)
-                renew_tracks(problem, 0, m, result.states, gait, result.modes)
-        solve_tracks(problem, 0, m, MAX_ITERATIONS, TOLERANCE, False, memory, result)
+        memory = workspace(self._longest)
+        solve_terms(model, problem, MAX_ITERATIONS, TOLERANCE, False, memory, result)
         return Solved(packed, problem, result, memory)
