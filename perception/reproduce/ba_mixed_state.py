@@ -46,6 +46,9 @@ _PAPER: dict[tuple[Density, int], str] = {
 
 _HIDDEN = 25
 """Frames."""
+_SOME = 0.3
+"""Clutter behind heads that are hidden: with much of it guided trackers, too, cling to what is like the head.
+The guide was tuned on other sequences with this amount."""
 
 Result = tuple[HeadClip, dict[str, Run]]
 
@@ -67,13 +70,14 @@ def _jobs(settings: Settings) -> list[Job]:
 
 
 def _occlusions(settings: Settings) -> list[Job]:
-    seeds, sequences, _ = _effort(settings)
+    seeds, _, _ = _effort(settings)
     if settings.quick:
-        return [Job((settings.seed, 0, 100), 80, occlusion=(25, _HIDDEN))]
+        return [Job((settings.seed, 0, 100), 80, occlusion=(25, _HIDDEN), clutter=_SOME)]
+    # Two sequences a seed with some clutter, and one with much.
     return [
-        Job((settings.seed, k, 100 + i), 110, occlusion=(35, _HIDDEN))
+        Job((settings.seed, k, 100 + i), 110, occlusion=(35, _HIDDEN), clutter=1.0 if i == 2 else _SOME)
         for k in range(seeds)
-        for i in range(sequences // 2)
+        for i in range(3)
     ]
 
 
@@ -88,7 +92,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     named = _identification(settings, progress)
     jobs = _jobs(settings)
     done = list(zip(jobs, run_all(run_job, jobs, progress, processes=processes), strict=True))
-    hidden = run_all(run_occlusion, _occlusions(settings), progress, processes=processes)
+    behind = _occlusions(settings)
+    hidden = list(zip(behind, run_all(run_occlusion, behind, progress, processes=processes), strict=True))
     facing = [(job, result) for job, result in done if not job.all_around]
     around = [(job, result) for job, result in done if job.all_around]
     tracking = Table.of(
@@ -132,16 +137,20 @@ def _on_top(facing: Sequence[tuple[Job, Result]]) -> Table:
     return Table.of("Graph on top of the trackers, heads that face the camera", records)
 
 
-def _survived(hidden: Sequence[dict[tuple[str, bool], bool]]) -> Table:
-    records: list[dict[str, Cell]] = [
-        {
-            "tracker": name,
-            "sequences": len(hidden),
-            "alone (%)": 100.0 * float(np.mean([found[name, False] for found in hidden])),
-            "guided by the graph (%)": 100.0 * float(np.mean([found[name, True] for found in hidden])),
-        }
-        for name in (SEQUENTIAL, JOINT)
-    ]
+def _survived(hidden: Sequence[tuple[Job, dict[tuple[str, bool], bool]]]) -> Table:
+    records: list[dict[str, Cell]] = []
+    for clutter in sorted({job.clutter for job, _ in hidden}):
+        found = [survived for job, survived in hidden if job.clutter == clutter]
+        records += [
+            {
+                "clutter": clutter,
+                "tracker": name,
+                "sequences": len(found),
+                "alone (%)": 100.0 * float(np.mean([one[name, False] for one in found])),
+                "guided by the graph (%)": 100.0 * float(np.mean([one[name, True] for one in found])),
+            }
+            for name in (SEQUENTIAL, JOINT)
+        ]
     return Table.of(f"Back on the head after {_HIDDEN} hidden frames", records)
 
 

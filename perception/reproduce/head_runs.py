@@ -48,6 +48,7 @@ class Job:
     frames : its length
     all_around : whether the head turns through all pans; if not, methods know that it faces the camera
     occlusion : first frame and number of frames in which the head is hidden
+    clutter : amount of things of the head's colours
     methods : which of `METHODS`
     """
 
@@ -55,12 +56,16 @@ class Job:
     frames: int = 100
     all_around: bool = False
     occlusion: tuple[int, int] | None = None
+    clutter: float = 1.0
     methods: tuple[str, ...] = (SEQUENTIAL, JOINT)
 
     def render(self) -> HeadClip:
         """The sequence."""
         parameters = HeadClipParameters(
-            frames=self.frames, all_around=self.all_around, occlusion=self.occlusion
+            frames=self.frames,
+            all_around=self.all_around,
+            occlusion=self.occlusion,
+            clutter=self.clutter,
         )
         return head_clip(np.random.default_rng(self.seed), parameters)
 
