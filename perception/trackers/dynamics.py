@@ -29,7 +29,7 @@ class BoxDynamics:
     size_persistence: float = 0.3
     size_std: float = 0.02
     reversion: float = 0.01
-    guided_share: float = 0.5
+    guided_share: float = 0.8
 
 
 def predict(
