@@ -85,19 +85,21 @@ def _panel(panel: Image, number: int, estimate: BoxEstimate, pan_classes: PoseCl
     cv2.putText(panel, f"frame {number}", (10, 22), _FONT, 0.5, _TEXT, 1, cv2.LINE_AA)
     row = 34
     bars = {"confidence": estimate.confidence, **estimate.cues}
+    # Cues are shares; what goes beyond 1, such as reliabilities, is drawn against the greatest.
+    greatest = max(1.0, *(value for value in bars.values() if np.isfinite(value)))
     for name, value in bars.items():
         if row + _ROW > len(panel):
             return
-        _bar(panel, row, name, value)
+        _bar(panel, row, name, value, greatest if name.startswith("reliability") else 1.0)
         row += _ROW
     if estimate.pan is not None and pan_classes is not None and row + 150 <= len(panel):
         _clock(panel, (_PANEL_WIDTH // 2, row + 85), estimate, pan_classes)
 
 
-def _bar(panel: Image, row: int, name: str, value: float) -> None:
-    """A bar that is full at 1."""
+def _bar(panel: Image, row: int, name: str, value: float, full: float) -> None:
+    """A bar that is full at ``full``."""
     whole = _PANEL_WIDTH - 20
-    share = float(np.clip(value, 0.0, 1.0)) if np.isfinite(value) else 0.0
+    share = float(np.clip(value / full, 0.0, 1.0)) if np.isfinite(value) else 0.0
     # OpenCV's letters are ASCII; a long name is written smaller, so that its end is seen.
     text = f"{name} {value:.2f}".replace("·", " x ").encode("ascii", "replace").decode()
     length = cv2.getTextSize(text, _FONT, 0.4, 1)[0][0]

@@ -88,12 +88,11 @@ def work(settings: Settings) -> int:
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment."""
-    processes = 1 if settings.quick else None
     named = _identification(settings, progress)
     jobs = _jobs(settings)
-    done = list(zip(jobs, run_all(run_job, jobs, progress, processes=processes), strict=True))
+    done = list(zip(jobs, run_all(run_job, jobs, progress), strict=True))
     behind = _occlusions(settings)
-    hidden = list(zip(behind, run_all(run_occlusion, behind, progress, processes=processes), strict=True))
+    hidden = list(zip(behind, run_all(run_occlusion, behind, progress), strict=True))
     facing = [(job, result) for job, result in done if not job.all_around]
     around = [(job, result) for job, result in done if job.all_around]
     tracking = Table.of(

@@ -58,7 +58,7 @@ Runs = Mapping[str, Sequence[Mapping[str, Tally]]]
 
 def _effort(settings: Settings) -> tuple[int, int]:
     """Seeds and frames of a rendered sequence."""
-    return (2, 160) if settings.quick else (10, 400)
+    return (1, 120) if settings.quick else (10, 400)
 
 
 def _people(settings: Settings) -> list[Recording]:
@@ -86,7 +86,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     seeds, frames = _effort(settings)
     rooms, people = _jobs(settings)
     jobs = [*rooms, *people]
-    done = run_all(run_job, jobs, progress, processes=1 if settings.quick else None)
+    done = run_all(run_job, jobs, progress)
     drawn: dict[str, list[dict[str, Tally]]] = {}
     real: dict[str, list[dict[str, Tally]]] = {}
     for job, found in zip(jobs, done, strict=True):

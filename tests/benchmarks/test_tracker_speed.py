@@ -1,4 +1,4 @@
-"""Speed of the Sigma-Pi tracker: frames a second, against OpenCV's SIFT in the same run, and by particles."""
+"""Speed of the trackers: frames a second, against OpenCV's SIFT or equalisation, and by particles."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from collections.abc import Callable, Iterable
 import cv2
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from perception.images import Image
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
+from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
+from perception.trackers.mixed_state import MixedStateTracker
 from perception.trackers.sigma_pi import SigmaPiParameters, SigmaPiTracker
 
 pytestmark = pytest.mark.benchmark
 REPEATS, FRAMES = 3, 60
+HEAD_FRAMES = 20
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +31,11 @@ def frames() -> list[Image]:
 
 @pytest.fixture(scope="module", autouse=True)
 def one_core() -> Iterable[None]:
+    # Threads that wait for each other count as processor time.
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
-    yield
+    with threadpool_limits(1):
+        yield
     cv2.setNumThreads(threads)
 
 
@@ -67,3 +73,33 @@ def test_sigma_pi(frames: list[Image], record: Callable[[str, float], None]) -> 
     print(f"\nSIFT of the whole frame alone: {1.0 / base:.0f} frames a second")
     record("sigma-pi with 50 particles / SIFT of the frame, processor time", own[50] / base)
     record("sigma-pi with 400 particles / with 50, processor time", own[400] / own[50])
+
+
+def head_tracking(clip: HeadClip, particles: int) -> float:
+    """Seconds of processor time of a frame."""
+    tracker = MixedStateTracker(particles=particles, seed=0)
+    tracker.start(clip.images[0], tuple(clip.boxes[0]))
+    start = time.process_time()
+    for image in clip.images[1:]:
+        tracker.step(image)
+    return (time.process_time() - start) / (len(clip) - 1)
+
+
+def resizing(clip: HeadClip) -> float:
+    """Seconds that OpenCV takes to resize and equalise 200 patches, one by one."""
+    grey = cv2.cvtColor(clip.images[0], cv2.COLOR_BGR2GRAY)
+    start = time.process_time()
+    for _ in range(200):
+        cv2.equalizeHist(cv2.resize(grey[60:100, 60:100], (64, 64)))
+    return time.process_time() - start
+
+
+def test_mixed_state(record: Callable[[str, float], None]) -> None:
+    clip = head_clip(np.random.default_rng(0), HeadClipParameters(frames=HEAD_FRAMES))
+    own = {n: min(head_tracking(clip, n) for _ in range(REPEATS)) for n in (50, 100, 200, 400)}
+    base = min(resizing(clip) for _ in range(5 * REPEATS))
+    for n, spent in own.items():
+        print(f"\nmixed-state, {n} particles: {1.0 / spent:.0f} frames a second", end="")
+    print(f"\nresizing and equalising 200 patches alone: {1.0 / base:.0f} a second")
+    record("mixed-state with 200 particles / patches by OpenCV, processor time", own[200] / base)
+    record("mixed-state with 400 particles / with 50, processor time", own[400] / own[50])
