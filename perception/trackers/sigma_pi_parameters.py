@@ -35,7 +35,8 @@ class SigmaPiParameters:
         learn from it; later two have to
     stale : frames in a row with motion alone after which what was learned is taken to be of no more use
     patience : frames without or with support until that is believed
-    dynamics : of the particles
+    dynamics : of the particles; few are drawn from a guide's proposal, which takes people to walk on,
+        while in a room they turn and stop
     sights : of the cues
     """
 
@@ -58,7 +59,7 @@ class SigmaPiParameters:
     found: float = 0.5
     lost: float = 0.3
     patience: int = 3
-    dynamics: BoxDynamics = field(default_factory=lambda: BoxDynamics(0.6, 0.12, 0.2, 0.05, 0.03))
+    dynamics: BoxDynamics = field(default_factory=lambda: BoxDynamics(0.6, 0.12, 0.2, 0.05, 0.03, 0.2))
     sights: CueParameters = field(default_factory=CueParameters)
 
     def __post_init__(self) -> None:

@@ -17,6 +17,7 @@ from graphtrack.errors import InputError
 from perception.images import Image
 from perception.reproduce.sigma_pi_runs import Tally, recordings
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
+from perception.trackers.dynamics import BoxDynamics
 from perception.trackers.sigma_pi import SigmaPiParameters, SigmaPiTracker
 from perception.trackers.sigma_pi_cues import ColourCue, CueParameters, ShapeCue
 from perception.trackers.sigma_pi_network import CUES, TERM_NAMES, adapted, output, products
@@ -170,7 +171,8 @@ def test_cues_that_are_not_used_have_no_part() -> None:
 
 
 def test_a_proposal_draws_particles_to_its_place() -> None:
-    tracker = SigmaPiTracker(seed=1)
+    dynamics = BoxDynamics(0.6, 0.12, guided_share=0.5)
+    tracker = SigmaPiTracker(SigmaPiParameters(dynamics=dynamics), seed=1)
     follow(tracker, [shown(path(k), k) for k in range(10)], box_at(path(0)))
     place = np.array([160.0, 120.0])
     guided = tracker.step(shown(None, 10), Proposal(place, 4.0 * np.eye(2)))
