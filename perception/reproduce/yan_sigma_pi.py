@@ -48,9 +48,7 @@ PAPER: Mapping[str, tuple[int, int, int, float]] = dict(
 """003 Table 1: frames, missing, mismatch, success in per cent, for each kind."""
 PAPER_MEAN, PAPER_MOTION = 90.28, 69.0
 """003: success on average, and by motion alone (per cent)."""
-_TITLE = (
-    "Paper / ours: Table 1 in per cent; motion: success by motion alone; means over frames, over kinds"
-)
+_TITLE = "Paper / ours: Table 1 in per cent; motion: success by motion alone; means over frames, over kinds"
 REAL = ("wk1gt", "wk2gt")
 _FEWEST = 100
 _SHOWN = "person moving and sitting 1"
