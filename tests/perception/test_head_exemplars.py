@@ -5,15 +5,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
 from perception.classes import PoseClasses
 from perception.head_pose.exemplars import filter_log_densities
+from perception.images import enlarged
 from perception.models import load_head_exemplars, model_path
 from perception.trackers.head_exemplars import HeadExemplars
-from perception.trackers.patches import cut, equalised, grown
+from perception.trackers.patches import cut, equalised
 from perception.trackers.training import train_head_exemplars
 
 
@@ -59,6 +60,7 @@ def test_beyond_the_image_its_border_goes_on() -> None:
     assert (cut(grey, np.array([[-30.0, 0.0, 20.0, 20.0]]), 8) == 200).all()
 
 
+@settings(deadline=None)  # the first call compiles
 @given(st.integers(0, 2**32 - 1), st.integers(1, 255))
 def test_equalised_is_what_opencv_does_to_one(seed: int, levels: int) -> None:
     patches = np.random.default_rng(seed).integers(0, levels, (3, 9, 7)).astype(np.uint8)
@@ -68,7 +70,7 @@ def test_equalised_is_what_opencv_does_to_one(seed: int, levels: int) -> None:
 
 def test_grown_boxes_keep_their_middles() -> None:
     box = np.array([[10.0, 20.0, 30.0, 40.0]])
-    bigger = grown(box, 1.5)
+    bigger = enlarged(box, 1.5)
     np.testing.assert_allclose(bigger[:, :2] + bigger[:, 2:] / 2, box[:, :2] + box[:, 2:] / 2)
     np.testing.assert_allclose(bigger[:, 2:], [[45.0, 60.0]])
 
