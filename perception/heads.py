@@ -17,7 +17,7 @@ from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from perception.features.blocks import block_histograms, corner_sums, integral_histogram
 from perception.head_detector import BoostedBlocks, Weak
-from perception.images import Image, intersection_over_union
+from perception.images import Image, enlarged, intersection_over_union
 from perception.storage import ModelCard, load_model, save_model
 
 _HEIGHT = 128
@@ -96,7 +96,7 @@ class HeadLocaliser:
             far = rng.permutation(np.flatnonzero(overlap < _NEGATIVE_OVERLAP))[: negatives - 1]
             edge = rng.permutation(np.flatnonzero((overlap > 0.05) & (overlap < _NEGATIVE_OVERLAP)))[:2]
             chosen = np.concatenate([near, windows[far], windows[edge]])
-            features.append(block_histograms(corner_sums(integral, _enlarged(chosen))))
+            features.append(block_histograms(corner_sums(integral, enlarged(chosen, _AROUND))))
             labels += [1, 1] + [-1] * (len(far) + len(edge))
             places.append(_places(true[None], integral.shape[1] - 1)[0])
         self._detector = BoostedBlocks.fit(
@@ -127,13 +127,13 @@ class HeadLocaliser:
             raise InputError("a head localiser that was not fitted", "fit or load first")
         integral, factor = _prepared(image)
         windows = candidate_windows(integral.shape[1] - 1)
-        enlarged = _enlarged(windows)
+        surrounded = enlarged(windows, _AROUND)
         # The first weak classifiers tell most windows apart from heads; the others judge what is left.
         away = np.square((_places(windows, integral.shape[1] - 1) - self._place[0]) / self._place[1])
         cost = 0.5 * self._place_weight * away.sum(axis=1)
-        first = self._detector.scores(integral, enlarged, rounds=_FIRST_ROUNDS) - cost
+        first = self._detector.scores(integral, surrounded, rounds=_FIRST_ROUNDS) - cost
         promising = np.argsort(-first, kind="stable")[:_KEPT]
-        scores = self._detector.scores(integral, enlarged[promising]) - cost[promising]
+        scores = self._detector.scores(integral, surrounded[promising]) - cost[promising]
         windows = windows[promising]
         kept = non_maximum_suppression(windows, scores, _OVERLAP)
         kept = [k for k in kept if k == kept[0] or scores[k] >= self.threshold]
@@ -239,11 +239,6 @@ def _prepared(image: Image) -> tuple[NDArray[np.float32], tuple[float, float]]:
     method = cv2.INTER_AREA if h > _HEIGHT else cv2.INTER_LINEAR
     resized: Any = cv2.resize(grey, (width, _HEIGHT), interpolation=method)
     return integral_histogram(resized), (width / w, _HEIGHT / h)
-
-
-def _enlarged(windows: FloatArray) -> FloatArray:
-    grown = windows[:, 2:] * _AROUND
-    return np.hstack([windows[:, :2] - (grown - windows[:, 2:]) / 2.0, grown])
 
 
 def _refined(windows: FloatArray, scores: FloatArray, best: int) -> FloatArray:

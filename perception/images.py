@@ -72,6 +72,12 @@ def crop(image: Image, box: ArrayLike) -> Image:
     return np.ascontiguousarray(image[np.ix_(rows, columns)])
 
 
+def enlarged(boxes: FloatArray, factor: float) -> FloatArray:
+    """Boxes (n, 4) about the same middles, ``factor`` times as wide and high: left, top, width, height."""
+    size = boxes[:, 2:] * factor
+    return np.hstack([boxes[:, :2] + (boxes[:, 2:] - size) / 2.0, size])
+
+
 def intersection_over_union(boxes: ArrayLike, box: ArrayLike) -> FloatArray:
     """Overlap (...,) of boxes (..., 4) with boxes (..., 4): left, top, width, height (002 eq. 15)."""
     a, b = np.asarray(boxes, float), np.asarray(box, float)

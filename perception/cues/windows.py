@@ -30,12 +30,6 @@ def sums(table: FloatArray, windows: FloatArray) -> FloatArray:
     return np.asarray(table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left])
 
 
-def enlarged(windows: FloatArray, factor: float) -> FloatArray:
-    """Windows (n, 4) about the same centres, ``factor`` times as wide and high."""
-    size = windows[:, 2:] * factor
-    return np.hstack([windows[:, :2] + (windows[:, 2:] - size) / 2.0, size])
-
-
 def overlap(inside: FloatArray, around: FloatArray, area: FloatArray) -> FloatArray:
     """How well windows fit what is salient (n,), 0…1: inside / (area + what is salient around them).
 

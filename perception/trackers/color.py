@@ -14,10 +14,10 @@ from graphtrack.errors import InputError
 from graphtrack.particles import effective_sample_size, generator, normalise, resample
 from perception.classes import PoseClasses
 from perception.features.gabor import SIDE, gabor_features
-from perception.images import Image
+from perception.images import Image, enlarged
 from perception.trackers.dynamics import BoxDynamics, predict
 from perception.trackers.head_exemplars import HeadExemplars
-from perception.trackers.patches import PATCH_MARGIN, cut, equalised, grown
+from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, check_box, check_frame, states_of
 
 
@@ -150,7 +150,7 @@ class ColourTracker:
         if self.exemplars is None:
             return None
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-        patch = equalised(cut(grey, grown(np.array([box]), PATCH_MARGIN), SIDE))
+        patch = equalised(cut(grey, enlarged(np.array([box]), PATCH_MARGIN), SIDE))
         poses = self.exemplars.pose_log_likelihood(self.exemplars.log_ratio(gabor_features(patch)))
         pans = np.exp(self.exemplars.classes.pan_log_likelihood(poses[0]))
         return np.asarray(pans / pans.sum(), float)

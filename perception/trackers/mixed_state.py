@@ -14,12 +14,12 @@ from graphtrack.errors import InputError
 from graphtrack.particles import effective_sample_size, generator, resample
 from perception.classes import PoseClasses
 from perception.features.gabor import SIDE, gabor_features
-from perception.images import Image
+from perception.images import Image, enlarged
 from perception.models import load_head_exemplars
 from perception.trackers.color import ColourParameters, bhattacharyya, colour_bins, histograms
 from perception.trackers.dynamics import BoxDynamics, predict
 from perception.trackers.head_exemplars import HeadExemplars
-from perception.trackers.patches import PATCH_MARGIN, cut, equalised, grown
+from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import (
     Box,
     BoxEstimate,
@@ -190,7 +190,7 @@ class MixedStateTracker:
     def _look(self, image: Image, grey: NDArray[np.uint8], visible: float) -> BoxEstimate:
         """Weigh the particles by the frame; ``visible`` is the probability before it."""
         before = self._cloud.weights
-        patches = cut(grey, grown(self._cloud.boxes, PATCH_MARGIN), SIDE)
+        patches = cut(grey, enlarged(self._cloud.boxes, PATCH_MARGIN), SIDE)
         ratio = self.exemplars.log_ratio(gabor_features(equalised(patches)))
         of_colour, bins = self._by_colour(image)
         if self.parameters.labels == "sampled":

@@ -52,9 +52,3 @@ def equalised(patches: NDArray[np.uint8]) -> NDArray[np.uint8]:
         for j in range(size):
             result[i, j] = levels[flat[i, j]]
     return result.reshape(patches.shape)
-
-
-def grown(boxes: FloatArray, factor: float) -> FloatArray:
-    """Boxes (n, 4) with their middles kept and their sizes times a factor."""
-    size = boxes[:, 2:] * factor
-    return np.hstack([boxes[:, :2] - (size - boxes[:, 2:]) / 2.0, size])

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
 from perception.cues import colour, motion, shape
-from perception.cues.windows import activation, enlarged, integral, overlap, sums
-from perception.images import Image
+from perception.cues.windows import activation, integral, overlap, sums
+from perception.images import Image, enlarged
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from perception.cues.windows import enlarged
+from perception.images import enlarged
 from perception.trackers.tracker import Box
 
 _BORDER = 3.0

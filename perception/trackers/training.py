@@ -14,7 +14,7 @@ from graphtrack.angles import FloatArray, difference
 from perception.classes import TILT_EDGE, PoseClasses
 from perception.features.gabor import SIDE, gabor_features
 from perception.head_pose.exemplars import SMALLEST_DEVIATION, Exemplars
-from perception.images import grey_stack
+from perception.images import enlarged, grey_stack
 from perception.storage import ModelCard
 from perception.synthetic import (
     HeadVariation,
@@ -25,7 +25,7 @@ from perception.synthetic import (
 )
 from perception.synthetic.appearance import random_appearance
 from perception.trackers.head_exemplars import KIND, HeadExemplars, combined
-from perception.trackers.patches import PATCH_MARGIN, cut, equalised, grown
+from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 
 _HEADS = HeadVariation(size=(16, 40), offset=0.02, scale=0.03)
 _SCENES = PedestrianVariation(
@@ -125,7 +125,7 @@ def _of_scenes(people: PedestrianSet, classes: PoseClasses, rng: np.random.Gener
         middle[_BOXES // 2 :] = rng.uniform(0.0, 1.0, (_BOXES - _BOXES // 2, 2)) * (width, height)
         size[0], middle[0] = box[2:], box[:2] + box[2:] / 2.0
         boxes = np.hstack([middle - size / 2.0, size])
-        patches = cut(np.asarray(grey, np.uint8), grown(boxes, PATCH_MARGIN), SIDE)
+        patches = cut(np.asarray(grey, np.uint8), enlarged(boxes, PATCH_MARGIN), SIDE)
         features.append(gabor_features(equalised(patches)).astype(np.float32))
         moved = (middle - middle[0]) / box[2:], np.log(size / box[2:])
         off.append(np.abs(np.hstack(moved)).max(axis=1))

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perception.cues import colour, motion, shape
-from perception.cues.windows import activation, enlarged, integral, overlap, sums
+from perception.cues.windows import activation, integral, overlap, sums
+from perception.images import enlarged
 
 
 def test_sums_over_windows_are_direct_sums() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from graphtrack.errors import InputError
 from perception.features.gabor import gabor_features
+from perception.images import enlarged
 from perception.models import load_head_exemplars
 from perception.reproduce.head_runs import followed, tracking_error
 from perception.reproduce.side_by_side import run_all
@@ -22,7 +23,7 @@ from perception.trackers.color import (
 )
 from perception.trackers.dynamics import BoxDynamics, predict
 from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
-from perception.trackers.patches import PATCH_MARGIN, cut, equalised, grown
+from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import Cloud, Proposal, Tracker, boxes_of, states_of
 
 FACING = load_head_exemplars().within(np.pi / 2.0)
@@ -118,7 +119,7 @@ def test_summed_labels_are_the_forward_algorithm_of_a_hidden_markov_chain(clip: 
     belief, wanted = FACING.prior(), None
     for k, item in enumerate(found):
         grey = np.asarray(cv2.cvtColor(clip.images[k], cv2.COLOR_BGR2GRAY))
-        patch = equalised(cut(grey, grown(np.array([box]), PATCH_MARGIN), 64))
+        patch = equalised(cut(grey, enlarged(np.array([box]), PATCH_MARGIN), 64))
         likelihood = np.exp(FACING.log_ratio(gabor_features(patch))[0])
         belief = (belief if k == 0 else belief @ transitions) * likelihood
         belief /= belief.sum()
