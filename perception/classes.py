@@ -49,6 +49,11 @@ class PoseClasses:
         """Whether the pans go around the whole circle."""
         return bool(np.isclose(self.n_pan * self.step, 2.0 * np.pi))
 
+    @property
+    def pans(self) -> PoseClasses:
+        """The same without tilts."""
+        return PoseClasses(self.first, self.step, self.n_pan)
+
     @cached_property
     def pan(self) -> FloatArray:
         """Centres (n_pan,) of the pan classes, radians in (−π, π]."""
@@ -65,7 +70,7 @@ class PoseClasses:
 
     def reflected(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
         """The classes (n,) of the mirror images of classes (n,): pans change their sign."""
-        mirror = PoseClasses(self.first, self.step, self.n_pan).index(-self.pan)
+        mirror = self.pans.index(-self.pan)
         level, pan = np.divmod(labels, self.n_pan)
         return np.asarray(level * self.n_pan + mirror[pan], np.int64)
 
@@ -83,4 +88,8 @@ class PoseClasses:
         """Circular mean (...,) in radians of the pan classes, weighted by their likelihoods."""
         pans = self.pan_log_likelihood(log_likelihood)
         weights = np.exp(pans - pans.max(axis=-1, keepdims=True))
-        return direction(weights @ unit(self.pan))
+        return self.mean_of(weights)
+
+    def mean_of(self, distribution: FloatArray) -> FloatArray:
+        """Circular mean (...,) in radians of distributions (..., n_pan) over the pan classes."""
+        return direction(distribution @ unit(self.pan))

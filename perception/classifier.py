@@ -126,7 +126,7 @@ class FeatureClassifier(ABC):
 
     def calibrate(self, images: Sequence[Image], pan: ArrayLike) -> Self:
         """Choose the temperature anew, on images (of use, say) whose pans (n,) in radians are known."""
-        of_pan = PoseClasses(self.classes.first, self.classes.step, self.classes.n_pan)
+        of_pan = self.classes.pans
         labels = check_labels(images, of_pan.index(pan), self.classes.n_pan, least=0)
         self._fit_calibration(self._all_scores(images), labels)
         figures = {**self.card.figures, "temperature": self.temperature}

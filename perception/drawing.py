@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from graphtrack.angles import direction, unit
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
 from perception.classes import PoseClasses
@@ -50,7 +49,7 @@ def draw(image: Image, number: int, estimate: BoxEstimate, pan_classes: PoseClas
 def mean_pan(estimate: BoxEstimate, pan_classes: PoseClasses) -> float:
     """Circular mean (radians, image frame) of the tracker's distribution of the pan."""
     assert estimate.pan is not None
-    return float(direction(estimate.pan @ unit(pan_classes.pan)))
+    return float(pan_classes.mean_of(estimate.pan))
 
 
 def _particles(shown: Image, estimate: BoxEstimate, factor: int) -> None:

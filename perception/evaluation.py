@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.angles import FloatArray, difference
 from perception.calibration import Reliability, reliability
-from perception.classes import PoseClasses
 from perception.classifier import Classifier
 from perception.images import Image
 
@@ -64,7 +63,7 @@ def evaluate(classifier: Classifier, images: Sequence[Image], pan: ArrayLike) ->
     found = classifier.log_likelihoods(images)
     of_pan = classes.pan_log_likelihood(found)
     error = np.degrees(np.abs(difference(classes.most_likely_pan(found), pan)))
-    labels = PoseClasses(classes.first, classes.step, classes.n_pan).index(pan)
+    labels = classes.pans.index(pan)
     likely = of_pan.argmax(axis=1)
     confusion = np.zeros((classes.n_pan, classes.n_pan), np.int64)
     np.add.at(confusion, (labels, likely), 1)

@@ -173,7 +173,7 @@ def to_tracks(
         raise InputError("a video without people", "at least one person")
     if camera is None:
         camera = GroundCamera.from_scale(PERSON_HEIGHT / float(np.median([item.height for item in seen])))
-    pans = PoseClasses(head_classes.first, head_classes.step, head_classes.n_pan)
+    pans = head_classes.pans
     tracks = []
     for track_id, items in _by_track(seen):
         pixel = np.array([item.foot for item in items])

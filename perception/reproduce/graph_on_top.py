@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, difference, direction, unit
+from graphtrack.angles import FloatArray, difference
 from graphtrack.inference import smooth
 from graphtrack.model import Model
 from graphtrack.tracks import TrackSet
@@ -80,7 +80,7 @@ def graph_on_top(
     of_pan = [np.full(len(found), np.nan)] * 2
     pans = [estimate.pan for estimate in estimates if estimate.pan is not None]
     if pan_classes is not None and smoothed.head is not None and len(pans) == len(estimates):
-        of_tracker = direction(np.array(pans) @ unit(pan_classes.pan))
+        of_tracker = pan_classes.mean_of(np.array(pans))
         of_graph = boxes.camera.image_angle(smoothed.head, smoothed.position)
         of_pan = [np.abs(difference(pan, true_pan)) for pan in (of_tracker, of_graph)]
     means = [float(error[found].mean()) for error in (*of_centre, *of_pan)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphtrack.angles import FloatArray, difference, direction, unit
+from graphtrack.angles import FloatArray, difference
 from perception.box_camera import PERSON_IN_HEADS, BoxCamera
 from perception.classes import PoseClasses
 from perception.following import follow
@@ -158,7 +158,7 @@ def scored(found: Sequence[BoxEstimate], classes: PoseClasses | None, clip: Head
 
 def mean_pan(distribution: FloatArray, classes: PoseClasses) -> FloatArray:
     """Circular mean (n,) in radians of distributions (n, n_pan)."""
-    return direction(distribution @ unit(classes.pan))
+    return classes.mean_of(distribution)
 
 
 def tracking_error(boxes: ArrayLike, truth: ArrayLike) -> FloatArray:

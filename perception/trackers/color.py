@@ -77,8 +77,7 @@ class ColourTracker:
         self.exemplars = exemplars
         self.pan_classes: PoseClasses | None = None
         if exemplars is not None:
-            classes = exemplars.classes
-            self.pan_classes = PoseClasses(classes.first, classes.step, classes.n_pan)
+            self.pan_classes = exemplars.classes.pans
         self._rng = generator(seed)
         self._shape: tuple[int, int] = (0, 0)
 
@@ -93,16 +92,13 @@ class ColourTracker:
         if box is None:
             raise InputError("no target in the first frame", "the target's box")
         check_frame(image, None)
-        n, p = self.parameters.particles, self.parameters
+        p = self.parameters
         given = np.array([check_box(box, image)])
         self._shape = image.shape[0], image.shape[1]
         self._model = histograms(colour_bins(image, p), given, p)[0]
         first = states_of(given)[0]
-        noise = p.start_std * self._rng.standard_normal((n, 4))
-        noise[:, :2] *= np.exp(first[2:])
-        now = first + noise
         self._reference = first[2:]
-        self._cloud = Cloud(now, now.copy(), np.full(n, 1.0 / n))
+        self._cloud = Cloud.about(first, p.particles, p.start_std, self._rng)
         return self._look(image)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:

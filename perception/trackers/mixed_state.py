@@ -124,7 +124,7 @@ class MixedStateTracker:
         loaded = load_head_exemplars() if exemplars is None else exemplars
         self.exemplars = loaded.within(self.parameters.pan_limit)
         classes = self.exemplars.classes
-        self.pan_classes: PoseClasses | None = PoseClasses(classes.first, classes.step, classes.n_pan)
+        self.pan_classes: PoseClasses | None = classes.pans
         self._rng = generator(seed)
         p = self.parameters
         self._transitions = self.exemplars.transitions(p.pan_std, p.tilt_share, p.stay)
@@ -148,11 +148,8 @@ class MixedStateTracker:
         self._colours = None
         n, p = self.parameters.particles, self.parameters
         first = states_of(np.array([check_box(box, image)]))[0]
-        noise = p.start_std * self._rng.standard_normal((n, 4))
-        noise[:, :2] *= np.exp(first[2:])
-        now = first + noise
         self._reference = first[2:]
-        self._cloud = Cloud(now, now.copy(), np.full(n, 1.0 / n))
+        self._cloud = Cloud.about(first, n, p.start_std, self._rng)
         self._label = self._rng.choice(self.exemplars.labels, n, p=self.exemplars.prior())
         self._belief = np.tile(self.exemplars.prior(), (n, 1))
         # A given box is known to hold a head, however little it looks like one.

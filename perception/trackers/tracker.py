@@ -111,6 +111,14 @@ class Cloud:
     before: FloatArray
     weights: FloatArray
 
+    @classmethod
+    def about(cls, first: FloatArray, count: int, std: float, rng: np.random.Generator) -> Cloud:
+        """Equal particles about a state (4,), at rest; ``std`` is the 1-σ as a share of the size."""
+        noise = std * rng.standard_normal((count, 4))
+        noise[:, :2] *= np.exp(first[2:])
+        now = first + noise
+        return cls(now, now.copy(), np.full(count, 1.0 / count))
+
     def chosen(self, ancestors: NDArray[np.int64]) -> Cloud:
         """Equal weights for the particles (n,) that were drawn."""
         n = len(ancestors)
