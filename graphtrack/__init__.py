@@ -18,8 +18,9 @@ if TYPE_CHECKING:
         smooth,
         solve,
         track_online,
+        warm_up,
     )
-    from graphtrack.io import read, write
+    from graphtrack.io import ReadOptions, read, write
     from graphtrack.model import Model, Observation, Parameters, Term, presets
     from graphtrack.simulation import simulate
     from graphtrack.tracks import ReadSummary, Track, TrackSet
@@ -37,6 +38,7 @@ __all__ = [
     "Observation",
     "OnlineSmoother",
     "Parameters",
+    "ReadOptions",
     "ReadSummary",
     "Solution",
     "SolveError",
@@ -52,6 +54,7 @@ __all__ = [
     "smooth",
     "solve",
     "track_online",
+    "warm_up",
     "write",
 ]
 
@@ -68,8 +71,9 @@ _HOMES = {
         "smooth",
         "solve",
         "track_online",
+        "warm_up",
     ),
-    "io": ("read", "write"),
+    "io": ("ReadOptions", "read", "write"),
     "model": ("Model", "Observation", "Parameters", "Term", "presets"),
     "simulation": ("simulate",),
     "tracks": ("ReadSummary", "Track", "TrackSet"),
@@ -91,4 +95,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted([*__all__, "__version__"])

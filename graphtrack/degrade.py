@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray, difference, direction, wrap
 from graphtrack.errors import InputError
+from graphtrack.io.given import tracks_of
 from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.given import Given
 
 BoolArray = NDArray[np.bool_]
 
@@ -26,7 +30,7 @@ MOVING_SPEED = 0.3
 
 
 def add_noise(
-    tracks: TrackSet,
+    tracks: Given,
     *,
     position_std: float | None = None,
     body_kappa: float | None = None,
@@ -42,7 +46,7 @@ def add_noise(
 
     Parameters
     ----------
-    tracks : what is known
+    tracks : what is known, in any form that `graphtrack.solve` takes
     position_std : metres, 1-σ of each axis; None: positions are observed as they are
     body_kappa, head_kappa : von Mises concentrations, ≥ 0; None: angles are observed as they are
     rng : source of the noise
@@ -59,7 +63,7 @@ def add_noise(
     ):
         if value is not None and not (np.isfinite(value) and value >= 0.0):
             raise InputError(f"{name} = {value!r}", "a finite number, at least 0")
-    return tracks.map(lambda track: _noisy(track, position_std, body_kappa, head_kappa, rng))
+    return tracks_of(tracks).map(lambda track: _noisy(track, position_std, body_kappa, head_kappa, rng))
 
 
 def _noisy(

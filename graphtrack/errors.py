@@ -36,7 +36,8 @@ class InputError(GraphtrackError):
         super().__init__(str(self))
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild_input_error, (self.found, self.expected, self.path, self.line, self.column)
+        parts = (self.found, self.expected, self.path, self.line, self.column)
+        return _rebuild_input_error, (type(self), *parts)
 
     def __str__(self) -> str:
         place = [] if self.path is None else [self.path]
@@ -48,10 +49,19 @@ class InputError(GraphtrackError):
         return f"{where + ': ' if where else ''}found {self.found}, expected {self.expected}"
 
 
+class UnknownTrackError(InputError, KeyError):
+    """An id that no track of a set has; a `KeyError` too, as a mapping would raise."""
+
+
 def _rebuild_input_error(
-    found: str, expected: str, path: str | None, line: int | None, column: str | int | None
+    kind: type[InputError],
+    found: str,
+    expected: str,
+    path: str | None,
+    line: int | None,
+    column: str | int | None,
 ) -> InputError:
-    return InputError(found, expected, path=path, line=line, column=column)
+    return kind(found, expected, path=path, line=line, column=column)
 
 
 class SolveError(GraphtrackError):

@@ -42,8 +42,8 @@ def simulate(
     Motion is white-noise acceleration, or steered by the head in the presets that have that, sampled exactly.
     An orientation is sampled from the *normalised*
     product of the von Mises of its dynamics and that of its coupling (002 eq. 8 and 10 as its particle
-    filter samples them); the factor graph holds the product without the normalisation. Terms of your own
-    are not sampled.
+    filter samples them); the factor graph holds the product without the normalisation. Not sampled are the
+    modes of "full", with which everybody faces where they go, and terms of your own.
 
     Parameters
     ----------

@@ -9,13 +9,15 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
-from graphtrack.errors import InputError
+from graphtrack.bounds import FIELDS, LARGEST_FRAME, LARGEST_ID
+from graphtrack.display import html_of_track, html_of_tracks, line_of_track, line_of_tracks, listed
+from graphtrack.errors import InputError, UnknownTrackError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,7 +60,7 @@ class Track:
 
     Attributes
     ----------
-    track_id : int
+    track_id : within ±`LARGEST_ID`
     frame : (n,) int64, strictly increasing
     t : (n,) seconds, strictly increasing
     position : (n, 2) metres on the ground plane
@@ -98,33 +100,56 @@ class Track:
     label: str = ""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.track_id, int | np.integer) or abs(int(self.track_id)) > LARGEST_ID:
+            raise InputError(f"track_id {self.track_id!r}", f"a whole number within ±{LARGEST_ID}")
         frame = np.asarray(self.frame)
         if frame.ndim != 1 or frame.size == 0 or not np.issubdtype(frame.dtype, np.integer):
             raise InputError(
                 f"frames of shape {frame.shape} and type {frame.dtype}",
                 f"a non-empty one-dimensional integer array for track {self.track_id}",
             )
+        if np.abs(frame).max() > LARGEST_FRAME:
+            raise InputError(
+                f"frame {frame[np.abs(frame).argmax()]} of track {self.track_id}",
+                f"whole numbers within ±{LARGEST_FRAME}",
+            )
         self._set("frame", frame.astype(np.int64))
         for name, tail in _SHAPES.items():
             value = getattr(self, name)
             if value is None:
                 continue
-            value = np.array(value, dtype=float)
-            if value.shape != (len(frame), *tail):
-                raise InputError(f"{name} of shape {value.shape}", f"shape {(len(frame), *tail)}")
-            if np.isinf(value).any():
-                raise InputError(f"an infinite {name}", f"finite values or NaN in track {self.track_id}")
-            if name == "position_std" and np.any(value <= 0.0):
-                raise InputError("a position_std that is not positive", f"metres in track {self.track_id}")
-            if name in ("body_kappa", "head_kappa") and np.any(value < 0.0):
-                raise InputError(f"a negative {name}", f"0 or more in track {self.track_id}")
-            self._set(name, value)
+            self._set(name, self._checked(name, value, (len(frame), *tail)))
         if np.any(np.diff(self.frame) <= 0):
             raise InputError(
                 "frames that do not increase", f"each frame once, in order, in track {self.track_id}"
             )
         if not np.all(np.isfinite(self.t)) or np.any(np.diff(self.t) <= 0):
             raise InputError("times that do not increase", f"strictly increasing t in track {self.track_id}")
+
+    def _checked(self, name: str, given: Any, shape: tuple[int, ...]) -> FloatArray:
+        try:
+            value = np.array(given, dtype=float)
+        except (TypeError, ValueError) as error:
+            found = f"{name} of track {self.track_id} that is no array of numbers ({error})"
+            raise InputError(found, f"shape {shape}") from error
+        if value.shape != shape:
+            what = ": x and y in metres" if name == "position" else ""
+            raise InputError(
+                f"{name} of shape {value.shape} in track {self.track_id}", f"shape {shape}{what}"
+            )
+        place = FIELDS[name].first_outside(value)
+        if place is not None:
+            raise InputError(
+                f"{name} = {value[place]:g} in frame {self.frame[place[0]]} of track {self.track_id}",
+                f"{FIELDS[name].expected}, or NaN where it is missing",
+            )
+        return value
+
+    def __repr__(self) -> str:
+        return line_of_track(self)
+
+    def _repr_html_(self) -> str:
+        return html_of_track(self)
 
     def _set(self, name: str, value: NDArray[Any]) -> None:
         value.setflags(write=False)
@@ -176,7 +201,15 @@ class Track:
         return track
 
     def std(self, name: str) -> FloatArray | None:
-        """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance."""
+        """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance.
+
+        Raises
+        ------
+        InputError
+            For a name that is none of a quantity.
+        """
+        if name not in STATE:
+            raise InputError(f"quantity {name!r}", f"one of {', '.join(STATE)}")
         if self.covariance is None:
             return None
         i = STATE.index(name)
@@ -242,17 +275,31 @@ class TrackSet:
             twice = next(i for i in ids if ids.count(i) > 1)
             raise InputError(f"track {twice} twice", "each track_id once")
 
+    def __repr__(self) -> str:
+        return line_of_tracks(self)
+
+    def _repr_html_(self) -> str:
+        return html_of_tracks(self)
+
     def __iter__(self) -> Iterator[Track]:
         return iter(self.tracks)
 
     def __len__(self) -> int:
         return len(self.tracks)
 
-    def __getitem__(self, track_id: int) -> Track:
+    @overload
+    def __getitem__(self, key: int) -> Track: ...
+    @overload
+    def __getitem__(self, key: slice) -> TrackSet: ...
+    def __getitem__(self, key: int | slice) -> Track | TrackSet:
+        """The track of an id; a slice stands for places: ``tracks[:2]`` are the first two, a set."""
+        if isinstance(key, slice):
+            return self.with_tracks(self.tracks[key])
         for track in self.tracks:
-            if track.track_id == track_id:
+            if track.track_id == key:
                 return track
-        raise KeyError(track_id)
+        known = listed(track.track_id for track in self.tracks)
+        raise UnknownTrackError(f"no track {key!r}", f"one of the ids {known}" if known else "a track")
 
     @property
     def n_frames(self) -> int:
@@ -282,8 +329,10 @@ class TrackSet:
         return to_table(self)
 
     @classmethod
-    def from_table(cls, table: pd.DataFrame, *, fps: float | None = None) -> TrackSet:
-        """Tracks from a table with the columns of the native format.
+    def from_table(cls, table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
+        """Tracks from a table with the columns of the native format: a DataFrame, or name → column.
+
+        Dates and times in ``t`` become seconds since 1970, UTC; the summary's notes say so.
 
         Raises
         ------

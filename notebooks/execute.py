@@ -25,7 +25,16 @@ def execute(path: Path, folder: Path) -> nbformat.NotebookNode:
     client.execute()
     # What differs between machines and says nothing to a reader.
     notebook.metadata.pop("language_info", None)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            cell.outputs = [output for output in cell.outputs if not tells_of_compiling(output)]
     return notebook
+
+
+def tells_of_compiling(output: nbformat.NotebookNode) -> bool:
+    """Whether an output says only what the first run on a machine does."""
+    lines = output.get("text", "").splitlines() if output.get("name") == "stderr" else []
+    return bool(lines) and all(line.startswith(("compiling ", "compiled in ")) for line in lines)
 
 
 def main() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,11 +17,11 @@ from graphtrack.io.table import to_columns
 from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet
 from perception.box_camera import BoxCamera
 from perception.classes import PoseClasses
-from perception.frames import Frame
+from perception.frames import Frame, of_one_size
 from perception.images import Image, crop
 from perception.models import load_head_localiser
 from perception.people import PeopleDetector
-from perception.trackers.tracker import Box, BoxEstimate, Tracker
+from perception.trackers.tracker import Box, BoxEstimate, Tracker, check_box
 
 if TYPE_CHECKING:
     from perception.guidance import GraphGuide
@@ -80,19 +79,15 @@ def check_start(image: Image, box: Box | None) -> None:
     Raises
     ------
     InputError
-        If the image is all of one colour, or the box has no size or its middle outside the image.
+        If the image is all of one colour, or the box is none to begin with.
     """
     if float(image.reshape(-1, 3).astype(np.float32).std(axis=0).max()) < _EVEN:
         raise InputError("no target in the first frame, which is all of one colour", "a frame with a target")
-    if box is None:
-        return
-    left, top, width, height = box
-    h, w = image.shape[:2]
-    said = f"a box {','.join(f'{value:g}' for value in box)}"
-    if not all(map(math.isfinite, box)) or min(width, height) < 1.0:
-        raise InputError(said, "left, top, width and height, at least 1 × 1 pixels")
-    if not (0.0 <= left + width / 2.0 < w and 0.0 <= top + height / 2.0 < h):
-        raise InputError(f"no target in the first frame: {said}", f"one in the image of {w} × {h} pixels")
+    if box is not None:
+        try:
+            check_box(box, image)
+        except InputError as error:
+            raise InputError(f"no target in the first frame: {error.found}", error.expected) from error
 
 
 def follow(
@@ -122,24 +117,17 @@ def follow(
     """
     found: list[Followed] = []
     graph: GraphGuide | None = None
-    size: tuple[int, ...] = ()
-    for frame in frames:
+    for frame in of_one_size(frames):
         advance(1)
         if frame.image is None:
             refuse(frame.reason)
             continue
         if not found:
-            size = frame.image.shape
             check_start(frame.image, None)
             box = start(frame.image)
             check_start(frame.image, box)
             estimate = tracker.start(frame.image, box)
         else:
-            if frame.image.shape != size:
-                h, w = frame.image.shape[:2]
-                raise InputError(
-                    f"frame {frame.number} of {w} × {h} pixels", f"{size[1]} × {size[0]} as the first"
-                )
             t = frame.number / fps
             estimate = tracker.step(frame.image, None if graph is None else graph.predict(t))
         if guide is not None and graph is None and estimate.found:

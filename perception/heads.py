@@ -22,6 +22,8 @@ from perception.storage import ModelCard, load_model, save_model
 
 _HEIGHT = 128
 """Rows to which a person's box is resized."""
+_WIDEST = 4 * _HEIGHT
+"""Columns to which it is resized at most: who is in a box of another shape is squeezed."""
 _HEAD_HEIGHTS = (14.0, 17.0, 20.0, 24.0)
 _ASPECTS = (0.68, 0.85)
 _STEP = 2.5
@@ -205,8 +207,8 @@ def non_maximum_suppression(boxes: FloatArray, scores: FloatArray, overlap: floa
     return kept
 
 
-def select_along_track(candidates: Sequence[HeadCandidates], *, smoothness: float = 2.0) -> FloatArray:
-    """One head box a frame (n, 4) of a track: the path of highest score that moves and grows least.
+def select_along_track(candidates: Sequence[HeadCandidates], *, smoothness: float = 2.0) -> NDArray[np.int64]:
+    """Which candidate (n,) of each frame of a track: the path of highest score that moves and grows least.
 
     Parameters
     ----------
@@ -228,14 +230,14 @@ def select_along_track(candidates: Sequence[HeadCandidates], *, smoothness: floa
     path = [int(best.argmax())]
     for pointers in reversed(back):
         path.append(int(pointers[path[-1]]))
-    return np.array([c.boxes[k] for c, k in zip(candidates, reversed(path), strict=True)])
+    return np.array(path[::-1])
 
 
 def _prepared(image: Image) -> tuple[NDArray[np.float32], tuple[float, float]]:
     """Integral histogram of the resized crop, and the factors of its width and height."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     h, w = grey.shape
-    width = max(16, round(w * _HEIGHT / h))
+    width = min(max(16, round(w * _HEIGHT / h)), _WIDEST)
     method = cv2.INTER_AREA if h > _HEIGHT else cv2.INTER_LINEAR
     resized: Any = cv2.resize(grey, (width, _HEIGHT), interpolation=method)
     return integral_histogram(resized), (width / w, _HEIGHT / h)

@@ -53,20 +53,46 @@ def grey_stack(
     return stack
 
 
+LARGEST_BOX = 3.0
+"""Widths and heights of the image that a box may have: what is larger shows nobody."""
+
+
+def checked_box(box: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """A box (4,), left, top, width, height, that lies at least in part in an image of a shape (h, w, …).
+
+    Raises
+    ------
+    InputError
+        If the box is not finite, has no size, lies outside the image or is more than three times as wide or
+        as high.
+    """
+    left, top, width, height = values = np.asarray(box, float)
+    h, w = shape[:2]
+    said = box_text(values)
+    if not np.isfinite(values).all() or min(width, height) <= 0.0:
+        raise InputError(said, "left, top, width and height above 0")
+    if left >= w or top >= h or left + width <= 0.0 or top + height <= 0.0:
+        raise InputError(said, f"one inside the image of {w} × {h} pixels")
+    if width > LARGEST_BOX * w or height > LARGEST_BOX * h:
+        raise InputError(said, f"one at most {LARGEST_BOX:g} times as large as the image of {w} × {h} pixels")
+    return values
+
+
+def box_text(box: ArrayLike) -> str:
+    """A box as it is given on the command line, for messages."""
+    return f"a box {','.join(f'{value:.7g}' for value in np.asarray(box, float).tolist())}"
+
+
 def crop(image: Image, box: ArrayLike) -> Image:
     """The pixels of a box (left, top, width, height); outside the image its border is repeated.
 
     Raises
     ------
     InputError
-        If the box is not finite, has no size, or lies outside the image.
+        If it is no `checked_box`.
     """
-    left, top, width, height = values = np.asarray(box, float)
+    left, top, width, height = checked_box(box, image.shape)
     h, w = image.shape[:2]
-    if not np.isfinite(values).all() or min(width, height) <= 0.0:
-        raise InputError(f"a box {values.round(1).tolist()}", "left, top, width and height above 0")
-    if left >= w or top >= h or left + width <= 0.0 or top + height <= 0.0:
-        raise InputError(f"a box {values.round(1).tolist()}", f"one inside the image of {w} × {h} pixels")
     columns = np.clip(np.arange(round(left), max(round(left + width), round(left) + 1)), 0, w - 1)
     rows = np.clip(np.arange(round(top), max(round(top + height), round(top) + 1)), 0, h - 1)
     return np.ascontiguousarray(image[np.ix_(rows, columns)])

@@ -3,51 +3,70 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Generic, TextIO, TypeVar
+
+T = TypeVar("T")
 
 
 @dataclass
-class Journal:
+class Journal(Generic[T]):
     """Records of frames: a line with the run's key, then a line for each frame.
 
     Attributes
     ----------
     path : the file
     key : says which run it belongs to; a journal of another run is begun anew
-    frames : the records of every complete frame, as JSON knows them
+    encode, decode : from a record to what JSON knows, and back; ``decode`` raises ``ValueError``,
+        ``TypeError``, ``KeyError`` or ``IndexError`` for what is no record
+    frames : the records of every complete frame
     """
 
     path: Path
     key: str
-    frames: dict[int, list[Any]] = field(default_factory=dict)
+    encode: Callable[[T], Any]
+    decode: Callable[[Any], T]
+    frames: dict[int, list[T]] = field(default_factory=dict)
     _stream: TextIO | None = None
 
     def open(self) -> None:
         """Read what is there, if it belongs to the same run, and go on writing after it."""
-        complete = [json.dumps({"key": self.key})]
-        if self.path.is_file():
-            lines = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
-            if lines[:1] == complete:
-                self._take(lines[1:], complete)
-        self._stream = self.path.open("w", encoding="utf-8")
-        self._stream.write("\n".join(complete) + "\n")
+        first = json.dumps({"key": self.key}) + "\n"
+        data = self.path.read_bytes() if self.path.is_file() else b""
+        length = self._take(data, len(first)) if data.startswith(first.encode()) else 0
+        self._stream = self.path.open("r+" if length else "w", encoding="utf-8", newline="\n")
+        if length:
+            self._stream.seek(length)
+            self._stream.truncate()
+        else:
+            self._stream.write(first)
         self._stream.flush()
 
-    def _take(self, lines: list[str], complete: list[str]) -> None:
-        for line in lines:
+    def _take(self, data: bytes, start: int) -> int:
+        """Take over the records from byte ``start`` on; the place after the last that can be used.
+
+        A line that cannot be used, such as the one in which a run was broken off, ends them.
+        """
+        for line in data[start:].splitlines(keepends=True):
             try:
                 values = json.loads(line)
-                self.frames[int(values["frame"])] = list(values["records"])
-            except (ValueError, KeyError, TypeError):  # the run ended in the middle of this line
-                return
-            complete.append(line)
+                records = [self.decode(record) for record in values["records"]]
+                number = int(values["frame"])
+            except (ValueError, KeyError, TypeError, IndexError):
+                break
+            if not line.endswith(b"\n"):
+                break
+            self.frames[number] = records
+            start += len(line)
+        return start
 
-    def add(self, frame: int, records: list[Any]) -> None:
+    def add(self, frame: int, records: list[T]) -> None:
         """Write a frame down."""
         assert self._stream is not None
-        self._stream.write(json.dumps({"frame": frame, "records": records}) + "\n")
+        found = [self.encode(record) for record in records]
+        self._stream.write(json.dumps({"frame": frame, "records": found}) + "\n")
         self._stream.flush()
         self.frames[frame] = records
 

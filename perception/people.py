@@ -154,9 +154,20 @@ class PeopleTracker:
         """The boxes of all tracks that are long enough, by frame and id; short gaps are filled linearly."""
         found: list[PersonBox] = []
         for track in [*self._ended, *self._alive]:
-            if len(track.boxes) >= self.parameters.births:
+            if len(track.boxes) >= self.least:
                 found += filled(track.boxes)
         return sorted(found, key=lambda item: (item.frame, item.track_id))
+
+    @property
+    def least(self) -> int:
+        """Boxes from which on a track counts."""
+        return self.parameters.births
+
+    @property
+    def passing(self) -> int:
+        """How many boxes are of tracks that do not count."""
+        lengths = [len(track.boxes) for track in [*self._ended, *self._alive]]
+        return sum(length for length in lengths if length < self.least)
 
     def _place(self, box: FloatArray) -> FloatArray:
         left, top, width, height = (float(value) for value in box)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
-from graphtrack.io.cameras import PERSON_HEIGHT
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
+from graphtrack.io.cameras import BEYOND_HORIZON, PERSON_HEIGHT
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, ReadSummary, Track, TrackSet
 from perception.boxes import PersonBox, foot_point
 from perception.classes import PoseClasses
 from perception.classifier import Classifier
 from perception.frames import Frame
 from perception.heads import HeadCandidates, HeadLocaliser, select_along_track
-from perception.images import Image, crop
+from perception.images import Image, checked_box, crop
 from perception.journal import Journal
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
@@ -40,6 +40,7 @@ class Seen:
 
     Attributes
     ----------
+    box : left, top, width, height of the person in pixels
     body : (8,) log likelihoods of the body's classes, image frame
     heads : candidates of the head's box, in the crop of the person
     pan : (candidates, n_pan) log likelihoods of the head's pan for each, image frame
@@ -47,19 +48,22 @@ class Seen:
 
     frame: int
     track_id: int
-    foot: FloatArray
-    height: float
+    box: tuple[float, float, float, float]
     body: FloatArray
     heads: HeadCandidates
     pan: FloatArray
+
+    @property
+    def height(self) -> float:
+        """Of the box, in pixels."""
+        return self.box[3]
 
     def to_record(self) -> dict[str, Any]:
         """As JSON knows it."""
         return {
             "frame": self.frame,
             "track_id": self.track_id,
-            "foot": self.foot.tolist(),
-            "height": self.height,
+            "box": list(self.box),
             "body": self.body.tolist(),
             "boxes": self.heads.boxes.tolist(),
             "scores": self.heads.scores.tolist(),
@@ -68,23 +72,46 @@ class Seen:
 
     @classmethod
     def from_record(cls, values: dict[str, Any]) -> Seen:
-        """The inverse of `to_record`."""
-        heads = HeadCandidates(np.array(values["boxes"]), np.array(values["scores"]))
-        arrays = (np.array(values[name]) for name in ("foot", "body", "pan"))
-        foot, body, pan = arrays
-        return cls(values["frame"], values["track_id"], foot, values["height"], body, heads, pan)
+        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
+        left, top, width, height = (float(value) for value in values["box"])
+        boxes, scores, pan = (np.array(values[name], float) for name in ("boxes", "scores", "pan"))
+        body, n = np.array(values["body"], float), len(scores)
+        if boxes.shape != (n, 4) or pan.shape[:1] != (n,) or pan.ndim != 2 or body.shape != (BODY_CLASSES,):
+            raise ValueError("arrays of other shapes")
+        person = int(values["frame"]), int(values["track_id"])
+        return cls(*person, (left, top, width, height), body, HeadCandidates(boxes, scores), pan)
 
 
 def observe_frame(
     image: Image, frame: int, boxes: Iterable[PersonBox], models: Models, refuse: Callable[[str], None]
 ) -> list[Seen]:
     """What the models say of the people of one frame; ``refuse`` is told of boxes that hold nothing."""
+    seen: list[Seen] = []
     people: list[tuple[PersonBox, Image]] = []
+    for item in _usable(image, frame, boxes, refuse):
+        people.append((item, crop(image, item.box)))
+        # However many people there are, their pictures take no more memory than a few of the whole image.
+        if sum(picture.size for _, picture in people) > image.size:
+            seen += _look(people, models)
+            people = []
+    return seen + _look(people, models)
+
+
+def _usable(
+    image: Image, frame: int, boxes: Iterable[PersonBox], refuse: Callable[[str], None]
+) -> Iterator[PersonBox]:
+    """The boxes that can be cut out of the image of a frame; ``refuse`` is told of the others."""
     for item in boxes:
         try:
-            people.append((item, crop(image, item.box)))
+            checked_box(item.box, image.shape)
         except InputError as error:
             refuse(f"frame {frame}, track {item.track_id}: {error}")
+        else:
+            yield item
+
+
+def _look(people: list[tuple[PersonBox, Image]], models: Models) -> list[Seen]:
+    """What the models say of people and the pictures of their boxes."""
     if not people:
         return []
     body = models.body_pose.log_likelihoods([picture for _, picture in people])
@@ -98,10 +125,7 @@ def observe_frame(
     seen, start = [], 0
     for (item, _), found, of_body in zip(people, candidates, body, strict=True):
         stop = start + len(found.boxes)
-        foot = foot_point(item.box)
-        seen.append(
-            Seen(frame, item.track_id, foot, item.box[3], of_body, found, np.asarray(pan[start:stop]))
-        )
+        seen.append(Seen(item.frame, item.track_id, item.box, of_body, found, np.asarray(pan[start:stop])))
         start = stop
     return seen
 
@@ -119,15 +143,15 @@ def observe(
     frames: Iterable[Frame],
     boxes: Iterable[PersonBox],
     models: Models,
-    journal: Journal,
+    journal: Journal[Seen],
     *,
     refuse: Callable[[str], None],
     advance: Callable[[int], None] = lambda count: None,
 ) -> int:
     """Look at all boxes, frame by frame, into the journal; the number of frames that were looked at.
 
-    Frames that the journal has are passed over. Frames that cannot be decoded, boxes that hold nothing
-    and boxes of frames that do not come are told to ``refuse``.
+    Frames that the journal has are not looked at again. Frames that cannot be decoded, boxes that hold
+    nothing and boxes of frames that do not come are told to ``refuse``.
     """
     by_frame: dict[int, list[PersonBox]] = {}
     for item in boxes:
@@ -136,21 +160,25 @@ def observe(
     for frame in frames:
         advance(1)
         came.add(frame.number)
+        of_frame = by_frame.get(frame.number, [])
         if frame.image is None:
             refuse(frame.reason)
-        elif frame.number not in journal.frames:
-            people = observe_frame(frame.image, frame.number, by_frame.get(frame.number, []), models, refuse)
-            journal.add(frame.number, [person.to_record() for person in people])
+        elif frame.number in journal.frames:
+            list(_usable(frame.image, frame.number, of_frame, refuse))
+        else:
+            journal.add(frame.number, observe_frame(frame.image, frame.number, of_frame, models, refuse))
             count += 1
-    missing = sum(len(items) for number, items in by_frame.items() if number not in came)
+    missing = sorted(set(by_frame) - came)
     if missing:
-        refuse(f"{missing} boxes are of frames that did not come")
+        boxes_missed = sum(len(by_frame[number]) for number in missing)
+        between = f"frames {min(came)} to {max(came)} came" if came else "none came"
+        refuse(f"{boxes_missed} boxes of frames that did not come, such as {missing[0]}: {between}")
     return count
 
 
-def seen_in(journal: Journal) -> list[Seen]:
+def seen_in(journal: Journal[Seen]) -> list[Seen]:
     """Everything that a journal of `observe` has, frame by frame."""
-    return [Seen.from_record(values) for frame in sorted(journal.frames) for values in journal.frames[frame]]
+    return [person for frame in sorted(journal.frames) for person in journal.frames[frame]]
 
 
 def to_tracks(
@@ -158,9 +186,11 @@ def to_tracks(
 ) -> TrackSet:
     """Tracks with positions in metres and class likelihoods in the world frame.
 
+    Who is at or beyond the camera's horizon is left out, and counted by the summary.
+
     Parameters
     ----------
-    seen : of all frames
+    seen : of all frames, each person once a frame
     head_classes : pan classes of ``Seen.pan``
     camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
 
@@ -175,8 +205,8 @@ def to_tracks(
         camera = GroundCamera.from_scale(PERSON_HEIGHT / float(np.median([item.height for item in seen])))
     pans = head_classes.pans
     tracks = []
-    for track_id, items in _by_track(seen):
-        pixel = np.array([item.foot for item in items])
+    for track_id, items in by_track(seen).items():
+        pixel = np.array([foot_point(item.box) for item in items])
         position = camera.image_to_ground(pixel)
         ahead = np.asarray(np.isfinite(position).all(axis=1))  # not beyond the horizon
         items = [item for item, keep in zip(items, ahead.tolist(), strict=True) if keep]
@@ -184,13 +214,7 @@ def to_tracks(
             continue
         pixel, position = pixel[ahead], position[ahead]
         frame = np.array([item.frame for item in items])
-        chosen = select_along_track([_scaled(item) for item in items])
-        head = np.array(
-            [
-                item.pan[int(np.argmin(np.abs(_scaled(item).boxes - box).sum(axis=1)))]
-                for item, box in zip(items, chosen, strict=True)
-            ]
-        )
+        head = np.array([item.pan[k] for item, k in zip(items, chosen_heads(items), strict=True)])
         body = np.array([item.body for item in items])
         tracks.append(
             Track(
@@ -205,20 +229,31 @@ def to_tracks(
         )
     if not tracks:
         raise InputError("people beyond the horizon only", "a homography that fits the pictures")
-    return TrackSet(tuple(tracks), camera)
+    beyond = len(seen) - sum(len(track) for track in tracks)
+    refused = {BEYOND_HORIZON: beyond} if beyond else {}
+    return TrackSet(tuple(tracks), camera, ReadSummary("video", len(seen), refused))
 
 
-def _by_track(seen: list[Seen]) -> Iterator[tuple[int, list[Seen]]]:
-    groups: dict[int, dict[int, Seen]] = {}
-    for item in seen:
-        groups.setdefault(item.track_id, {})[item.frame] = item
-    for track_id in sorted(groups):
-        yield track_id, [groups[track_id][frame] for frame in sorted(groups[track_id])]
+def by_track(seen: Iterable[Seen]) -> dict[int, list[Seen]]:
+    """What was seen of each person, by id and then by frame."""
+    groups: dict[int, list[Seen]] = {}
+    for item in sorted(seen, key=lambda item: (item.track_id, item.frame)):
+        groups.setdefault(item.track_id, []).append(item)
+    return groups
 
 
-def _scaled(item: Seen) -> HeadCandidates:
-    """Candidates relative to the person's height, so that a person who comes nearer does not jump."""
-    return HeadCandidates(item.heads.boxes / item.height, item.heads.scores)
+def chosen_heads(items: Sequence[Seen]) -> NDArray[np.int64]:
+    """Which candidate (n,) is the head of a person in each of the frames (n) of their track."""
+    # Relative to the person's height, so that a person who comes nearer does not jump.
+    return select_along_track(
+        [HeadCandidates(item.heads.boxes / item.height, item.heads.scores) for item in items]
+    )
+
+
+def head_in_image(item: Seen, candidate: int) -> FloatArray:
+    """The box (4,) of a candidate of the head in the image: crops begin at whole pixels."""
+    left, top, _, _ = item.box
+    return item.heads.boxes[candidate] + np.array([round(left), round(top), 0.0, 0.0])
 
 
 def world_likelihood(

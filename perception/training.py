@@ -82,10 +82,12 @@ def train_on_rendered(
     Raises
     ------
     InputError
-        If there is no model of that name.
+        If there is no model of that name, or it cannot be trained here.
     """
     if name not in NAMES:
         raise InputError(f"model {name!r}", f"one of {', '.join(NAMES)}")
+    if name == DeepBelief.kind:
+        DeepBelief.check_trainable()
     count = images or COUNTS[name]
     rng, other = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
     if name == HeadLocaliser.kind:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from graphtrack.model import Model, Parameters, coupling, motion, orientation, pose, position, presets
+from graphtrack.model.parameters import range_of
 from graphtrack.model.steps import chain
 from graphtrack.simulation import simulate
 
@@ -24,7 +25,15 @@ def rows(heading):
     ][1:]
 
 
-def test_every_parameter_stands_there_with_its_default():
+def number(text):
+    """A number as the tables have it, such as 0.15, 10⁻⁵ or π."""
+    power = text.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
+    if power != text:
+        return 10.0 ** float(power.removeprefix("10"))
+    return np.pi if text == "π" else float(text)
+
+
+def test_every_parameter_stands_there_with_its_default_and_range():
     parameters = Parameters()
     groups = [field.name for field in fields(parameters)]
     defaults = {
@@ -32,8 +41,12 @@ def test_every_parameter_stands_there_with_its_default():
         for group in groups
         for field in fields(getattr(parameters, group))
     }
-    told = {name: default for name, _, _, default in rows("Parameters")}
+    told = {name: default for name, _, _, default, _ in rows("Parameters")}
     assert told.keys() == defaults.keys()
+    for name, *_, limits in rows("Parameters"):
+        group, key = name.strip("`").split(".")
+        allowed = range_of(getattr(parameters, group), key)
+        assert [number(cell) for cell in limits.split(" to ") if cell] == pytest.approx(allowed or []), name
     for name, default in defaults.items():
         if isinstance(default, bool | str):
             assert told[name] == str(default).lower(), name

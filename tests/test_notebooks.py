@@ -25,6 +25,21 @@ def test_the_notebooks_are_there():
     assert {"01-smoothing", "02-online"} <= {path.stem for path in NOTEBOOKS}
 
 
+def test_the_first_output_is_the_tracks_in_a_line_and_a_table():
+    cells = code_cells(nbformat.read(FOLDER / "01-smoothing.ipynb", as_version=4))
+    shown = next(output.data for cell in cells for output in cell.outputs if "data" in output)
+    assert shown["text/plain"].startswith("TrackSet(6 tracks, 1440 person-frames, ")
+    assert shown["text/html"].startswith("<table>")
+
+
+def test_what_the_first_run_on_a_machine_says_is_not_stored():
+    tells = runpy.run_path(str(FOLDER / "execute.py"))["tells_of_compiling"]
+    said = "compiling the solver, once on this machine: about 60 s …\ncompiled in 58 s\n"
+    outputs = [("stderr", said), ("stdout", said), ("stderr", "UserWarning\n" + said)]
+    made = [nbformat.v4.new_output("stream", name=name, text=text) for name, text in outputs]
+    assert [tells(output) for output in made] == [True, False, False]
+
+
 @every_notebook
 def test_a_notebook_runs_without_error(path, tmp_path, monkeypatch):
     monkeypatch.setenv("GRAPHTRACK_QUICK", "1")

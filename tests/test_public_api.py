@@ -6,10 +6,11 @@ import sys
 import pytest
 
 import graphtrack as gt
+import graphtrack.io
 from graphtrack.evaluation.compare import compare
 from graphtrack.simulation import simulate
 
-HEAVY = ("gtsam", "matplotlib", "plotly", "pandas", "scipy")
+HEAVY = ("gtsam", "matplotlib", "pandas", "scipy")
 
 
 def modules_after(code, *arguments):
@@ -26,7 +27,8 @@ def modules_after(code, *arguments):
 def test_every_public_name_is_there_and_listed():
     for name in gt.__all__:
         assert getattr(gt, name) is not None, name
-    assert set(gt.__all__) <= set(dir(gt))
+    assert dir(gt) == sorted([*gt.__all__, "__version__"])
+    assert gt.read is graphtrack.io.read and gt.ReadOptions is graphtrack.io.ReadOptions
     assert gt.compare is compare and gt.simulate is simulate
 
 

@@ -1,43 +1,22 @@
-"""What the README shows works: its Python runs, and so does every command line."""
+"""What the README shows works: in an empty folder, line by line, its Python and every command as printed."""
 
-import io
 import re
-import shlex
-import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
+from documents import ROOT, blocks, commands, run
 
 import graphtrack as gt
-from graphtrack.cli import main
-from graphtrack.cli.main import app
+from graphtrack.cli.main import app as graphtrack_app
 from graphtrack.inference.batch import build_graph
 from graphtrack.inference.initial import initial_states
 from graphtrack.model.steps import chain
+from perception.cli.main import app as perception_app
 
-ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README, flags=re.M | re.S)
-
-
-def command_lines():
-    """Every ``graphtrack …`` of the shell blocks, without pipes and comments."""
-    lines = [line for kind, text in BLOCKS if kind == "sh" for line in text.splitlines()]
-    parts = [part.strip() for line in lines for part in line.split("#")[0].split("|")]
-    return [part for part in parts if part.startswith("graphtrack ")]
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    people = gt.simulate("joint", n_tracks=3, n_steps=60, rng=np.random.default_rng(0))
-    gt.write(people, "tracks.csv")
-    table = people.to_table()[["track_id", "frame", "x", "y"]].rename(columns={"x": "u", "y": "v"})
-    table.to_csv("pixels.csv", index=False)
-    Path("plane.txt").write_text("1 0 0\n0 1 0\n0 0 1\n")
-    gt.Model("joint").save("model.toml")
-    return tmp_path
+BLOCKS = blocks("README.md")
+OF_VIDEO = [block for block in BLOCKS if block.heading == "From video"]
+OF_TRACKS = [block for block in BLOCKS if block not in OF_VIDEO]
 
 
 @pytest.fixture(scope="module")
@@ -46,15 +25,13 @@ def names(tmp_path_factory):
     names = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("readme"))
-        for kind, text in BLOCKS:
-            if kind == "python":
-                exec(compile(text, "README.md", "exec"), names)
+        run([block for block in BLOCKS if block.kind == "python"], names, slow=False)
         names["written"] = {path.name for path in Path().iterdir()}
         names["model_file"] = gt.Model.load("model.toml")
     return names
 
 
-def test_the_python_blocks_run_and_do_what_they_say(names, capsys):
+def test_the_python_blocks_run_and_do_what_they_say(names):
     assert names["written"] == {"smoothed.csv", "model.toml"}
     assert names["model_file"].parameters == names["parameters"]
     assert names["solution"].converged
@@ -77,33 +54,36 @@ def test_the_term_of_ones_own_has_factors_of_its_density(names):
     assert graph_cost(with_term) - graph_cost(without) == pytest.approx(density)
 
 
-def is_slow(line):
-    return line.startswith("graphtrack reproduce")
+@pytest.mark.parametrize("slow", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_everything_about_tracks_runs_from_top_to_bottom(tmp_path, monkeypatch, slow):
+    monkeypatch.chdir(tmp_path)
+    written = run(OF_TRACKS, {}, slow=slow)
+    (answer,) = (text for line, text in written.items() if "|" in line)
+    assert answer.count('"status": "new"') == 1
+    assert {"smoothed.csv", "report.html", "scores.json", "learned.toml"} <= {
+        p.name for p in Path().iterdir()
+    }
 
 
-@pytest.mark.parametrize(
-    "line",
-    [pytest.param(line, marks=[pytest.mark.slow] if is_slow(line) else []) for line in command_lines()],
-)
-def test_a_command_line_runs(line, here, monkeypatch, capsys):
-    arguments = shlex.split(line)[1:]
-    if arguments[0] == "demo":
-        arguments += ["--seconds", "12"]
-    if "-" in arguments:
-        rows = [text for kind, block in BLOCKS if kind == "json" for text in block.splitlines()]
-        monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(rows) + "\n"))
-    monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    output = capsys.readouterr()
-    assert ended.value.code == 0, output.err
-    if "-" in arguments:
-        assert output.out.count('"status": "new"') == len(rows) > 0
+def test_everything_from_video_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    run(OF_VIDEO, {}, slow=False)
+    assert "skipped: 0" not in capsys.readouterr().err
+    people, truth = gt.read("observations.csv"), gt.read("clip/truth.csv")
+    assert {track.track_id for track in people} == {track.track_id for track in truth}
+    assert Path("seen.mp4").stat().st_size > 10_000 and Path("mine.npz").exists()
+    (target,) = gt.read("boxes.csv")
+    assert len(target) == 12
 
 
 def test_every_command_is_shown():
-    commands = {command.name for command in app.registered_commands}
-    assert {shlex.split(line)[1] for line in command_lines()} == commands
+    programs = {
+        "graphtrack": (graphtrack_app, ("README.md",)),
+        "perception": (perception_app, ("README.md", "docs/perception.md")),
+    }
+    for name, (app, paths) in programs.items():
+        known = {command.name for command in app.registered_commands}
+        assert {words[0] for words in commands(name, *paths)} == known
 
 
 def test_links_and_pictures_are_there():

@@ -22,8 +22,10 @@ from graphtrack.baselines.particle_kernels import FIRST, POSITION, RECOVERED, ru
 from graphtrack.baselines.particle_recovery import draw_states, recover
 from graphtrack.errors import InputError, InputWarning, SolveError
 from graphtrack.geometry import GroundCamera
+from graphtrack.inference.warm import TRACK
 from graphtrack.model import Model
 from graphtrack.particles import generator
+from graphtrack.readiness import Rehearsal, make_ready
 from graphtrack.tracks import Track
 
 
@@ -116,6 +118,7 @@ def particle_filter(
         needs.
     """
     model, options = Model.named(model), ParticleOptions() if options is None else options
+    make_ready("the particle filter", Rehearsal(_rehearse, {run: 18.0}))
     found = _filter(track, model, camera, options, generator(seed), keep=False)
     return _estimate(track, model, found, found.mean, found.covariance)
 
@@ -135,10 +138,23 @@ def particle_smoother(
     are NaN. Errors are those of `particle_filter`.
     """
     model, options = Model.named(model), ParticleOptions() if options is None else options
+    make_ready("the particle smoother", Rehearsal(_rehearse, {run: 18.0, backward: 4.0, summarise: 1.0}))
     rng = generator(seed)
     found = _filter(track, model, camera, options, rng, keep=True)
-    n = len(track)
-    paths = np.empty((n, options.paths, 6))
+    return _estimate(track, model, found, *_backwards(found, options.paths, rng))
+
+
+def _rehearse() -> None:
+    """Call everything that is compiled, for somebody made up."""
+    options, rng = ParticleOptions(particles=2), generator(0)
+    found = _filter(TRACK, Model("joint"), None, options, rng, keep=True)
+    _backwards(found, 1, rng)
+
+
+def _backwards(found: _Run, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Means (n, 6) and covariances (n, 6, 6) of paths that are drawn backwards."""
+    n = len(found.mean)
+    paths = np.empty((n, count, 6))
     # A step into a frame of recovery has no likely origin; there each part is smoothed by itself.
     edges = [found.start, *found.recovered, n]
     for first, last in itertools.pairwise(edges):
@@ -146,10 +162,10 @@ def particle_smoother(
             rng, first, found.history[:last], found.history_log_weights[:last], found.job.motion, paths[:last]
         )
     mean, covariance = np.full((n, 6), np.nan), np.full((n, 6, 6), np.nan)
-    even = np.full(options.paths, 1.0 / options.paths)
+    even = np.full(count, 1.0 / count)
     for k in range(found.start, n):
         summarise(paths[k], even, found.job.motion, mean[k], covariance[k])
-    return _estimate(track, model, found, mean, covariance)
+    return mean, covariance
 
 
 def _filter(

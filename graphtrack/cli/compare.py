@@ -9,12 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, counted, input_warnings_as_notes, print_table, progress_bar
+from graphtrack.cli.console import console, input_warnings_as_notes, print_table, progress_bar
 from graphtrack.cli.simulate import BodyKappa, HeadKappa, PositionNoise
+from graphtrack.display import counted
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.compare import Comparison
+
+FIGURES = ("errors.png", "nees.png")
+"""What `write_figures` writes."""
 
 
 def compare(
@@ -26,7 +30,15 @@ def compare(
             help="Comma-separated: kf, intentional, particle, rts, ffbs, smoother, chain, isam2, fixed-lag.",
         ),
     ] = "kf,rts,smoother,chain,isam2,fixed-lag",
-    model: options.ModelName = "joint",
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model",
+            help="A preset or a model file (.toml) for all methods; by default the best preset of each: full "
+            "for the graph, joint for GTSAM's engines and particles, and the filters' own.",
+            show_default=False,
+        ),
+    ] = None,
     occlude: Annotated[
         float | None,
         typer.Option("--occlude", help="Seconds around the sharpest turn to withhold and to score."),
@@ -50,8 +62,12 @@ def compare(
     from graphtrack.degrade import add_noise
     from graphtrack.evaluation.compare import compare as compare_methods
     from graphtrack.io import atomic_path
+    from graphtrack.model import presets
 
-    options.check_outputs(json_path)
+    options.check_outputs(
+        {"--json": json_path, "--figures": options.files_in(figures, FIGURES)},
+        options.inputs_of(inputs, model=model),
+    )
     if figures is not None:
         options.make_folder(figures)
     tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
@@ -70,6 +86,8 @@ def compare(
             "a track that one of them can estimate",
         )
     print_comparison(found)
+    if model is not None and model not in presets:
+        console.print(f"  the model is {model}", markup=False)
     print_failures(found)
     if json_path is not None:
         with atomic_path(json_path) as temporary:
@@ -83,9 +101,9 @@ def print_comparison(comparison: Comparison) -> None:
     """The comparison as tables on standard output: medians over the tracks, and the NEES with its band."""
     values = {(row["method"], row["metric"]): row["median"] for row in comparison.rows}
     columns = {row["metric"]: f"{row['metric']}\n({row['unit']})" for row in comparison.rows}
-    groups = {row["method"]: row["group"] for row in comparison.rows}
+    groups, models = {row["method"]: row["group"] for row in comparison.rows}, comparison.models
     errors = [
-        {"method": method, "": group}
+        {"method": method, "": group, "model": models[method]}
         | {heading: values.get((method, metric)) for metric, heading in columns.items()}
         for method, group in groups.items()
     ]
@@ -123,10 +141,10 @@ def write_figures(comparison: Comparison, folder: Path) -> None:
     from graphtrack.report.plots import plot_errors, plot_nees
 
     options.make_folder(folder)
-    made = {"errors.png": plot_errors(comparison.rows)}
+    made = [plot_errors(comparison.rows)]
     if comparison.nees:
-        made["nees.png"] = plot_nees(comparison.nees)
-    for name, figure in made.items():
+        made.append(plot_nees(comparison.nees))
+    for name, figure in zip(FIGURES, made, strict=False):
         with atomic_path(folder / name) as temporary:
             figure.savefig(temporary, format="png", dpi=120)
         console.print(f"wrote {folder / name}", markup=False)

@@ -2,23 +2,54 @@
 
 from __future__ import annotations
 
+import logging
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from graphtrack.display import counted
 from graphtrack.errors import InputWarning
 
 if TYPE_CHECKING:
     from graphtrack.tracks import TrackSet
 
-console = Console(stderr=True, highlight=False, soft_wrap=True)
+_CONTROL = re.compile(r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]|[\x00-\x09\x0b-\x1f\x7f-\x9f]")
+"""Escape sequences such as colours and movements (CSI), and every control character but the line feed."""
+
+
+def printable(text: str, *, one_line: bool = False) -> str:
+    """A text without escape sequences and control characters, and with ? for what is no character.
+
+    Names and labels come from files, and must not steer the terminal that shows them.
+
+    Parameters
+    ----------
+    one_line : whether line feeds become spaces
+    """
+    text = _CONTROL.sub("", text.replace("\t", " ")).encode(errors="replace").decode()
+    return " ".join(text.splitlines()) if one_line else text
+
+
+class PlainConsole(Console):
+    """A console that prints text as it is, without markup and emoji, as far as it is `printable`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **options)
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as `rich.console.Console` does."""
+        super().print(*(printable(o) if isinstance(o, str) else o for o in objects), **options)
+
+
+console = PlainConsole(stderr=True, soft_wrap=True)
 """Messages go to standard error, so that standard output stays free for data."""
 
 BAD_INPUT = 2
@@ -29,7 +60,7 @@ WIDE = 160
 
 def fail(message: str) -> None:
     """Print one line of error and end with status 2."""
-    print(f"error: {message}", file=sys.stderr)
+    print(f"error: {printable(message, one_line=True)}", file=sys.stderr)
     raise SystemExit(BAD_INPUT)
 
 
@@ -48,6 +79,24 @@ def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[
     with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
         task = progress.add_task("", total=total)
         yield lambda count: progress.advance(task, count)
+
+
+class _Printed(logging.Handler):
+    """What the log says, as a message; above a progress bar, where there is one."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        console.print(record.getMessage(), markup=False)
+
+
+@contextmanager
+def printed_log() -> Iterator[None]:
+    """What takes long without a progress bar, such as compiling, is said by the log: print that."""
+    handler, logger = _Printed(), logging.getLogger("graphtrack")
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
 
 
 @contextmanager
@@ -82,8 +131,8 @@ def print_summary(tracks: TrackSet, name: str) -> None:
     """What was read: rows read, used and refused, tracks, and the reader's notes."""
     summary = tracks.summary
     console.print(
-        f"{name}: {summary.format}, rows read {summary.rows_read}, used {summary.rows_used}, "
-        f"refused {summary.rows_refused}; {counted(len(tracks), 'track')}",
+        f"{printable(name, one_line=True)}: {summary.format}, rows read {summary.rows_read}, "
+        f"used {summary.rows_used}, refused {summary.rows_refused}; {counted(len(tracks), 'track')}",
         markup=False,
     )
     for reason, count in summary.refused.items():
@@ -92,25 +141,21 @@ def print_summary(tracks: TrackSet, name: str) -> None:
         console.print(f"  note: {note}", markup=False)
 
 
-def counted(count: int, noun: str) -> str:
-    """A number and its noun, with an s where there are several."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
 def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     """Rows as a table on standard output; the columns are the keys of the first row."""
     if not rows:
         return
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0, show_edge=False)
+    table = Table(title=printable(title), title_justify="left", box=SIMPLE_HEAD, padding=0, show_edge=False)
     for column, first in rows[0].items():
         # Phrases may be folded where the terminal is narrow, numbers and single words never.
         phrases = any(" " in str(row[column]) for row in rows)
-        table.add_column(column, justify="left" if isinstance(first, str) else "right", no_wrap=not phrases)
+        justify: Literal["left", "right"] = "left" if isinstance(first, str) else "right"
+        table.add_column(printable(column), justify=justify, no_wrap=not phrases)
     for row in rows:
         table.add_row(*(_cell(value) for value in row.values()))
-    to = Console(highlight=False)
+    to = PlainConsole()
     if not to.is_terminal:
-        to = Console(highlight=False, width=WIDE)
+        to = PlainConsole(width=WIDE)
     to.print(table)
     to.print()
 
@@ -118,4 +163,4 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 def _cell(value: Any) -> str:
     if value is None or value != value:
         return "–"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return f"{value:.3g}" if isinstance(value, float) else printable(str(value), one_line=True)

@@ -9,7 +9,8 @@ from typing import Any
 
 import typer
 
-from graphtrack.cli.console import BAD_INPUT, console, counted, progress_bar
+from graphtrack.cli.console import BAD_INPUT, console, progress_bar
+from graphtrack.display import counted
 from graphtrack.errors import InputError
 
 LARGE = 512 * 2**20
@@ -57,11 +58,15 @@ def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) 
 
 def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
     """Smooth a data set, and print what became of it; ends with status 2 if a track failed."""
+    from graphtrack.inference.warm import SOLVER, solver_rehearsal
+    from graphtrack.readiness import make_ready
     from graphtrack.scale import open_dataset, smooth_dataset
 
     dataset = open_dataset(path)
     files = "" if len(dataset.files) == 1 else f" in {len(dataset.files)} files"
     console.print(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed", markup=False)
+    if options["cluster"] in (None, "local"):
+        make_ready(SOLVER, solver_rehearsal(options["model"], options["engine"]))
     start = time.perf_counter()
     with progress_bar(dataset.n_rows) as advance:
         outcome = smooth_dataset(dataset, output, progress=advance, **options)

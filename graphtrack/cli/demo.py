@@ -8,8 +8,10 @@ from typing import Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.compare import print_comparison, write_figures
+from graphtrack.cli.compare import FIGURES, print_comparison, write_figures
 from graphtrack.cli.console import console, progress_bar
+
+OBSERVATIONS, ESTIMATES, REPORT, TRACKS = "observations.csv", "estimates.csv", "report.html", "tracks.png"
 
 
 def demo(
@@ -30,14 +32,17 @@ def demo(
     from graphtrack.report.plots import plot_angles, plot_tracks
     from graphtrack.scenario import scenario
 
+    observed = scenario(np.random.default_rng(seed), seconds=seconds)
+    angles = {track.track_id: f"angles-{track.track_id}.png" for track in observed}
+    names = (OBSERVATIONS, ESTIMATES, REPORT, TRACKS, *FIGURES, *angles.values())
+    options.check_outputs({"--out": options.files_in(out, names)}, {"--model": options.model_file(model)})
     chosen = Model.named(model)
     options.make_folder(out)
-    observed = scenario(np.random.default_rng(seed), seconds=seconds)
     console.print(f"{len(observed)} people, {observed.n_frames} person-frames, simulated", markup=False)
-    write(observed, out / "observations.csv")
+    write(observed, out / OBSERVATIONS)
     with progress_bar(observed.n_frames) as advance:
         estimates = smooth(observed, chosen, progress=advance)
-    write(estimates, out / "estimates.csv")
+    write(estimates, out / ESTIMATES)
     # GTSAM's engines do not have the modes of full.
     graphs = ["chain"] if chosen.has_modes else ["chain", "fixed-lag", "isam2"]
     methods = ["kf", *graphs, "rts", "smoother"]
@@ -45,9 +50,9 @@ def demo(
         comparison = compare(observed, methods, model=chosen, progress=advance)
     print_comparison(comparison)
     write_figures(comparison, out)
-    pictures = {"tracks.png": plot_tracks(estimates, observed, title="Smoothed tracks")}
+    pictures = {TRACKS: plot_tracks(estimates, observed, title="Smoothed tracks")}
     for track in estimates:
-        pictures[f"angles-{track.track_id}.png"] = plot_angles(track, observed[track.track_id])
+        pictures[angles[track.track_id]] = plot_angles(track, observed[track.track_id])
     for name, figure in pictures.items():
         with atomic_path(out / name) as temporary:
             figure.savefig(temporary, format="png", dpi=120)
@@ -58,5 +63,5 @@ def demo(
         comparison=comparison.rows,
         consistency=comparison.nees,
     )
-    write_report(out / "report.html", report)
-    console.print(f"the report is {out / 'report.html'}", markup=False)
+    write_report(out / REPORT, report)
+    console.print(f"the report is {out / REPORT}", markup=False)

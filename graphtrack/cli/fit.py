@@ -54,9 +54,17 @@ def fit(
         raise InputError(f"criterion {criterion!r}", "truth, evidence or prediction")
     if output.suffix != ".toml":
         raise InputError(f"output {output.name!r}", "a name that ends in .toml", path=output)
-    options.check_outputs(output, report, json_path)
-    tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
     journal = output.with_name(output.name + ".progress")
+    options.check_outputs(
+        {
+            "--output": output,
+            "the progress file of --output": journal,
+            "--report": report,
+            "--json": json_path,
+        },
+        options.inputs_of(inputs, model=model),
+    )
+    tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
     if journal.is_file():
         console.print(f"  going on from {journal}, if it is of the same data and options", markup=False)
     with console.status("learning") as status:

@@ -6,7 +6,8 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from graphtrack.cli import options
-from graphtrack.cli.console import counted, print_table
+from graphtrack.cli.console import print_table
+from graphtrack.display import counted
 
 if TYPE_CHECKING:
     from graphtrack.tracks import Track
@@ -28,7 +29,10 @@ def info(
     json_path: options.Json = None,
 ) -> None:
     """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows."""
-    options.check_outputs(json_path)
+    options.check_outputs(
+        {"--json": json_path},
+        options.inputs_of(inputs, homography=homography, point_pairs=point_pairs, calibration=calibration),
+    )
     tracks = options.read_tracks(
         inputs,
         format=format,

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from graphtrack.cli import compare, demo, fit, info, reproduce, simulate, smooth, track
-from graphtrack.cli.console import BAD_INPUT, fail
+from graphtrack.cli.console import BAD_INPUT, fail, printed_log
 from graphtrack.errors import GraphtrackError
 
 UsageError: Any = typer.BadParameter.__base__
@@ -70,7 +70,8 @@ def main() -> None:
 def run(program: typer.Typer, name: str) -> None:
     """Run a program's command line: wrong use and bad input end with one line and exit status 2."""
     try:
-        code = program(prog_name=name, standalone_mode=False)
+        with printed_log():
+            code = program(prog_name=name, standalone_mode=False)
         raise SystemExit(code or 0)
     except UsageError as error:
         fail_usage(error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
+    from graphtrack.io.places import Paths
     from graphtrack.tracks import TrackSet
 
 _CAMERA = ("homography", "point_pairs", "calibration", "metres_per_pixel")
@@ -23,7 +25,8 @@ Inputs = Annotated[
     ),
 ]
 Output = Annotated[
-    Path, typer.Option("--output", "-o", help="File to write: .csv, .csv.gz, .parquet or .txt (MOT).")
+    Path,
+    typer.Option("--output", "-o", help="File to write: .csv, .csv.gz, .parquet, .ndjson or .txt (MOT)."),
 ]
 ModelName = Annotated[
     str,
@@ -158,30 +161,61 @@ def read_tracks(
     return tracks
 
 
-def check_outputs(*paths: Path | None, table: Path | None = None) -> None:
-    """Refuse, before any work is done, what could not be written at its end.
+def check_outputs(
+    outputs: Mapping[str, Paths],
+    inputs: Mapping[str, Paths] | None = None,
+    *,
+    folders: Mapping[str, Path | None] | None = None,
+    table: Path | None = None,
+) -> None:
+    """Refuse, before anything is read, what could not be written in the end, or not without a loss.
 
     Parameters
     ----------
-    paths : files to write; None is skipped
-    table : a file with tracks to write, whose format is chosen by its name
+    outputs, inputs, folders : as in `check_distinct`, by the names of their options
+    table : the output that is a file with tracks, whose format is chosen by its name
 
     Raises
     ------
     InputError
-        For a name without a known format, a folder that does not exist, or one where a file should be.
+        For a name without a known format, a folder that does not exist or that stands where a file should
+        be, and for outputs that are one file with each other or with an input.
     """
+    from graphtrack.io.places import check_distinct
+
     if table is not None:
         from graphtrack.io.registry import format_for_writing
 
         format_for_writing(table)
-    for path in (table, *paths):
-        if path is None:
-            continue
-        if path.is_dir():
-            raise InputError("a folder", "the path of a file to write", path=path)
-        if not path.absolute().parent.is_dir():
-            raise InputError(f"no folder {path.parent}", "a folder that exists", path=path)
+    check_distinct(outputs, inputs or {}, folders=folders)
+
+
+def inputs_of(paths: Iterable[Path], *, model: str | None = None, **files: Path | None) -> dict[str, Paths]:
+    """What a command reads, by the names of its options, for `check_outputs`.
+
+    Parameters
+    ----------
+    paths : files with tracks, or folders of them
+    model : a preset's name, or a model file
+    files : keyword of an option → the file that it names
+    """
+    from graphtrack.io.registry import files_beside
+
+    paths = list(paths)
+    named: dict[str, Paths] = {"the input": paths, "--model": model_file(model)}
+    named |= {f"--{keyword.replace('_', '-')}": path for keyword, path in files.items()}
+    named["a file beside the input"] = [place for path in paths for place in files_beside(path)]
+    return named
+
+
+def model_file(model: str | None) -> Path | None:
+    """The file that ``--model`` names, if it is not a preset."""
+    return Path(model) if model is not None and model.endswith(".toml") else None
+
+
+def files_in(folder: Path | None, names: Iterable[str]) -> list[Path]:
+    """The files of those names in a folder; none where it is still to be made."""
+    return [folder / name for name in names] if folder is not None and folder.is_dir() else []
 
 
 def make_folder(path: Path) -> None:

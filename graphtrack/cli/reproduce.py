@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 BESIDE = Path("..") / "shared" / "data"
 """Where recordings are looked for when nobody says where they are."""
 
+RECORDINGS = ("mocap", "salsa", "caviar")
+"""The folders of recordings that the experiments read."""
+
 
 def reproduce(
     name: Annotated[
@@ -50,14 +53,23 @@ def reproduce(
         raise InputError(f"experiment {name!r}", f"one of {', '.join(experiments)}, or all")
     if data is not None and not data.is_dir():
         raise InputError("no such folder", "a folder of recordings", path=data)
-    options.check_outputs(json_path)
-    options.make_folder(out)
     folder = data if data is not None else BESIDE if BESIDE.is_dir() else None
+    chosen = experiments if name == "all" else {name: experiments[name]}
+    options.check_outputs(
+        {
+            "--json": json_path,
+            "--out": options.files_in(
+                out, (f"{one}.{ending}" for one in chosen for ending in ("png", "json"))
+            ),
+        },
+        {"--data": [] if folder is None else [folder / kind for kind in RECORDINGS]},
+    )
+    options.make_folder(out)
     if folder is None:
         console.print("no recordings: simulated people only; --data names a folder of them", markup=False)
     settings = Settings(quick=quick, seed=seed, data=folder)
     tables = []
-    for experiment in experiments.values() if name == "all" else [experiments[name]]:
+    for experiment in chosen.values():
         console.print(f"{experiment.name}: {experiment.source}", markup=False)
         with input_warnings_as_notes(), progress_bar(experiment.work(settings), "parts") as advance:
             found = experiment.run(settings, advance)

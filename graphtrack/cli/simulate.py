@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console, counted
+from graphtrack.cli.console import console
+from graphtrack.display import counted
 from graphtrack.errors import InputError
 
 PositionNoise = Annotated[
@@ -23,7 +24,14 @@ HeadKappa = Annotated[
 
 def simulate(
     output: options.Output,
-    model: options.ModelName = "joint",
+    model: Annotated[
+        str,
+        typer.Option(
+            "--model",
+            help="A preset or a model file (.toml). Of full the modes are not simulated: everybody faces "
+            "where they go.",
+        ),
+    ] = "joint",
     tracks: Annotated[int, typer.Option("--tracks", min=1, help="People.")] = 10,
     steps: Annotated[int, typer.Option("--steps", min=1, help="Frames of each.")] = 200,
     fps: Annotated[float, typer.Option("--fps", help="Frames a second.")] = 10.0,
@@ -43,15 +51,18 @@ def simulate(
     from graphtrack.scenario import scenario as scripted
     from graphtrack.simulation import simulate as sample
 
-    options.check_outputs(table=output)
+    options.check_outputs({"--output": output}, {"--model": options.model_file(model)}, table=output)
     rng = np.random.default_rng(seed)
     if scenario:
-        found = scripted(rng, fps=fps, seconds=steps / fps)
+        what, found = "the demo's people", scripted(rng, fps=fps, seconds=steps / fps)
     else:
-        found = sample(Model.named(model), n_tracks=tracks, n_steps=steps, fps=fps, missing=missing, rng=rng)
+        chosen = Model.named(model)
+        what = f"model {model}" + (", without its modes" if chosen.has_modes else "")
+        found = sample(chosen, n_tracks=tracks, n_steps=steps, fps=fps, missing=missing, rng=rng)
     write(found, output)
     console.print(
-        f"wrote {output}: {counted(len(found), 'track')}, {found.n_frames} person-frames", markup=False
+        f"wrote {output}: {counted(len(found), 'track')}, {found.n_frames} person-frames; {what}",
+        markup=False,
     )
 
 
@@ -74,7 +85,7 @@ def add_noise(
 
     if position_noise is None and body_kappa is None and head_kappa is None:
         raise InputError("no noise", "at least one of --position-noise, --body-kappa, --head-kappa")
-    options.check_outputs(table=output)
+    options.check_outputs({"--output": output}, options.inputs_of(inputs), table=output)
     tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
     found = noisy(
         tracks,

@@ -74,13 +74,25 @@ def smooth(
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
     from graphtrack.inference import Failure, Solution, solve
     from graphtrack.inference.offline import engine_of
+    from graphtrack.inference.warm import SOLVER, solver_rehearsal
     from graphtrack.io import write
     from graphtrack.io.options import ReadOptions
     from graphtrack.model import Model
+    from graphtrack.readiness import make_ready
 
+    options.check_outputs(
+        {"--output": output, "--report": report},
+        options.inputs_of(
+            inputs,
+            model=model,
+            homography=homography,
+            point_pairs=point_pairs,
+            calibration=calibration,
+        ),
+        table=output,
+    )
     chosen = Model.named(model, engine)
     solver = engine_of(chosen, engine)  # type: ignore[arg-type]
-    options.check_outputs(report, table=output)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--class": classes, "--image-scale": image_scale}
         unused["--format"] = format not in (None, "parquet")
@@ -118,6 +130,7 @@ def smooth(
         metres_per_pixel=metres_per_pixel,
         image_scale=image_scale,
     )
+    make_ready(SOLVER, solver_rehearsal(chosen, solver, tracks.camera))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
         found = solve(tracks, chosen, engine=solver, jobs=jobs, progress=advance)

@@ -2,163 +2,137 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from graphtrack.angles import wrap
 from graphtrack.errors import InputError
-from graphtrack.inference.incremental import Engine, Estimate, OnlineSmoother
-from graphtrack.io.atomic import atomic_path
-from graphtrack.model import Model, Observation
+from graphtrack.inference.incremental import Estimate, OnlineSmoother
+from graphtrack.io import schema
+from graphtrack.io.ndjson import Pairs, identity, parse_line, read_cells
+from graphtrack.model import Observation
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, STATE
 
+LONGEST_LINE = 1 << 20
+"""Bytes of a line; longer ones are refused."""
+
 _CLASSES = {"body": BODY_CLASSES, "head": HEAD_CLASSES}
+_ANSWER = tuple(f"{name}_deg" if name in _CLASSES else name for name in STATE)
+_SPREAD = tuple(f"{name}_std_deg" if name in _CLASSES else f"{name}_std" for name in STATE)
+_NAMED = 100
+"""Unknown keys that are told before it is enough."""
 
 
 class People:
-    """An online smoother for each person, made when the person first appears."""
+    """An online smoother for each person, made when the person first appears.
 
-    def __init__(self, make: Callable[[], OnlineSmoother], fps: float | None) -> None:
-        self._make, self._fps = make, fps
-        self._smoothers: dict[int, OnlineSmoother] = {}
-        self.rows = 0
+    Parameters
+    ----------
+    make : a new smoother
+    fps : frames a second, for rows without a time
+    note : is told of each unknown key, once
 
-    def answer(self, line: str) -> dict[str, Any]:
-        """The estimate after one line of input, or what is wrong with the line under ``error``."""
-        self.rows += 1
+    Attributes
+    ----------
+    smoothers : track id → smoother
+    rows, line : rows answered, and the line of the last of them, from 1
+    before_change : is called with a track id before its smoother takes something in
+    """
+
+    def __init__(
+        self, make: Callable[[], OnlineSmoother], fps: float | None, note: Callable[[str], None] = print
+    ) -> None:
+        self._make, self._fps, self._note = make, fps, note
+        self._unknown: set[str] = set()
+        self.smoothers: dict[int, OnlineSmoother] = {}
+        self.rows = self.line = 0
+        self.before_change: Callable[[int], None] = lambda track_id: None
+
+    def answer(self, number: int, line: bytes) -> dict[str, Any]:
+        """The estimate after a line of input, or what is wrong with it under ``error``."""
+        self.rows, self.line = self.rows + 1, number
+        pairs: Pairs = ()
         try:
-            track_id, observation = parse_row(line, self._fps)
-            smoother = self._smoothers.get(track_id)
-            if smoother is None:
-                smoother = self._make()
+            pairs = parse_line(_text(line))
+            self._tell_unknown(pairs)
+            cells = read_cells(pairs)
+            observation = observation_of(cells, self._fps)
+            track_id = cells["track_id"]
+            smoother = self.smoothers.get(track_id) or self._make()
+            self.before_change(track_id)
             estimate = smoother.update(observation)
-            self._smoothers[track_id] = smoother
+            self.smoothers[track_id] = smoother
         except InputError as error:
-            where = InputError(
-                error.found, error.expected, path=error.path, line=self.rows, column=error.column
-            )
-            return {"error": str(where)}
+            told = InputError(error.found, error.expected, line=number, column=error.column)
+            return {**identity(pairs), "line": number, "error": str(told)}
         return estimate_row(track_id, estimate)
 
-    def save(self, path: Path, settings: dict[str, Any]) -> None:
-        """Write the state of all people, whole or not at all."""
-        people = {str(track_id): smoother.state() for track_id, smoother in self._smoothers.items()}
-        with atomic_path(path) as temporary:
-            content = {"settings": settings, "rows": self.rows, "people": people}
-            temporary.write_text(json.dumps(content), encoding="utf-8")
-
-    def load(self, path: Path, settings: dict[str, Any], restore: Callable[[Any], OnlineSmoother]) -> None:
-        """Go on from a saved state.
-
-        Raises
-        ------
-        InputError
-            If the file is no state, or one of other settings.
-        """
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            saved, rows, people = content["settings"], int(content["rows"]), dict(content["people"])
-        except OSError as error:
-            raise InputError(error.strerror or str(error), "a readable state file", path=path) from error
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(
-                "no saved state", "a file that 'graphtrack track --state' wrote", path=path
-            ) from error
-        if saved != settings:
-            differing = sorted(k for k in settings if saved.get(k) != settings[k])
-            raise InputError(f"a state with other {', '.join(differing)}", "the same options", path=path)
-        self.rows = rows
-        self._smoothers = {int(track_id): restore(state) for track_id, state in people.items()}
+    def _tell_unknown(self, pairs: Pairs) -> None:
+        for name in schema.unknown(name for name, _ in pairs):
+            if name not in self._unknown and len(self._unknown) < _NAMED:
+                self._unknown.add(name)
+                more = "; no further ones will be told" if len(self._unknown) == _NAMED else ""
+                self._note(f"ignored key {name[:100]!r}{more}")
 
 
-def settings_of(model: Model, engine: Engine, lag: float) -> dict[str, Any]:
-    """What a saved state depends on."""
-    return {"model": json.loads(json.dumps(model.to_dict())), "engine": engine, "lag": lag}
-
-
-def parse_row(line: str, fps: float | None = None) -> tuple[int, Observation]:
-    """A line of NDJSON with the columns of the native table → track id and observation.
+def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
+    """What a row says that was seen; angles in radians.
 
     Raises
     ------
     InputError
-        Naming the column.
+        Without a time.
     """
-    try:
-        row = json.loads(line, parse_constant=lambda name: math.nan)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"no JSON ({line.strip()[:40]!r})", "one JSON object a line") from error
-    if not isinstance(row, dict):
-        raise InputError(f"{line.strip()[:40]!r}", "one JSON object a line")
-    track_id, frame = _integer(row, "track_id"), _integer(row, "frame")
-    t = _number(row, "t")
+    t = cells.get("t")
     if t is None:
         if fps is None:
             raise InputError("no t", "seconds, or a frame rate (--fps)", column="t")
-        t = frame / fps
+        t = cells["frame"] / fps
     channels: dict[str, Any] = {
-        "position": _pair(row, "x", "y"),
-        "position_std": _number(row, "pos_std"),
-        "pixel": _pair(row, "u", "v"),
+        "position": _pair(cells, "x", "y"),
+        "position_std": cells.get("pos_std"),
+        "pixel": _pair(cells, "u", "v"),
     }
     for name, n_classes in _CLASSES.items():
-        degrees = _number(row, f"{name}_deg")
-        channels[name] = None if degrees is None else math.radians(degrees)
-        channels[f"{name}_kappa"] = _number(row, f"{name}_kappa")
-        scores = [_number(row, f"{name}_p{k}") for k in range(n_classes)]
-        known = [score for score in scores if score is not None]
-        if known and len(known) != n_classes:
-            raise InputError(f"{len(known)} of {n_classes} likelihoods", "all or none", column=f"{name}_p*")
-        channels[f"{name}_likelihood"] = tuple(known) if known else None
-    return track_id, Observation(t=t, frame=frame, **channels)
+        degrees = cells.get(f"{name}_deg")
+        channels[name] = None if degrees is None else _angle(degrees)
+        channels[f"{name}_kappa"] = cells.get(f"{name}_kappa")
+        if f"{name}_p0" in cells:
+            channels[f"{name}_likelihood"] = tuple(cells[f"{name}_p{k}"] for k in range(n_classes))
+    return Observation(t=t, frame=cells["frame"], **channels)
 
 
-def _number(row: dict[str, Any], column: str) -> float | None:
-    value = row.get(column)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e15:
-        raise InputError(repr(value)[:40], "a finite number", column=column)
-    return float(value)
+def _angle(degrees: float) -> float:
+    angle = math.radians(degrees)
+    return angle if -math.pi < angle <= math.pi else float(wrap(angle))
 
 
-def _integer(row: dict[str, Any], column: str) -> int:
-    value = _number(row, column)
-    if value is None or value != int(value):
-        raise InputError("nothing" if value is None else f"{value:g}", "an integer", column=column)
-    return int(value)
+def _pair(cells: dict[str, Any], first: str, second: str) -> tuple[float, float] | None:
+    return (cells[first], cells[second]) if first in cells else None
 
 
-def _pair(row: dict[str, Any], first: str, second: str) -> tuple[float, float] | None:
-    a, b = _number(row, first), _number(row, second)
-    if a is None and b is None:
-        return None
-    if a is None or b is None:
-        raise InputError(
-            "one coordinate", f"both {first} and {second}", column=first if a is None else second
-        )
-    return a, b
+def _text(line: bytes) -> str:
+    if len(line) > LONGEST_LINE:
+        raise InputError(f"more than {LONGEST_LINE} bytes", "a shorter line")
+    try:
+        return line.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"the byte 0x{line[error.start]:02x}", "UTF-8 text") from error
 
 
 def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     """An estimate with the columns of the native table; null where nothing is known."""
-    std = np.sqrt(np.diagonal(estimate.covariance))
+    std = np.sqrt(np.diagonal(estimate.covariance)).tolist()
+    position, velocity = estimate.position.tolist(), estimate.velocity.tolist()
     row: dict[str, Any] = {"track_id": track_id, "frame": estimate.frame, "t": estimate.t}
-    values = [
-        *estimate.position,
-        *estimate.velocity,
-        math.degrees(estimate.body),
-        math.degrees(estimate.head),
-    ]
-    names = ["body_deg" if n == "body" else "head_deg" if n == "head" else n for n in STATE]
-    row |= {name: _null(value) for name, value in zip(names, values, strict=True)}
-    for name, value in zip(STATE, std, strict=True):
-        angle = name in _CLASSES
-        row[f"{name}_std_deg" if angle else f"{name}_std"] = _null(math.degrees(value) if angle else value)
+    values = (*position, *velocity, math.degrees(estimate.body), math.degrees(estimate.head))
+    for name, value in zip(_ANSWER, values, strict=True):
+        row[name] = _null(value)
+    for name, value in zip(_SPREAD, std, strict=True):
+        row[name] = _null(math.degrees(value) if name.endswith("_deg") else value)
     if math.isfinite(estimate.aligned_p):
         row["aligned_p"] = estimate.aligned_p
         row["gait_offset_deg"] = math.degrees(estimate.gait_offset)
@@ -169,4 +143,4 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
 
 
 def _null(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return value if math.isfinite(value) else None

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
 from graphtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from graphtrack.model import Model
 
 
 def track(
@@ -25,7 +26,7 @@ def track(
         typer.Option(
             "--output",
             "-o",
-            help="File to write: .csv, .csv.gz, .parquet or .txt (MOT); with -, rows go to standard output.",
+            help="File to write: .csv, .csv.gz, .parquet, .ndjson or .txt (MOT); with -, none.",
         ),
     ] = None,
     model: options.BestModelName = None,
@@ -51,19 +52,45 @@ def track(
     format: options.Format = None,
     select: options.Select = None,
     state: Annotated[
-        Path | None, typer.Option("--state", help="With -: keep the state in this file, and go on from it.")
+        Path | None,
+        typer.Option(
+            "--state",
+            help="With -: keep in this file what going on takes, and go on from it. A row is in it before it "
+            "is answered.",
+            dir_okay=False,
+        ),
     ] = None,
     save_every: Annotated[
-        int, typer.Option("--save-every", min=1, help="Rows between savings of --state.")
-    ] = 1,
+        float,
+        typer.Option(
+            "--save-every",
+            metavar="SECONDS",
+            min=0.1,
+            max=86400.0,
+            help="Seconds between flushings of --state to the disk: what is lost if the power fails. A kill "
+            "loses nothing.",
+        ),
+    ] = 10.0,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone."""
-    from graphtrack.inference.incremental import OnlineSmoother, track_online
+    from graphtrack.inference.incremental import OnlineSmoother, check_lag, online_engine, track_online
     from graphtrack.io import write
     from graphtrack.model import Model
 
+    options.check_outputs(
+        {"--output": output, "--state": state},
+        options.inputs_of(
+            [] if input == "-" else [Path(input)],
+            model=model,
+            homography=homography,
+            point_pairs=point_pairs,
+            calibration=calibration,
+        ),
+        table=output,
+    )
     chosen = Model.named(model, engine)
-    OnlineSmoother(chosen, engine=engine, lag=lag)  # type: ignore[arg-type]  # refuses a bad engine or lag
+    online_engine(chosen, engine)  # type: ignore[arg-type]
+    check_lag(lag)
     if input == "-":
         _refuse_with_stream(
             output=output,
@@ -76,13 +103,12 @@ def track(
             select=select,
             **{"class": classes},
         )
-        _stream(chosen, engine, lag, fps, homography, state, save_every)
+        _track_stream(chosen, engine, lag, fps, homography, state, save_every)
         return
     if output is None:
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
         raise InputError("--state with a file", "- as the input: only a stream can be gone on with")
-    options.check_outputs(table=output)
     tracks = options.read_tracks(
         [Path(input)],
         format=format,
@@ -97,11 +123,12 @@ def track(
         metres_per_pixel=metres_per_pixel,
         image_scale=image_scale,
     )
+    OnlineSmoother(chosen, engine=engine, lag=lag)  # type: ignore[arg-type]  # the first one compiles
     start = time.perf_counter()
     found, unseen = [], []
     with progress_bar(tracks.n_frames) as advance:
         for one in tracks:
-            estimate = track_online(one, chosen, engine=engine, lag=lag, camera=tracks.camera)  # type: ignore[arg-type]
+            estimate = track_online(one, chosen, engine=engine, lag=lag, camera=tracks.camera)  # type: ignore[call-overload]
             advance(len(one))
             known = [k for k in range(len(one)) if estimate.position[k, 0] == estimate.position[k, 0]]
             if known:
@@ -132,39 +159,30 @@ def _refuse_with_stream(**given: object) -> None:
         raise InputError(f"{', '.join(names)} with -", "these options with a file only")
 
 
-def _stream(
-    model: object,
+def _track_stream(
+    model: Model,
     engine: str,
     lag: float,
     fps: float | None,
     homography: Path | None,
     state: Path | None,
-    save_every: int,
+    save_every: float,
 ) -> None:
-    from graphtrack.cli.stream import People, settings_of
+    from graphtrack.cli.live import track_stream
     from graphtrack.geometry import GroundCamera
-    from graphtrack.inference.incremental import OnlineSmoother
     from graphtrack.io.cameras import read_homography
+    from graphtrack.io.options import ReadOptions
 
-    camera = None if homography is None else GroundCamera.from_homography(read_homography(homography))
-    made = {"engine": engine, "lag": lag, "camera": camera}
-    people = People(lambda: OnlineSmoother(model, **made), fps)  # type: ignore[arg-type]
-    settings = settings_of(model, engine, lag)  # type: ignore[arg-type]
-    if state is not None and state.exists():
-        people.load(state, settings, lambda saved: OnlineSmoother.from_state(saved, model, **made))  # type: ignore[arg-type]
-        console.print(f"going on from {state}, after {people.rows} rows", markup=False)
-    wrong = 0
-    for line in sys.stdin:
-        if not line.strip():
-            continue
-        answer = people.answer(line)
-        wrong += "error" in answer
-        if state is not None and people.rows % save_every == 0:
-            # Saved before the answer is given: who has read an answer can rely on going on after it.
-            people.save(state, settings)
-        print(json.dumps(answer), flush=True)
-    if state is not None:
-        people.save(state, settings)
+    ReadOptions(fps=fps)  # refuses a bad rate
+    rows, wrong = track_stream(
+        model,
+        engine=engine,  # type: ignore[arg-type]
+        lag=lag,
+        fps=fps,
+        camera=None if homography is None else GroundCamera.from_homography(read_homography(homography)),
+        state=state,
+        save_every=save_every,
+    )
     if wrong:
-        console.print(f"error: {wrong} of {people.rows} rows could not be used", markup=False)
+        console.print(f"error: {wrong} of {rows} rows could not be used", markup=False)
         raise typer.Exit(BAD_INPUT)

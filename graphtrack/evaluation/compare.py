@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from graphtrack.degrade import Occlusion, occlude
+from graphtrack.display import counted, html_table, listed
 from graphtrack.errors import InputError
 from graphtrack.evaluation.methods import Method, make_method
 from graphtrack.evaluation.metrics import BoolArray, consistency
 from graphtrack.evaluation.scoring import METRICS, QUANTITIES, TrackScore, score
 from graphtrack.geometry import GroundCamera
+from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.given import Given
 
 METHODS = ("kf", "rts", "smoother", "chain", "isam2", "fixed-lag")
 
@@ -32,12 +38,13 @@ class Comparison:
     Attributes
     ----------
     rows : one a method and metric, online methods first: ``method``, ``group`` ("online" or "offline"),
-        ``metric``, ``unit``, ``median`` over the tracks, ``low`` and ``high`` (16th and 84th percentile),
-        ``mean``, ``n`` (tracks)
+        ``model`` (its preset), ``metric``, ``unit``, ``median`` over the tracks, ``low`` and ``high`` (16th
+        and 84th percentile), ``mean``, ``n`` (tracks)
     nees : one a method and quantity: ``method``, ``group``, ``quantity``, ``nees``, ``dof``, ``count``
         (tracks), ``low`` and ``high`` (95 % band), ``inside``
     per_track : every method on every track
     information : method → what it used, in words
+    models : method → preset of its model; "" where a method of your own has none
     caption : how to read the tables
     occlude_seconds : length of the withheld windows; None: nothing was withheld
     left_out : track_id → why the track was not compared at all
@@ -47,9 +54,25 @@ class Comparison:
     nees: tuple[Mapping[str, Any], ...]
     per_track: tuple[TrackScore, ...]
     information: Mapping[str, str]
+    models: Mapping[str, str]
     caption: str
     occlude_seconds: float | None = None
     left_out: Mapping[int, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        tracks = len({record.track_id for record in self.per_track})
+        parts = [counted(tracks, "track"), f"{len(self.failures)} failed", f"{len(self.left_out)} left out"]
+        return f"Comparison({listed(self.information)}; {', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        metrics = {row["metric"]: f"{row['metric']} ({row['unit']})" for row in self.rows}
+        medians = {(row["method"], row["metric"]): f"{row['median']:.3g}" for row in self.rows}
+        groups = {row["method"]: row["group"] for row in self.rows}
+        rows = [
+            (name, group, *(medians.get((name, metric), "–") for metric in metrics))
+            for name, group in groups.items()
+        ]
+        return html_table(f"Medians: {self!r}", ("method", "", *metrics.values()), rows)
 
     @property
     def failures(self) -> tuple[TrackScore, ...]:
@@ -65,6 +88,7 @@ class Comparison:
         return {
             "caption": self.caption,
             "information": dict(self.information),
+            "models": dict(self.models),
             "occlude_seconds": self.occlude_seconds,
             "rows": [dict(row) for row in self.rows],
             "nees": [dict(row) for row in self.nees],
@@ -74,9 +98,9 @@ class Comparison:
 
 
 def compare(
-    tracks: TrackSet,
+    tracks: Given,
     methods: Sequence[str | Method] = METHODS,
-    model: Model | str | Path = "joint",
+    model: Model | str | Path | None = None,
     *,
     occlude_seconds: float | None = None,
     jobs: int = 1,
@@ -90,9 +114,11 @@ def compare(
 
     Parameters
     ----------
-    tracks : observations, with ``true_position`` and, for angular errors, ``true_body`` and ``true_head``
+    tracks : observations, in any form that `solve` takes, with ``true_position`` and, for angular errors,
+        ``true_body`` and ``true_head``
     methods : names in `graphtrack.evaluation.methods.registry`, or methods of your own
-    model : a `Model`, a preset's name or a model file
+    model : a `Model`, a preset's name or a model file, for all methods; by default each has the best preset
+        that it can, and the rows and the caption say which. Then methods differ by their models, too.
     occlude_seconds : withhold position and body for so long around everybody's sharpest turn, and judge only
         there
     jobs : processes; more than one disturbs the measured time a step
@@ -104,8 +130,8 @@ def compare(
         If no track has a true position, none of those an observed one, no track has room for the window, or
         a method is unknown or named twice.
     """
-    model = Model.named(model)
-    made = _make(methods, model)
+    model = None if model is None else Model.named(model)
+    made, tracks = _make(methods, model), tracks_of(tracks)
     with_truth = [track for track in tracks if track.has_truth]
     if not with_truth:
         raise InputError(
@@ -125,6 +151,7 @@ def compare(
         judged, windows = hidden.tracks, dict(hidden.windows)
         left_out |= hidden.left_out
         _require_room(hidden, occlude_seconds)
+    _rehearse(made, judged.tracks[0], tracks.camera)
     run = partial(_score_all, methods=made, camera=tracks.camera)
     masks = [windows.get(track.track_id) for track in judged]
     records: list[TrackScore] = []
@@ -138,6 +165,7 @@ def compare(
         nees=tuple(_nees(made, pooled)),
         per_track=tuple(records),
         information={method.name: method.information for method in made},
+        models={method.name: _preset(method) for method in made},
         caption=_caption(made, records, pooled, occlude_seconds, left_out),
         occlude_seconds=occlude_seconds,
         left_out=left_out,
@@ -154,7 +182,7 @@ def common_tracks(records: Sequence[TrackScore]) -> list[TrackScore]:
     return [record for record in records if not record.failure and record.track_id in common]
 
 
-def _make(methods: Sequence[str | Method], model: Model) -> tuple[Method, ...]:
+def _make(methods: Sequence[str | Method], model: Model | None) -> tuple[Method, ...]:
     made = tuple(make_method(method, model) for method in methods)
     names = [method.name for method in made]
     if not names:
@@ -190,10 +218,23 @@ def _run(
         yield from pool.map(run, tracks, masks, chunksize=max(1, len(tracks) // (8 * jobs)))
 
 
+def _rehearse(methods: Sequence[Method], track: Track, camera: GroundCamera | None) -> None:
+    """Run every method on a few frames, so that what is compiled or loaded first counts as nobody's time."""
+    begin = int(np.argmax(np.isfinite(track.position).all(axis=1)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        _score_all(track[begin : begin + 3], None, methods, camera)
+
+
 def _score_all(
     track: Track, window: BoolArray | None, methods: Sequence[Method], camera: GroundCamera | None
 ) -> list[TrackScore]:
     return [score(method, track, camera, window) for method in methods]
+
+
+def _preset(method: Method) -> str:
+    model = getattr(method, "model", None)
+    return model.preset if isinstance(model, Model) else ""
 
 
 def _group(method: Method) -> Group:
@@ -211,6 +252,7 @@ def _rows(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[
             yield {
                 "method": method.name,
                 "group": _group(method),
+                "model": _preset(method),
                 "metric": metric,
                 "unit": unit,
                 "median": median,
@@ -240,7 +282,7 @@ def _caption(
     left_out: Mapping[int, str],
 ) -> str:
     n = len({record.track_id for record in pooled})
-    parts = [f"Median over {_tracks(n)}, with the 16th and 84th percentile."]
+    parts = [f"Median over {counted(n, 'track')}, with the 16th and 84th percentile."]
     if occlude_seconds is not None:
         parts.append(
             f"Position and body were withheld for {occlude_seconds:g} s around everybody's sharpest turn, "
@@ -256,6 +298,7 @@ def _caption(
         parts.append(f"Offline, from the whole track: {used['offline']}.")
     if used["online"] and used["offline"]:
         parts.append("Compare online methods with online ones and offline with offline.")
+    parts += _models_in_words(methods)
     failed = sum(bool(record.failure) for record in records)
     if failed:
         parts.append(
@@ -263,9 +306,18 @@ def _caption(
         )
     if left_out:
         verb = "is" if len(left_out) == 1 else "are"
-        parts.append(f"{_tracks(len(left_out))} could not be compared and {verb} left out.")
+        parts.append(f"{counted(len(left_out), 'track')} could not be compared and {verb} left out.")
     return " ".join(parts)
 
 
-def _tracks(n: int) -> str:
-    return f"{n} track{'' if n == 1 else 's'}"
+def _models_in_words(methods: Sequence[Method]) -> list[str]:
+    names: dict[str, list[str]] = {}
+    for method in methods:
+        names.setdefault(_preset(method), []).append(method.name)
+    names.pop("", None)
+    if len(names) == 1:
+        return [f"The model is {next(iter(names))}."]
+    if not names:
+        return []
+    each = "; ".join(f"{preset} for {', '.join(found)}" for preset, found in names.items())
+    return [f"Each method has its best model: {each}. To compare methods alone, give all the same."]

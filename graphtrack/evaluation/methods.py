@@ -151,8 +151,22 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
 ``intentional`` is 000's tracker in continuous time, ``particle`` 002's filter and ``ffbs`` its smoother."""
 
 
-def make_method(method: Method | str, model: Model | str | Path = "joint") -> Method:
-    """A method from its name in `registry`; a method is returned as it is.
+_OWN = {
+    "kf": "position",
+    "rts": "position",
+    "intentional": "intentional",
+    "particle": "joint",
+    "ffbs": "joint",
+}
+
+
+def own_model(name: str) -> Model:
+    """The best preset that a method of `registry` has; the graph's engines as `Model.named` says."""
+    return Model(_OWN[name]) if name in _OWN else Model.named(None, "auto" if name == "smoother" else name)
+
+
+def make_method(method: Method | str, model: Model | str | Path | None = None) -> Method:
+    """A method from its name in `registry`, by default with its `own_model`; a method is returned as it is.
 
     Raises
     ------
@@ -163,4 +177,4 @@ def make_method(method: Method | str, model: Model | str | Path = "joint") -> Me
         return method
     if method not in registry:
         raise InputError(f"method {method!r}", f"one of {', '.join(registry)}")
-    return registry[method](Model.named(model))
+    return registry[method](own_model(method) if model is None else Model.named(model))

@@ -3,6 +3,7 @@
 from graphtrack.inference.incremental import Estimate, OnlineSmoother, track_online
 from graphtrack.inference.offline import smooth, smooth_track, solve
 from graphtrack.inference.solution import Failure, Solution, SolverOptions
+from graphtrack.inference.warm import warm_up
 
 __all__ = [
     "Estimate",
@@ -14,4 +15,5 @@ __all__ = [
     "smooth_track",
     "solve",
     "track_online",
+    "warm_up",
 ]

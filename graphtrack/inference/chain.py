@@ -54,7 +54,7 @@ def solve_packed(
         weighed by the modes' probabilities, and costs and covariances are those given these weights.
     """
     result, problem, seen = empty_result(packed), problem_of(packed), seen_in(packed, model)
-    linear = not (model.has_body or model.has_head) and packed.is_linear
+    linear = model.is_linear and packed.is_linear
     longest = int(np.diff(packed.offsets).max())
     initialise(problem, seen, linear, np.empty((3, longest)), result)
     if not linear:

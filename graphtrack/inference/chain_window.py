@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,9 @@ from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
 
 _PLACE = {name: place for place, name in enumerate(FRAME.names or ())}
 """Where a field stands in a record, seen as a row of numbers: writing to the fields themselves is slow."""
+
+_FACTORISATION = ("inverse", "link", "trigonometry")
+"""The rows of the workspace that the next observation reads; all others are written before they are read."""
 
 _TEMPLATES = 256
 """Kinds of frame (what was seen, how long after the last) that are remembered, packed."""
@@ -115,9 +118,39 @@ class ChainWindow:
 
     def restore(self, window: Window) -> None:
         """Take over a window as it stands."""
-        prior, origin = np.zeros((N + 2, N)), np.zeros(2)
-        if window.steps:
-            origin = np.array(window.values[window.steps[0].index][:2])
+        origin = window.values[window.steps[0].index][:2] if window.steps else (0.0, 0.0)
+        self._take(window, np.array(origin))
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """What makes the next estimates the same to the last bit, beside the window; see `resume`."""
+        open_frames = slice(*self._offsets.tolist())
+        kept = {"origin": self._origin, "states": self._states[open_frames], "prior": self._prior}
+        if self._warm:
+            kept |= {name: getattr(self._memory, name)[open_frames] for name in _FACTORISATION}
+            kept["newest"] = self._memory.newest
+        return {name: values.copy() for name, values in kept.items()}
+
+    def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
+        """Go on where `window` and `arrays` were taken, as if nothing had happened.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If the arrays do not fit the window.
+        """
+        n = len(window.steps)
+        self._take(window, arrays["origin"])
+        self._states[:n] = arrays["states"].reshape(n, N)
+        self._prior[:] = arrays["prior"].reshape(N + 2, N)
+        self._warm = "newest" in arrays
+        if self._warm:
+            self._memory.newest[:] = arrays["newest"].reshape(N, N)
+            for name in _FACTORISATION:
+                rows = getattr(self._memory, name)
+                rows[:n] = arrays[name].reshape(n, *rows.shape[1:])
+
+    def _take(self, window: Window, origin: FloatArray) -> None:
+        prior = np.zeros((N + 2, N))
         if window.prior is not None:
             prior = self._from_prior(window.prior, window.steps[0], origin)
         self._allocate(max(64, 2 * len(window.steps)))
@@ -170,18 +203,21 @@ class ChainWindow:
 
     def _make_room(self) -> None:
         """Move the window to the front of the arrays, or into larger ones."""
-        begin, end = self._offsets
-        old, states, prior, n = self._problem, self._states, self._prior, end - begin
-        self._warm = False  # the factorisation stays behind
-        if 2 * n > len(states):
-            self._allocate(2 * len(states))
-            self._prior[:] = prior
-        self._states[:n] = states[begin:end]
-        for new, previous in zip(self._problem[:4], old[:4], strict=True):
-            if len(new) > 1:
-                new[:n] = previous[begin:end].copy()
-        self._problem.shared[:] = old.shared
+        begin, end = self._offsets.tolist()
+        n, warm, prior, shared = end - begin, self._warm, self._prior, self._problem.shared
+        old, memory = self._rows_of_frames(), self._memory
+        if 2 * n > len(self._states):
+            self._allocate(2 * len(self._states))
+            self._prior[:], self._problem.shared[:], self._memory.newest[:] = prior, shared, memory.newest
+        for new, previous in zip(self._rows_of_frames(), old, strict=True):
+            new[:n] = previous[begin:end].copy()
+        self._warm = warm
         self._offsets[:] = 0, n
+
+    def _rows_of_frames(self) -> list[np.ndarray]:
+        """The arrays that have a row for each frame, and must move with it."""
+        problem, factors = self._problem, [getattr(self._memory, name) for name in _FACTORISATION]
+        return [self._states, problem.records, problem.body_heights, problem.head_heights, *factors]
 
     def _read(self, row: int) -> tuple[float, ...]:
         x, y, vx, vy, body, head = self._states[row].tolist()
@@ -221,10 +257,13 @@ class ChainWindow:
         self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
     ) -> PackedTracks:
         """A frame of this kind, packed; its position and angles stand for any."""
+        # Of times that differ in their last digits one is packed, whichever came first: estimates must not
+        # depend on what else has been seen.
+        near = 0.0 if dt is None else (round(dt, 9) or dt)
         kind: tuple[object, ...] | None = None
         if seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None:
             kind = (
-                None if dt is None else round(dt, 9),
+                near,
                 starts,
                 seen.position is None,
                 seen.body is None,
@@ -246,7 +285,7 @@ class ChainWindow:
             [track],
             self._model,
             camera,
-            dt=np.array([0.0 if dt is None else dt]),
+            dt=np.array([near]),
             starts=starts,
         )
         if kind is not None:

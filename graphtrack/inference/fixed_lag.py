@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import gtsam
@@ -129,6 +129,30 @@ class FixedLag:
             chain.anchor,
         )
 
+    def arrays(self) -> dict[str, FloatArray]:
+        """What makes the next estimates the same to the last bit, beside the window; see `resume`."""
+        chain = self._chain
+        kept = {"states": _exactly(chain.values, [link.step for link in chain.links], self._model)}
+        if chain.marginal_point is not None:
+            kept["point"] = _exactly(chain.marginal_point, [chain.links[0].step], self._model)
+        return kept
+
+    def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
+        """Go on where `window` and `arrays` were taken, as if nothing had happened.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If the arrays do not fit the window.
+        """
+        chain = self._from_window(window)
+        values = _values(arrays["states"], window.steps, self._model)
+        marginal, point = chain.marginal, chain.marginal_point
+        if marginal is not None:
+            point = _values(arrays["point"], window.steps[:1], self._model)
+            marginal = gtsam.LinearContainerFactor(marginal.toHessian(), point)
+        self._chain = replace(chain, values=values, marginal=marginal, marginal_point=point)
+
     def _from_window(self, window: Window) -> _Chain:
         known = {link.step: link for link in self._chain.links}
         links = tuple(known.get(step) or _Link.of(step, self._model) for step in window.steps)
@@ -190,6 +214,33 @@ class FixedLag:
             first = replace(first, step=first.step.alone(), back=gtsam.NonlinearFactorGraph())
             chain = _Chain((first, *rest), values, marginal, chain.values)
         return chain
+
+
+def _exactly(values: gtsam.Values, steps: Sequence[Step], model: Model) -> FloatArray:
+    """The variables of some steps (n, 8): position, velocity, cosine and sine of body and head.
+
+    An angle would lose the last digit of both.
+    """
+    rows = np.full((len(steps), 8), np.nan)
+    for row, step in zip(rows, steps, strict=True):
+        row[:2], row[2:4] = values.atPoint2(step.position_key), values.atVector(step.velocity_key)
+        for has, key, place in ((model.has_body, step.body_key, 4), (model.has_head, step.head_key, 6)):
+            if has:
+                rotation = values.atRot2(key)
+                row[place], row[place + 1] = rotation.c(), rotation.s()
+    return rows
+
+
+def _values(rows: FloatArray, steps: Sequence[Step], model: Model) -> gtsam.Values:
+    """The inverse of `_exactly`."""
+    values = gtsam.Values()
+    for row, step in zip(rows.reshape(len(steps), 8), steps, strict=True):
+        values.insert(step.position_key, row[:2])
+        values.insert(step.velocity_key, row[2:4])
+        for has, key, place in ((model.has_body, step.body_key, 4), (model.has_head, step.head_key, 6)):
+            if has:
+                values.insert(key, gtsam.Rot2.fromCosSin(*row[place : place + 2].tolist()))
+    return values
 
 
 def _descend(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import gtsam
 import numpy as np
 
+from graphtrack.angles import FloatArray
 from graphtrack.inference.batch import anchors, bounded, joint_covariance, variable_keys
 from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, read_step
 from graphtrack.model import Model, Step
@@ -91,6 +92,14 @@ class FullHistory:
     def window(self) -> Window:
         """What another smoother needs to go on from here."""
         return self._window(self.steps, self._isam.getLinearizationPoint(), self._anchor)
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """Nothing: GTSAM does not give its Bayes tree away. What is built again ends within the threshold."""
+        return {}
+
+    def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
+        """Take over a history as it stands."""
+        self.restore(window)
 
     def _iterate(self) -> None:
         for _ in range(self._max_iterations - 1):

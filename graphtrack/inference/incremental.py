@@ -10,25 +10,46 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
 from graphtrack.angles import FloatArray, wrap
+from graphtrack.display import html_pairs
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference.chain import is_chain
 from graphtrack.inference.chain_window import ChainWindow
 from graphtrack.inference.fixed_lag import FixedLag
 from graphtrack.inference.full_history import FullHistory
+from graphtrack.inference.observed import checked
 from graphtrack.inference.offline import engine_of, refuse_only_compiled
-from graphtrack.inference.state import Estimate, Newest, Status, Window, pack_state, unpack_state
+from graphtrack.inference.state import (
+    DAMAGES,
+    Estimate,
+    Newest,
+    SavedState,
+    Status,
+    Window,
+    damaged,
+    pack_state,
+    unpack_state,
+)
+from graphtrack.inference.warm import SOLVER, online_rehearsal
+from graphtrack.io.given import tracks_of
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.steps import CHANNELS, observations, seconds_between
-from graphtrack.tracks import Track
+from graphtrack.readiness import make_ready
+from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.given import Given, Scene
 
 Engine = Literal["auto", "chain", "fixed-lag", "isam2"]
 ENGINES: tuple[Engine, ...] = ("auto", "chain", "fixed-lag", "isam2")
+
+_FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
+"""What an observation raises that a smoother cannot take in."""
 
 _PROMISED_DECREASE = 1e-8
 """Of the cost, relative, below which the chain engine takes no further Newton step for an observation."""
@@ -54,8 +75,16 @@ def online_engine(model: Model, engine: Engine = "auto") -> Engine:
     return engine
 
 
+def check_lag(lag: float) -> None:
+    """Raise InputError for what is no length of a window in seconds."""
+    if not (math.isfinite(lag) and lag > 0.0):
+        raise InputError(f"lag = {lag}", "a positive number of seconds")
+
+
 class OnlineSmoother:
     """Track one person online.
+
+    The first on a machine compiles what it needs, which takes about a minute; see `warm_up`.
 
     Parameters
     ----------
@@ -89,8 +118,7 @@ class OnlineSmoother:
         step_tolerance: float = 0.5,
         max_iterations: int = 20,
     ) -> None:
-        if not (math.isfinite(lag) and lag > 0.0):
-            raise InputError(f"lag = {lag}", "a positive number of seconds")
+        check_lag(lag)
         if not relinearize_threshold > 0.0:
             raise InputError(f"relinearize_threshold = {relinearize_threshold}", "a positive number")
         if not step_tolerance >= 0.0:
@@ -103,6 +131,7 @@ class OnlineSmoother:
         self.camera = camera
         self._smoother: ChainWindow | FixedLag | FullHistory
         if self.engine == "chain":
+            make_ready(SOLVER, online_rehearsal(self.model))
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
         elif self.engine == "isam2":
             self._smoother = FullHistory(self.model, relinearize_threshold, step_tolerance, max_iterations)
@@ -110,6 +139,17 @@ class OnlineSmoother:
             self._smoother = FixedLag(self.model, self.lag, step_tolerance, max_iterations)
         self._next_index = 0
         self._last: Estimate | None = None
+
+    def __repr__(self) -> str:
+        return f"OnlineSmoother({', '.join(f'{name} {value}' for name, value in self._described().items())})"
+
+    def _repr_html_(self) -> str:
+        return html_pairs("OnlineSmoother", {**self._described(), "last": self._last})
+
+    def _described(self) -> dict[str, object]:
+        times = self.window
+        window = "empty" if times is None else f"{times[0]:.1f}–{times[1]:.1f} s"
+        return {"model": self.model, "engine": self.engine, "lag": f"{self.lag:g} s", "window": window}
 
     # -- the public face -----------------------------------------------------------------------------------
 
@@ -119,10 +159,10 @@ class OnlineSmoother:
         Raises
         ------
         InputError
-            If the observation itself is unusable: a time or value that is not finite. The state is unchanged.
+            If the observation itself is unusable: a time or value that is no number within bounds. The state
+            is unchanged.
         """
-        check_observation(observation)
-        observation = self._on_the_ground(observation)
+        observation = self._on_the_ground(checked(observation))
         steps = self._smoother.steps
         if not steps and observation.position is None:
             return self._waiting(observation)
@@ -143,7 +183,9 @@ class OnlineSmoother:
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
-        return pack_state(self._smoother.window(), self._last, self._next_index)
+        smoother = self._smoother
+        saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
+        return pack_state(saved) | {"terms": self._terms()}
 
     @classmethod
     def from_state(
@@ -151,15 +193,32 @@ class OnlineSmoother:
     ) -> OnlineSmoother:
         """A smoother that goes on where `state` was taken, given the same model and options.
 
+        Its estimates are the same to the last bit where the engine is chain or fixed-lag, and was; else they
+        are those of a window that is built again, within the tolerances of the solver.
+
         Raises
         ------
         InputError
-            If the state is damaged or of another version.
+            If the state is damaged, of another version, or of a model with other terms.
         """
         smoother = cls(model, **options)
-        window, smoother._last, smoother._next_index = unpack_state(state, smoother.camera)
-        smoother._smoother.restore(window)
+        terms = smoother._terms()
+        given = state.get("terms", terms) if isinstance(state, dict) else terms
+        if given != terms:
+            raise InputError(f"a state of a model with the terms {given}", f"the same model: {terms}")
+        saved = unpack_state(state, smoother.camera)
+        smoother._last, smoother._next_index = saved.last, saved.next_index
+        try:
+            if saved.engine == smoother.engine:
+                smoother._smoother.resume(saved.window, saved.arrays)
+            else:
+                smoother._smoother.restore(saved.window)
+        except DAMAGES as error:
+            raise damaged(error) from error
         return smoother
+
+    def _terms(self) -> list[str]:
+        return [type(term).__name__ for term in self.model.terms]
 
     # -- one step ------------------------------------------------------------------------------------------
 
@@ -179,7 +238,7 @@ class OnlineSmoother:
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
         try:
             newest = self._smoother.extend(step, self._predict(step))
-        except (RuntimeError, ArithmeticError, GraphtrackError) as error:
+        except _FAILURES as error:
             return self._failed(observation, error)
         self._next_index += 1
         return self._estimate(newest, observation, "new")
@@ -216,7 +275,7 @@ class OnlineSmoother:
         try:
             window = self._with(self._smoother.window(), observation, place, inserted)
             newest = self._smoother.rework(window)
-        except (RuntimeError, ArithmeticError, GraphtrackError) as error:
+        except _FAILURES as error:
             return self._failed(observation, error)
         self._next_index += inserted
         return self._estimate(newest, self._smoother.steps[-1].observation, "late")
@@ -274,30 +333,6 @@ class OnlineSmoother:
         return replace(self._last, status=status)
 
 
-def check_observation(observation: Observation) -> None:
-    """Refuse what no engine could use.
-
-    Raises
-    ------
-    InputError
-        Naming the channel: a value that is not finite, a std that is not positive, a negative κ or class
-        likelihood.
-    """
-    if not math.isfinite(observation.t):
-        raise InputError(f"t = {observation.t}", "a finite time in seconds")
-    for name in CHANNELS:
-        value = getattr(observation, name)
-        if value is None:
-            continue
-        numbers = value if isinstance(value, tuple) else (value,)
-        if not all(map(math.isfinite, numbers)):
-            raise InputError(f"{name} = {value}", "finite numbers, or None where nothing was observed")
-        if name == "position_std" and not value > 0.0:
-            raise InputError(f"{name} = {value}", "a positive number of metres")
-        if name.endswith(("_kappa", "_likelihood")) and min(numbers) < 0.0:
-            raise InputError(f"{name} = {value}", "no negative numbers")
-
-
 def _merge(known: Observation, new: Observation) -> Observation | None:
     """The known observation with the channels that only the new one has; None if there are none."""
     added = {
@@ -318,18 +353,51 @@ def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float
     return tuple(state.tolist())
 
 
+@overload
 def track_online(
-    track: Track,
+    tracks: Track,
     model: Model | str | Path | None = None,
     *,
     engine: Engine = "auto",
     lag: float = 2.0,
     camera: GroundCamera | None = None,
-) -> Track:
-    """The online estimates of a recorded track: at each frame, from what came before. NaN while waiting."""
+) -> Track: ...
+
+
+@overload
+def track_online(
+    tracks: Scene,
+    model: Model | str | Path | None = None,
+    *,
+    engine: Engine = "auto",
+    lag: float = 2.0,
+    camera: GroundCamera | None = None,
+) -> TrackSet: ...
+
+
+def track_online(
+    tracks: Given,
+    model: Model | str | Path | None = None,
+    *,
+    engine: Engine = "auto",
+    lag: float = 2.0,
+    camera: GroundCamera | None = None,
+) -> TrackSet | Track:
+    """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.
+
+    Parameters
+    ----------
+    tracks : a `Track`, of which a `Track` comes out, or what `solve` takes, of which a `TrackSet` does
+    model, engine, lag : as in `OnlineSmoother`
+    camera : camera of the scene; by default that of the `TrackSet`
+    """
+    if not isinstance(tracks, Track):
+        scene, chosen = tracks_of(tracks), Model.named(model, engine)
+        camera = scene.camera if camera is None else camera
+        return scene.map(lambda one: track_online(one, chosen, engine=engine, lag=lag, camera=camera))
     smoother = OnlineSmoother(model, engine=engine, lag=lag, camera=camera)
     return as_track(
-        track, [smoother.update(observation) for observation in observations(track)], smoother.model
+        tracks, [smoother.update(observation) for observation in observations(tracks)], smoother.model
     )
 
 

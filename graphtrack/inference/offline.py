@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
@@ -26,8 +26,14 @@ from graphtrack.inference.solution import (
     bounded,
     estimated_track,
 )
+from graphtrack.inference.warm import SOLVER, solver_rehearsal
+from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
+from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.given import Given, Scene
 
 BATCH = 20_000
 """Frames that a thread of the chain engine takes at a time; it bounds the memory beside the answer."""
@@ -68,7 +74,7 @@ def refuse_only_compiled(model: Model, engine: str) -> None:
 
 
 def solve(
-    tracks: TrackSet,
+    tracks: Given,
     model: Model | str | Path | None = None,
     *,
     engine: Engine | Literal["auto"] = "auto",
@@ -80,7 +86,8 @@ def solve(
 
     Parameters
     ----------
-    tracks : observations
+    tracks : observations: a `TrackSet`, a `Track` or several, the path of a file, or a table as for
+        `TrackSet.from_table`
     model : a `Model`, a preset's name or a model file; by default "full", or "joint" with GTSAM
     engine : "auto", "chain" or "gtsam"; both find the same optimum
     jobs : threads of the chain engine, by default one for each processor; processes with GTSAM, which holds
@@ -94,7 +101,10 @@ def solve(
     """
     model = Model.named(model, engine)
     options = SolverOptions() if options is None else options
-    if engine_of(model, engine) == "chain":
+    solver = engine_of(model, engine)
+    tracks = tracks_of(tracks)
+    make_ready(SOLVER, solver_rehearsal(model, solver, tracks.camera))
+    if solver == "chain":
         found: list[Solution | Failure] = []
         # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
         with ThreadPoolExecutor(processors() if jobs is None else jobs) as pool:
@@ -112,34 +122,60 @@ def solve(
         return _collect(tracks, pool.map(attempt, tracks, chunksize=chunk), progress)
 
 
+@overload
 def smooth(
-    tracks: TrackSet,
+    tracks: Track,
     model: Model | str | Path | None = None,
     *,
     engine: Engine | Literal["auto"] = "auto",
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
-) -> TrackSet:
+) -> Track: ...
+
+
+@overload
+def smooth(
+    tracks: Scene,
+    model: Model | str | Path | None = None,
+    *,
+    engine: Engine | Literal["auto"] = "auto",
+    jobs: int | None = None,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> TrackSet: ...
+
+
+def smooth(
+    tracks: Given,
+    model: Model | str | Path | None = None,
+    *,
+    engine: Engine | Literal["auto"] = "auto",
+    jobs: int | None = None,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> TrackSet | Track:
     """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
 
     The parameters are those of `solve`.
 
     Returns
     -------
-    TrackSet
-        The estimates, one track for each of the input.
+    TrackSet or Track
+        The estimates, one track for each of the input; of a single `Track` that is a `Track`.
 
     Raises
     ------
     SolveError
         For the first track that cannot be smoothed; use `solve` to get the others all the same.
     """
-    found = solve(tracks, model, engine=engine, jobs=jobs, options=options, progress=progress)
+    given = tracks_of(tracks)
+    found = solve(given, model, engine=engine, jobs=jobs, options=options, progress=progress)
     for result in found:
         if isinstance(result, Failure):
             raise SolveError(result.track_id, result.reason)
-    return tracks.with_tracks(result.track for result in found if isinstance(result, Solution))
+    estimates = given.with_tracks(result.track for result in found if isinstance(result, Solution))
+    return estimates.tracks[0] if isinstance(tracks, Track) else estimates
 
 
 def smooth_track(
@@ -157,7 +193,9 @@ def smooth_track(
         If there is nothing to smooth, or the result is not finite or worse than the start.
     """
     options = SolverOptions() if options is None else options
-    if engine_of(model, engine) == "gtsam":
+    solver = engine_of(model, engine)
+    make_ready(SOLVER, solver_rehearsal(model, solver, camera))
+    if solver == "gtsam":
         return smooth_graph(track, model, camera, options)
     (result,) = _solve_chains([track], model, camera, options)
     if isinstance(result, Failure):

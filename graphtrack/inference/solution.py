@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.angles import UNIFORM_STD, FloatArray
+from graphtrack.display import counted, html_pairs, line_of_track
 from graphtrack.tracks import Track
 
 Engine = Literal["chain", "gtsam"]
@@ -52,6 +53,21 @@ class Solution:
     iterations: int
     converged: bool
     engine: Engine
+
+    def __repr__(self) -> str:
+        parts = [f"track {self.track.track_id}", counted(len(self.track), "frame"), *self._outcome().values()]
+        return f"Solution({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        return html_pairs(f"Solution: {line_of_track(self.track)}", self._outcome())
+
+    def _outcome(self) -> dict[str, str]:
+        return {
+            "cost": f"cost {self.initial_cost:.6g} → {self.cost:.6g}",
+            "steps": counted(self.iterations, "step"),
+            "end": "converged" if self.converged else "not converged",
+            "engine": self.engine,
+        }
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import base64
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import gtsam
 import numpy as np
 
 from graphtrack.angles import FloatArray
+from graphtrack.display import html_pairs
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference.marginal import MarginalPrior
 from graphtrack.model import Model, Observation, Step
 
-STATE_VERSION = 2
+STATE_VERSION = 3
 
 Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed"]
 Angles = tuple[float, float]
@@ -54,6 +56,29 @@ class Estimate:
     reason: str = ""
     aligned_p: float = math.nan
     gait_offset: float = math.nan
+
+    def __repr__(self) -> str:
+        known = [f"{name} {value}" for name, value in self._described().items()]
+        return f"Estimate(t={self.t:.6g} s, frame {self.frame}, {', '.join([repr(self.status), *known])})"
+
+    def _repr_html_(self) -> str:
+        caption = f"Estimate at t = {self.t:.6g} s, frame {self.frame}: {self.status}"
+        return html_pairs(caption, self._described())
+
+    def _described(self) -> dict[str, str]:
+        """What is known, each with its 1-σ."""
+        x, y, vx, vy, body, head = np.sqrt(np.diagonal(self.covariance)).tolist()
+        found = {}
+        for name, value, spread, unit in (
+            ("position", self.position, math.hypot(x, y) / math.sqrt(2.0), "m"),
+            ("velocity", self.velocity, math.hypot(vx, vy) / math.sqrt(2.0), "m/s"),
+        ):
+            if np.isfinite(value).all():
+                found[name] = f"({value[0]:.2f}, {value[1]:.2f}) ± {spread:.2f} {unit}"
+        for name, angle, spread in (("body", self.body, body), ("head", self.head, head)):
+            if math.isfinite(angle):
+                found[name] = f"{math.degrees(angle):.0f}° ± {math.degrees(spread):.0f}°"
+        return found | ({"reason": self.reason} if self.reason else {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,19 +127,40 @@ def finite(state: Sequence[float]) -> FloatArray:
     return found
 
 
-def pack_state(window: Window, last: Estimate | None, next_index: int) -> dict[str, Any]:
-    """A window and the last estimate as JSON-able data; NaN becomes null."""
-    prior = window.prior
+@dataclass(frozen=True, eq=False)
+class SavedState:
+    """An online smoother between two observations.
+
+    Attributes
+    ----------
+    engine : which one it was
+    window : from which any engine can go on
+    arrays : what the same engine needs besides to go on as if nothing had happened, to the last bit
+    last : the last estimate
+    next_index : index of the next step
+    """
+
+    engine: str
+    window: Window
+    arrays: Mapping[str, FloatArray]
+    last: Estimate | None
+    next_index: int
+
+
+def pack_state(state: SavedState) -> dict[str, Any]:
+    """A state as JSON-able data: NaN becomes null, and arrays Base64 of their bytes."""
+    window, prior, last = state.window, state.window.prior, state.last
     return {
         "version": STATE_VERSION,
-        "next_index": next_index,
+        "engine": state.engine,
+        "next_index": state.next_index,
         "steps": [
             {
                 "index": step.index,
                 "starts": step.starts,
                 "dt": step.dt,
                 "values": _nulls(window.values[step.index]),
-                "observation": {k: v for k, v in asdict(step.observation).items() if v is not None},
+                "observation": {k: v for k, v in vars(step.observation).items() if v is not None},
             }
             for step in window.steps
         ],
@@ -129,6 +175,7 @@ def pack_state(window: Window, last: Estimate | None, next_index: int) -> dict[s
         },
         "anchor": None if window.anchor is None else _nulls(window.anchor),
         "modes": None if window.modes is None else window.modes.tolist(),
+        "arrays": {name: _to_text(values) for name, values in state.arrays.items()},
         "last": None
         if last is None
         else {
@@ -141,7 +188,7 @@ def pack_state(window: Window, last: Estimate | None, next_index: int) -> dict[s
     }
 
 
-def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> tuple[Window, Estimate | None, int]:
+def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedState:
     """The inverse of `pack_state`.
 
     Raises
@@ -152,54 +199,78 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> tuple[Wi
     if not isinstance(state, dict) or state.get("version") != STATE_VERSION:
         raise InputError("a state of another version", f"version {STATE_VERSION}")
     try:
-        steps: list[Step] = []
-        values: dict[int, tuple[float, ...]] = {}
-        for entry in state["steps"]:
-            seen = entry["observation"].items()
-            channels: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in seen}
-            previous = steps[-1].alone() if steps else None
-            observation = Observation(**channels)
-            steps.append(Step(entry["index"], observation, previous, entry["dt"], entry["starts"], camera))
-            x, y, vx, vy, body, head = _nans(entry["values"]).tolist()
-            values[entry["index"]] = (x, y, vx, vy, body, head)
-        prior = None
-        if state["prior"] is not None:
-            saved = state["prior"]
-            prior = MarginalPrior(
-                tuple(saved["keys"]),
-                tuple(tuple(point) for point in saved["point"]),
-                np.array(saved["information"], dtype=float),
-                np.array(saved["linear"], dtype=float),
-                float(saved["constant"]),
-            )
-        anchor = None
-        if state["anchor"] is not None:
-            body, head = _nans(state["anchor"]).tolist()
-            anchor = (body, head)
-        last = None
-        if state["last"] is not None:
-            saved = state["last"]
-            last_state = _nans(saved["state"])
-            aligned, offset = _nans(saved["modes"]).tolist()
-            covariance = np.array([_nans(row) for row in saved["covariance"]]).reshape(6, 6)
-            last = Estimate(
-                saved["t"],
-                saved["frame"],
-                last_state[:2],
-                last_state[2:4],
-                float(last_state[4]),
-                float(last_state[5]),
-                covariance,
-                "new",
-                aligned_p=aligned,
-                gait_offset=offset,
-            )
-        modes = None
-        if state["modes"] is not None:
-            modes = np.array(state["modes"], dtype=float).reshape(2, -1)
-        return Window(tuple(steps), values, prior, anchor, modes), last, int(state["next_index"])
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, GraphtrackError) as error:
-        raise InputError(f"a damaged state ({error!r})", "what a smoother saved") from error
+        return SavedState(
+            str(state["engine"]),
+            _window(state, camera),
+            {name: _from_text(text) for name, text in state["arrays"].items()},
+            None if state["last"] is None else _estimate(state["last"]),
+            int(state["next_index"]),
+        )
+    except DAMAGES as error:
+        raise damaged(error) from error
+
+
+DAMAGES = (KeyError, TypeError, ValueError, IndexError, AttributeError, GraphtrackError)
+"""What going on from a damaged state raises."""
+
+
+def damaged(error: Exception) -> InputError:
+    """What is said of a state that raised one of `DAMAGES`."""
+    return InputError(f"a damaged state ({error!r})", "what a smoother saved")
+
+
+def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
+    steps: list[Step] = []
+    values: dict[int, tuple[float, ...]] = {}
+    for entry in state["steps"]:
+        seen = entry["observation"].items()
+        channels: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in seen}
+        previous = steps[-1].alone() if steps else None
+        observation = Observation(**channels)
+        steps.append(Step(entry["index"], observation, previous, entry["dt"], entry["starts"], camera))
+        x, y, vx, vy, body, head = _nans(entry["values"]).tolist()
+        values[entry["index"]] = (x, y, vx, vy, body, head)
+    prior = None
+    if state["prior"] is not None:
+        saved = state["prior"]
+        prior = MarginalPrior(
+            tuple(saved["keys"]),
+            tuple(tuple(point) for point in saved["point"]),
+            np.array(saved["information"], dtype=float),
+            np.array(saved["linear"], dtype=float),
+            float(saved["constant"]),
+        )
+    anchor = None
+    if state["anchor"] is not None:
+        body, head = _nans(state["anchor"]).tolist()
+        anchor = (body, head)
+    modes = None if state["modes"] is None else np.array(state["modes"], dtype=float).reshape(2, -1)
+    return Window(tuple(steps), values, prior, anchor, modes)
+
+
+def _estimate(saved: dict[str, Any]) -> Estimate:
+    state = _nans(saved["state"])
+    aligned, offset = _nans(saved["modes"]).tolist()
+    return Estimate(
+        saved["t"],
+        saved["frame"],
+        state[:2],
+        state[2:4],
+        float(state[4]),
+        float(state[5]),
+        np.array([_nans(row) for row in saved["covariance"]]).reshape(6, 6),
+        "new",
+        aligned_p=aligned,
+        gait_offset=offset,
+    )
+
+
+def _to_text(values: FloatArray) -> str:
+    return base64.b64encode(values.astype("<f8").tobytes()).decode()
+
+
+def _from_text(text: str) -> FloatArray:
+    return np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8").astype(float)
 
 
 def _nulls(numbers: Any) -> list[float | None]:

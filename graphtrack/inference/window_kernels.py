@@ -35,13 +35,14 @@ def solve_window(
     states nor the factorisation are to be used.
     """
     begin, end = problem.offsets[0], problem.offsets[1]
+    track = the_only(problem)
     here, last, memory = states[begin:end], end - begin - 1, from_frame(workspace, begin)
     if warm and last > 0:
         foresee(problem, here, memory)
-    _, _, _, status, exact = minimise(problem, 0, here, max_iterations, tolerance, memory)
+    _, _, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
     if status == NOT_FINITE:
         return False
-    if not exact and not sweep_forward(problem, 0, here[0].copy(), here, False, memory)[1]:
+    if not exact and not sweep_forward(problem, track, here[0].copy(), here, False, memory)[1]:
         return False
     memory.newest[:] = memory.scratch[1 + (last & 1)]
     finite = True
@@ -53,6 +54,15 @@ def solve_window(
                 total += memory.inverse[last, m, i] * memory.inverse[last, m, j]
             covariance[i, j] = covariance[j, i] = total
     return finite
+
+
+@compiled
+def the_only(problem: Problem) -> int:
+    """The number of the window's track, 0.
+
+    As a constant it would have everything compiled once more, for that number alone.
+    """
+    return len(problem.offsets) - 2
 
 
 @compiled
@@ -83,7 +93,7 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     hessians[0] = memory.newest
     add_frame(
         problem,
-        0,
+        the_only(problem),
         last,
         states[0],
         states,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -10,15 +11,20 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from graphtrack.errors import GraphtrackError, InputError
+from graphtrack.io.places import check_place, destination
+
+_UNFINISHED = ".unfinished"
+"""Ending of the hidden folders in which results grow."""
 
 
 @contextmanager
 def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
-    """A temporary sibling of ``path`` to write to; it takes the place of ``path`` when the block succeeds.
+    """A temporary path to write to; it takes the place of ``path`` when the block succeeds.
 
     Parameters
     ----------
-    path : where the result goes; an existing file is replaced, an existing directory only if it is empty
+    path : where the result goes; an existing file is replaced, an existing directory only if it is empty. Of
+        a symbolic link the target is written, whether it is there already or not.
     directory : whether the result is a directory (the block gets an empty one) or a file
 
     Raises
@@ -28,35 +34,87 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
 
     Notes
     -----
-    The sibling lies in the same directory, since replacing is atomic only within one file system, and
-    keeps the suffixes of ``path``, since many writers choose their format by them.
+    The temporary path lies in a hidden folder beside the result, since replacing is atomic only within one
+    file system, and keeps the name of ``path``, since many writers choose their format by it. A process that
+    is killed leaves that folder behind; the next writing to the same place removes it.
     """
-    path = Path(path)
-    if directory and path.is_dir() and any(path.iterdir()):
-        raise InputError("a directory that is not empty", "a new or an empty directory", path=path)
-    if not directory and path.is_dir():
-        raise InputError("a directory", "the path of a file to write", path=path)
+    given = Path(path)
+    check_place(given, directory=directory)
+    path = destination(given)
     try:
-        scratch = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        with _scratch(path) as scratch:
+            temporary = scratch / path.name
+            if directory:
+                temporary.mkdir()
+            yield temporary
+            _flush(temporary)
+            _match_mode(temporary, path)
+            temporary.replace(path)
+            _flush_entry(path.parent)
     except OSError as error:
-        raise _cannot_write(path, error) from error
-    temporary = scratch / path.name
-    try:
-        if directory:
-            temporary.mkdir()
-        yield temporary
-        _flush(temporary)
-        _match_umask(temporary)
-        temporary.replace(path)
-        _flush_entry(path.parent)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        raise _cannot_write(given, error) from error
 
 
 def _cannot_write(path: Path, error: OSError) -> GraphtrackError:
     return InputError(f"{error.strerror or error} when writing", "a place that can be written to", path=path)
+
+
+@contextmanager
+def _scratch(path: Path) -> Iterator[Path]:
+    """A hidden folder beside ``path``, locked while this process lives, and gone afterwards.
+
+    The lock (flock) ends with the process, however it ends: that is how leftovers are told from the folders
+    of those who still write. On file systems without such locks leftovers stay.
+    """
+    _remove_leftovers(path)
+    lock = None
+    while lock is None:
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_UNFINISHED, dir=path.parent))
+        # Before it is locked, another process may take it for a leftover.
+        lock = _locked(folder, wait=True)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(lock)
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Remove the folders that killed processes left when they wrote to ``path``."""
+    name = re.compile(re.escape(f".{path.name}.") + "[a-z0-9_]{8}" + re.escape(_UNFINISHED))
+    try:
+        found = [entry for entry in path.parent.iterdir() if name.fullmatch(entry.name)]
+    except PermissionError:  # a folder that can be written to and not be looked into
+        return
+    for folder in found:
+        lock = _locked(folder, wait=False)
+        if lock is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+            os.close(lock)
+
+
+def _locked(folder: Path, *, wait: bool) -> int | None:
+    """The open, locked descriptor of a folder; None if it is gone or, without waiting, not to be had.
+
+    Who waits gets a descriptor without a lock where the file system has no locks.
+    """
+    import fcntl  # only POSIX has it, and reading needs none of it
+
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError:
+        if wait and folder.exists():
+            raise
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        good = True
+    except OSError:
+        good = wait
+    if good and folder.exists():
+        return descriptor
+    os.close(descriptor)
+    return None
 
 
 def _flush(path: Path) -> None:
@@ -74,8 +132,11 @@ def _flush_entry(path: Path) -> None:
         os.close(descriptor)
 
 
-def _match_umask(path: Path) -> None:
-    """Give the result the permissions that a plain ``open`` would have given."""
+def _match_mode(path: Path, final: Path) -> None:
+    """Give the result the permissions that it would have after a plain ``open`` of its final place."""
+    if final.exists():
+        path.chmod(final.stat().st_mode & 0o7777)
+        return
     mask = os.umask(0)
     os.umask(mask)
     path.chmod((0o777 if path.is_dir() else 0o666) & ~mask)

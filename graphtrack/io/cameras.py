@@ -11,6 +11,7 @@ from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.homography import check_homography
+from graphtrack.io.atomic import atomic_path
 from graphtrack.io.numbers import read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.rows import Rows
@@ -20,6 +21,7 @@ PERSON_HEIGHT = 1.7
 """Metres; the scale of views without a camera is chosen so that the median person has this size."""
 
 _LARGEST_SETTING = 1e7
+_QUATERNION = ("RotationX", "RotationY", "RotationZ", "RotationW")
 
 BEYOND_HORIZON = "at or beyond the camera's horizon"
 
@@ -160,7 +162,7 @@ def read_calibration(path: str | Path) -> GroundCamera:
 
     from scipy.spatial.transform import Rotation
 
-    quaternion = np.array(take("RotationX", "RotationY", "RotationZ", "RotationW"))
+    quaternion = np.array(take(*_QUATERNION))
     if not 0.9 < np.linalg.norm(quaternion) < 1.1:
         raise InputError(f"a rotation {quaternion.tolist()}", "a unit quaternion", path=path)
     fx, fy, cx, cy = take("FocalLengthX", "FocalLengthY", "PrincipalPointX", "PrincipalPointY")
@@ -176,6 +178,31 @@ def read_calibration(path: str | Path) -> GroundCamera:
         )
     except InputError as error:
         raise InputError(error.found, error.expected, path=path) from error
+
+
+def write_calibration(
+    path: str | Path, rotation: FloatArray, translation: FloatArray, intrinsics: FloatArray
+) -> None:
+    """Write a camera without distortion that `read_calibration` reads.
+
+    Parameters
+    ----------
+    rotation, translation : (3, 3) and (3,) metres: a point X of the world has camera coordinates R·X + t
+    intrinsics : (3, 3) camera matrix in pixels
+    """
+    from scipy.spatial.transform import Rotation
+
+    values = {
+        "FocalLengthX": intrinsics[0, 0],
+        "FocalLengthY": intrinsics[1, 1],
+        "PrincipalPointX": intrinsics[0, 2],
+        "PrincipalPointY": intrinsics[1, 2],
+        "Skew": intrinsics[0, 1],
+        **dict(zip(("TranslationX", "TranslationY", "TranslationZ"), translation, strict=True)),
+        **dict(zip(_QUATERNION, Rotation.from_matrix(rotation).as_quat(), strict=True)),
+    }
+    with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
+        stream.writelines(f"{name} = {float(value)!r}\n" for name, value in values.items())
 
 
 def _read_settings(path: str | Path) -> Mapping[str, float]:

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graphtrack import bounds
 from graphtrack.angles import FloatArray, direction, wrap
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
-from graphtrack.io import schema
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground
 from graphtrack.io.numbers import parse_number
 from graphtrack.io.options import ReadOptions
@@ -99,23 +99,40 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         be used.
     """
     observations = _Reader(source).observations()
-    if not observations:
-        raise InputError("no objects in frames", "at least one", path=source.path)
     boxes = np.array([o.box for o in observations])
     pixel, foot_note, in_lobby = _foot_points(observations, boxes, options)
     camera, notes = _camera(options, pixel, boxes, in_lobby)
+    rows = _rows(source, observations, {"pixel": pixel, **_orientations(observations, camera, pixel)})
+    return to_tracks(on_ground(rows.with_notes(foot_note), camera, notes).with_times(options.fps or FPS))
+
+
+def read_boxes(source: Source) -> Rows:
+    """The labelled objects in the order of the file, without those whose box is empty.
+
+    The channel is ``box`` (n, 4): left, top, width and height in pixels.
+
+    Raises
+    ------
+    InputError
+        As `read`.
+    """
+    observations = _Reader(source).observations()
+    centre, size = np.hsplit(np.array([o.box for o in observations]), 2)
+    return _rows(source, observations, {"box": np.hstack([centre - size / 2.0, size])})
+
+
+def _rows(source: Source, observations: list[_Observation], channels: dict[str, FloatArray]) -> Rows:
+    """Observations with their channels, without those whose box is empty."""
     rows = Rows(
         source.path,
         "caviar",
         np.array([o.identity for o in observations], dtype=np.int64),
         np.array([o.frame for o in observations], dtype=np.int64),
-        {"pixel": pixel, **_orientations(observations, camera, pixel)},
+        channels,
         lambda row: _line_of_object(source, row),
-        notes=(foot_note,),
     )
-    full = np.all(boxes[:, 2:] > 0.0, axis=1)
-    rows = rows.keep(full, "with an empty box")
-    return to_tracks(on_ground(rows, camera, notes).with_times(options.fps or FPS))
+    full = np.array([min(o.box[2:]) > 0.0 for o in observations])
+    return rows.keep(full, "with an empty box")
 
 
 def _foot_points(
@@ -185,12 +202,15 @@ class _Reader:
         self._objects = 0
 
     def observations(self) -> list[_Observation]:
+        """All objects of all frames; at least one."""
         found = []
         for frame in self._root().iter("frame"):
-            number = self._number(frame, "number", schema.LARGEST_FRAME, whole=True)
+            number = self._number(frame, "number", bounds.LARGEST_FRAME, whole=True)
             for element in frame.findall("objectlist/object"):
                 found.append(self._observation(element, int(number)))
                 self._objects += 1
+        if not found:
+            raise InputError("no objects in frames", "at least one", path=self._source.path)
         return found
 
     def _root(self) -> Element:
@@ -219,7 +239,7 @@ class _Reader:
         box = element.find("box")
         if box is None:
             raise self._fail(f"object without a box in frame {frame}", "a box", "box")
-        low = -schema.LARGEST_PIXELS
+        low = -bounds.LARGEST_PIXELS
         xc, yc = (self._number(box, name, low=low) for name in ("xc", "yc"))
         width, height = (self._number(box, name, low=0.0) for name in ("w", "h"))
         feet = [self._point(element.find(f"body/feet/{side}")) for side in ("left", "right")]
@@ -231,7 +251,7 @@ class _Reader:
             gaze = self._number(head, "gaze", 360.0, low=-360.0)
         return _Observation(
             frame,
-            int(self._number(element, "id", schema.LARGEST_ID, low=0.0, whole=True)),
+            int(self._number(element, "id", bounds.LARGEST_ID, low=0.0, whole=True)),
             (xc, yc, width, height),
             (foot[0], foot[1]),
             self._point(element.find("body/shoulders/left")),
@@ -244,14 +264,14 @@ class _Reader:
         """Where a part of the body is; NaN where it is not labelled."""
         if element is None or element.get("xc") is None or element.get("yc") is None:
             return float("nan"), float("nan")
-        low = -schema.LARGEST_PIXELS
+        low = -bounds.LARGEST_PIXELS
         return self._number(element, "xc", low=low), self._number(element, "yc", low=low)
 
     def _number(
         self,
         element: Element,
         name: str,
-        high: float = schema.LARGEST_PIXELS,
+        high: float = bounds.LARGEST_PIXELS,
         *,
         low: float | None = None,
         whole: bool = False,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.io import schema
+from graphtrack import bounds
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
@@ -53,7 +53,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     rows = Rows(
         source.path,
         "eth",
-        table.integers(1, schema.LARGEST_ID),
+        table.integers(1, bounds.LARGEST_ID),
         frame,
         {"position": np.column_stack([table.metres(2), table.metres(4)])},
         table.line_of,

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack import bounds
 from graphtrack.angles import FloatArray, wrap
 from graphtrack.errors import InputError
-from graphtrack.io import schema
 from graphtrack.io.numbers import Numbers, parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
@@ -45,6 +45,12 @@ def looks_like(head: bytes, path: Path) -> bool:
     return mostly(head, matches)
 
 
+def beside(path: Path) -> tuple[Path, ...]:
+    """Where the ego motion and the calibration lie, under the labels' name in folders next to theirs."""
+    root, name = path.absolute().parent.parent, path.name.removesuffix(".gz")
+    return root / "oxts" / name, root / "calib" / name
+
+
 def read(source: Source, options: ReadOptions) -> TrackSet:
     """Read positions and headings in a world of east, north, up that begins at the first ego pose.
 
@@ -59,7 +65,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         missing.
     """
     labels, classes = _read_labels(source)
-    frame, identity = labels.integers(0), labels.integers(1, schema.LARGEST_ID)
+    frame, identity = labels.integers(0), labels.integers(1, bounds.LARGEST_ID)
     location = np.column_stack([labels.metres(13), labels.metres(14), labels.metres(15)])
     rotation = labels.bounded(16, -1e4, 1e4)
     wanted = np.isin(classes, options.classes)
@@ -73,8 +79,9 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         row = int(kept[np.argmax(identity[kept] < 0)])
         raise labels.fail(row, 1, "an id from 0: these are detections without identity")
     notes: list[str] = []
-    oxts = _beside(source.path, "oxts", options.oxts, notes)
-    calibration = _beside(source.path, "calib", options.ego_calibration, notes)
+    of_motion, of_sensors = beside(source.path)
+    oxts = _given_or_beside(of_motion, "oxts", options.oxts, source.path, notes)
+    calibration = _given_or_beside(of_sensors, "ego_calibration", options.ego_calibration, source.path, notes)
     poses = _read_poses(oxts)
     outside = (frame[kept] < 0) | (frame[kept] >= len(poses))
     if outside.any():
@@ -114,16 +121,15 @@ def _read_labels(source: Source) -> tuple[Numbers, NDArray[Any]]:
     return labels, np.array(classes, dtype=object)
 
 
-def _beside(path: Path, folder: str, given: str | Path | None, notes: list[str]) -> Path:
-    """The path that was given, or that of the file of the same name in the folder next to the labels'."""
+def _given_or_beside(
+    found: Path, option: str, given: str | Path | None, labels: Path, notes: list[str]
+) -> Path:
+    """The path that was given, or the one that was ``found`` beside the labels."""
     if given is not None:
         return Path(given)
-    name = path.name.removesuffix(".gz")
-    found = path.absolute().parent.parent / folder / name
     if not found.is_file():
-        option = "oxts" if folder == "oxts" else "ego_calibration"
-        raise InputError(f"no {found}", f"that file, or its path as {option}", path=path)
-    notes.append(f"{folder} from ../{folder}/{name}")
+        raise InputError(f"no {found}", f"that file, or its path as {option}", path=labels)
+    notes.append(f"{found.parent.name} from ../{found.parent.name}/{found.name}")
     return found
 
 
@@ -192,4 +198,5 @@ FORMAT = Format(
     suffixes=(),
     looks_like=looks_like,
     read=read,
+    beside=beside,
 )

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from graphtrack import bounds
 from graphtrack.angles import wrap
 from graphtrack.errors import InputError
-from graphtrack.io import schema
 from graphtrack.io.numbers import Numbers, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
@@ -74,7 +74,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         table.integers(clip_column),
         table.integers(header.index("frame")),
         {
-            "t": table.bounded(header.index("t_s"), -schema.LARGEST_SECONDS, schema.LARGEST_SECONDS),
+            "t": table.bounded(header.index("t_s"), -bounds.LARGEST_SECONDS, bounds.LARGEST_SECONDS),
             "position": _pair(table, header, "x_m", "y_m"),
             "body": yaw("shoulder_yaw_rad"),
             "head": yaw("head_yaw_rad"),

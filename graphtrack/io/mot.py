@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from graphtrack import bounds
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from graphtrack.io import schema
 from graphtrack.io.cameras import PERSON_HEIGHT, camera_or_scale, known_camera, on_ground
 from graphtrack.io.numbers import Numbers, parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
@@ -52,6 +52,11 @@ def looks_like(head: bytes, path: Path) -> bool:
     return mostly(head, matches)
 
 
+def beside(path: Path) -> tuple[Path, ...]:
+    """Where a sequence's frame rate is told."""
+    return path.parent / "seqinfo.ini", path.parent.parent / "seqinfo.ini"
+
+
 def read(source: Source, options: ReadOptions) -> TrackSet:
     """Read boxes with ids, and positions where the file has them.
 
@@ -67,45 +72,56 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         With line and column of the first cell that cannot be used, such as an id of −1 (a detection
         without identity).
     """
-    table = read_numbers(source, delimiter=",", widths=(7, 8, 9, 10), names=_NAMES)
-    identity = table.integers(1, schema.LARGEST_ID)
-    if (identity < 0).any():
-        row = int(np.argmax(identity < 0))
-        raise table.fail(
-            row, 1, "an id from 0: these are detections without identity, which no one has tracked"
-        )
-    pixel, height = _feet(table)
-    rows = Rows(
-        source.path,
-        "mot",
-        identity,
-        table.integers(0),
-        {"pixel": pixel, "height": height, "confidence": table.values[:, 6]},
-        table.line_of,
-    )
-    world = _world(table)
-    if world is not None:
-        rows = rows.with_channels(position=world)
-    if table.values.shape[1] == 9:
-        rows = _of_classes(rows, table, options)
-    rows = rows.keep(rows.channels["confidence"] != 0.0, IGNORED)
+    rows = read_boxes(source, options)
+    left, top, width, height = rows.channels["box"].T
+    rows = rows.with_channels(pixel=np.column_stack([left + width / 2.0, top + height]))
     fps, note = _frame_rate(source.path, options)
     rows = _placed(rows, options).with_notes(*note).with_times(fps)
-    return to_tracks(rows.without("height", "confidence"))
+    return to_tracks(rows.without("box", "confidence"))
 
 
-def _feet(table: Numbers) -> tuple[FloatArray, FloatArray]:
-    """Foot points (n, 2) and heights (n,) in pixels; NaN in rows whose box is −1, −1, −1, −1: no box."""
+def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
+    """Rows with ids, in the order of the file, without those to be ignored and those of other classes.
+
+    The channels are ``box`` (n, 4), left, top, width and height in pixels, NaN where the row has no box;
+    ``confidence`` (n,); and ``position`` (n, 2) in metres, where the file has any.
+
+    Raises
+    ------
+    InputError
+        With line and column of the first cell that cannot be used, such as an id of −1 (a detection
+        without identity). One such row refuses the file: whom it shows nobody knows.
+    """
+    table = read_numbers(source, delimiter=",", widths=(7, 8, 9, 10), names=_NAMES)
+    identity = table.integers(1, bounds.LARGEST_ID)
+    unknown = identity < 0
+    if unknown.any():
+        raise table.fail(
+            int(np.argmax(unknown)),
+            1,
+            f"an id from 0: {unknown.sum()} of {len(unknown)} rows are detections without identity, which "
+            "no one has tracked",
+        )
+    channels = {"box": _boxes_of(table), "confidence": table.values[:, 6]}
+    world = _world(table)
+    if world is not None:
+        channels["position"] = world
+    rows = Rows(source.path, "mot", identity, table.integers(0), channels, table.line_of)
+    if table.values.shape[1] == 9:
+        rows = _of_classes(rows, table, options)
+    return rows.keep(rows.channels["confidence"] != 0.0, IGNORED)
+
+
+def _boxes_of(table: Numbers) -> FloatArray:
+    """Boxes (n, 4) in pixels; NaN in rows whose box is −1, −1, −1, −1: no box."""
     absent = np.all(table.values[:, 2:6] == -1.0, axis=1)
     for column in (4, 5):
         bad = (table.values[:, column] <= 0.0) & ~absent
         if bad.any():
             raise table.fail(int(np.argmax(bad)), column, "a size above 0, or -1,-1,-1,-1 for no box")
-    left, top = table.pixels(2), table.pixels(3)
-    width = table.bounded(4, -1.0, schema.LARGEST_PIXELS)
-    height = table.bounded(5, -1.0, schema.LARGEST_PIXELS)
-    feet = np.column_stack([left + width / 2.0, top + height])
-    return np.where(absent[:, None], np.nan, feet), np.where(absent, np.nan, height)
+    sizes = [table.bounded(column, -1.0, bounds.LARGEST_PIXELS) for column in (4, 5)]
+    box = np.column_stack([table.pixels(2), table.pixels(3), *sizes])
+    return np.where(absent[:, None], np.nan, box)
 
 
 def _world(table: Numbers) -> FloatArray | None:
@@ -141,14 +157,14 @@ def _placed(rows: Rows, options: ReadOptions) -> Rows:
         raise InputError("neither boxes nor metres", "one of them", path=rows.path)
     if not len(rows):
         return rows.with_channels(position=pixel)
-    camera, notes = camera_or_scale(options, pixel, rows.channels["height"][seen])
+    camera, notes = camera_or_scale(options, pixel, rows.channels["box"][seen, 3])
     return on_ground(rows, camera, notes)
 
 
 def _frame_rate(path: Path, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
     if options.fps is not None:
         return options.fps, ()
-    for info in (path.parent / "seqinfo.ini", path.parent.parent / "seqinfo.ini"):
+    for info in beside(path):
         if info.is_file():
             match = re.search(r"(?m)^frameRate\s*=\s*(\d{1,6}(?:\.\d+)?)\s*$", Source.open(info).text)
             if match is not None and float(match[1]) > 0.0:
@@ -216,4 +232,5 @@ FORMAT = Format(
     looks_like=looks_like,
     read=read,
     write=write,
+    beside=beside,
 )

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.io import schema
-from graphtrack.io.numbers import parse_number
+from graphtrack.io.delimiters import other_delimiter
+from graphtrack.io.numbers import expected_number, parse_number
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
@@ -64,6 +65,8 @@ def _header(source: Source) -> list[str]:
         header = [name.strip() for name in next(csv.reader([first]))]
     except csv.Error as error:
         raise InputError(str(error), "a header", path=source.path, line=1) from error
+    if len(set(header) & set(schema.NAMES)) < 2 and (other := other_delimiter(source)) is not None:
+        raise other
     for name in header:
         if header.count(name) > 1:
             raise InputError(f"column {name!r} twice", "each column once", path=source.path, line=1)
@@ -154,9 +157,8 @@ def _number(text: str, path: Path, line: int, column: str) -> float:
         return float("nan")
     value = parse_number(text)
     if value is None:
-        raise InputError(
-            repr(text.strip()[:40]), "a finite number or an empty cell", path=path, line=line, column=column
-        )
+        expected = f"{expected_number(text)} or an empty cell"
+        raise InputError(repr(text.strip()[:40]), expected, path=path, line=line, column=column)
     return value
 
 

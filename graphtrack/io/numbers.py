@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack import bounds
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from graphtrack.io import schema
+from graphtrack.io.delimiters import other_delimiter
 from graphtrack.io.source import Source
 
 
@@ -23,6 +24,12 @@ def parse_number(text: str) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) else None
+
+
+def expected_number(text: str) -> str:
+    """What is expected where `parse_number` finds none."""
+    decimal_comma = parse_number(text.replace(",", ".")) is not None
+    return "a finite number with a decimal point" if decimal_comma else "a finite number"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +56,14 @@ class Numbers:
     def fail(self, row: int, column: int, expected: str) -> InputError:
         """The error for one cell."""
         return InputError(
-            f"{self.values[row, column]:.9g}",
+            f"{self.values[row, column]:.16g}",
             expected,
             path=self.source.path,
             line=self.line_of(row),
             column=_column_name(self.names, column),
         )
 
-    def integers(self, column: int, highest: int = schema.LARGEST_FRAME) -> NDArray[np.int64]:
+    def integers(self, column: int, highest: int = bounds.LARGEST_FRAME) -> NDArray[np.int64]:
         """A column of whole numbers within ±``highest``; whole floats such as 1.0e+00 will do."""
         values = self.values[:, column]
         bad = (np.abs(values) > highest) | (values != np.floor(values))
@@ -75,15 +82,15 @@ class Numbers:
 
     def metres(self, column: int) -> FloatArray:
         """A column of coordinates in metres."""
-        return self.bounded(column, -schema.LARGEST_METRES, schema.LARGEST_METRES)
+        return self.bounded(column, -bounds.LARGEST_METRES, bounds.LARGEST_METRES)
 
     def pixels(self, column: int) -> FloatArray:
         """A column of image coordinates."""
-        return self.bounded(column, -schema.LARGEST_PIXELS, schema.LARGEST_PIXELS)
+        return self.bounded(column, -bounds.LARGEST_PIXELS, bounds.LARGEST_PIXELS)
 
     def sizes(self, column: int) -> FloatArray:
         """A column of sizes in pixels, above 0."""
-        return self.bounded(column, 0.0, schema.LARGEST_PIXELS, strict=True)
+        return self.bounded(column, 0.0, bounds.LARGEST_PIXELS, strict=True)
 
 
 def read_numbers(
@@ -117,6 +124,8 @@ def read_numbers(
             continue
         cells = line.split(delimiter)
         if len(cells) not in widths or (rows and len(cells) != len(rows[0])):
+            if delimiter == "," and (error := other_delimiter(source)) is not None:
+                raise error
             wanted = (len(rows[0]),) if rows else widths
             raise InputError(
                 f"{len(cells)} columns",
@@ -151,7 +160,7 @@ def _cell(source: Source, text: str, line: int, column: str | int) -> float:
     value = parse_number(text)
     if value is None:
         found = repr(text.strip()[:40]) if text.strip() else "an empty cell"
-        raise InputError(found, "a finite number", path=source.path, line=line, column=column)
+        raise InputError(found, expected_number(text), path=source.path, line=line, column=column)
     return value
 
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 from graphtrack.angles import FloatArray
+from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import read_homography
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import detect, format_for_writing, format_named
+from graphtrack.io.registry import detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
+from graphtrack.io.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
 
 
@@ -55,7 +58,7 @@ def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
     source = Source.open(path)
     chosen = detect(source) if format is None else format_named(format)
-    return chosen.read(source, options)
+    return with_speeds_checked(chosen.read(source, options), source.path)
 
 
 def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
@@ -64,12 +67,11 @@ def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
     renumbered = 0
     for tracks_of_file, path in zip(sets, paths, strict=True):
         # The file's own ids stay with it, so that a new one never takes the place of one to come.
-        own = {track.track_id for track in tracks_of_file}
-        next_free = max(taken | own) + 1
+        free = _free_ids(taken | {track.track_id for track in tracks_of_file}, len(tracks_of_file))
         for track in tracks_of_file:
             identity = track.track_id
             if identity in taken:
-                identity, next_free = next_free, next_free + 1
+                identity = next(free)
                 renumbered += 1
             taken.add(identity)
             tracks.append(replace(track, track_id=identity, label=track.label or _stem(path)))
@@ -86,12 +88,20 @@ def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
     return TrackSet(tuple(tracks), camera, replace(summary, notes=tuple(notes)))
 
 
+def _free_ids(used: Set[int], most: int) -> Iterator[int]:
+    """Ids that are not used: those after the highest, or where they would end too soon, from 0 on."""
+    first = max(used) + 1
+    return (k for k in count(first if first + most <= LARGEST_ID else 0) if k not in used)
+
+
 def _stem(path: Path) -> str:
-    return path.name.split(".")[0] or path.name
+    # A name need not be UTF-8, but what is written of it must.
+    name = path.name.encode(errors="surrogateescape").decode(errors="replace")
+    return name.split(".")[0] or name
 
 
 def write(
-    tracks: TrackSet,
+    tracks: TrackSet | Track,
     path: str | Path,
     *,
     format: str | None = None,
@@ -101,19 +111,21 @@ def write(
 
     Parameters
     ----------
-    format : name of the format; None: by the ending of the file name homography : (3, 3) image → ground
-    or the path of its nine numbers, for formats with boxes; it replaces the
-        camera of the tracks
+    tracks : to be written; a track stands for a set of one
+    format : name of the format; None: by the ending of the file name
+    homography : (3, 3) image → ground, or the path of its nine numbers, for formats with boxes; it replaces
+        the camera of the tracks
 
     Raises
     ------
     InputError
         If the format cannot be written, the tracks lack what it needs, or the place cannot be written to.
     """
-    path = Path(path)
+    path, tracks = Path(path), TrackSet((tracks,)) if isinstance(tracks, Track) else tracks
     chosen = format_for_writing(path) if format is None else format_named(format)
     if chosen.write is None:
-        raise InputError(f"format {chosen.name!r}", "a format that can be written: csv, parquet, mot")
+        names = ", ".join(one.name for one in formats() if one.write is not None)
+        raise InputError(f"format {chosen.name!r}", f"a format that can be written: {names}")
     if homography is not None:
         matrix = read_homography(homography) if isinstance(homography, str | Path) else homography
         tracks = replace(tracks, camera=GroundCamera.from_homography(matrix))

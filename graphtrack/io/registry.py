@@ -9,12 +9,14 @@ from functools import cache
 from pathlib import Path
 
 from graphtrack.errors import InputError
+from graphtrack.io.delimiters import other_delimiter
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.tracks import TrackSet
 
 FORMAT_MODULES = (
     "native_parquet",
+    "ndjson",
     "mocap",
     "native_csv",
     "caviar",
@@ -40,6 +42,7 @@ class Format:
     looks_like : (first bytes, path) → whether the content is of this format
     read : (source, options) → tracks
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
+    beside : path → the places beside it where the reader looks for more by itself
     """
 
     name: str
@@ -48,12 +51,18 @@ class Format:
     looks_like: Callable[[bytes, Path], bool]
     read: Callable[[Source, ReadOptions], TrackSet]
     write: Callable[[TrackSet, Path], None] | None = None
+    beside: Callable[[Path], tuple[Path, ...]] = lambda path: ()
 
 
 @cache
 def formats() -> tuple[Format, ...]:
     """All formats, in the order in which they are tried."""
     return tuple(importlib.import_module(f"graphtrack.io.{name}").FORMAT for name in FORMAT_MODULES)
+
+
+def files_beside(path: Path) -> tuple[Path, ...]:
+    """The files beside ``path`` that a reader of some format would read with it."""
+    return tuple(place for known in formats() for place in known.beside(path) if place.is_file())
 
 
 def format_named(name: str) -> Format:
@@ -87,6 +96,9 @@ def detect(source: Source) -> Format:
     for candidate in formats():
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
+    is_text = b"\0" not in source.head or source.utf16 is not None
+    if is_text and (error := other_delimiter(source)) is not None:
+        raise error
     raise InputError(
         "content of no known format", "one of " + ", ".join(f.name for f in formats()), path=source.path
     )

@@ -98,15 +98,11 @@ def to_tracks(rows: Rows) -> TrackSet:
     InputWarning
         If frames had to be sorted; the summary's notes say so too.
     """
+    check_rows(rows)
     rows_read = len(rows) + sum(rows.refused.values())
-    if not len(rows):
-        reasons = "; ".join(f"{count} {reason}" for reason, count in rows.refused.items())
-        found = f"no usable row ({reasons} refused)" if reasons else "no rows"
-        raise InputError(found, "at least one row", path=rows.path)
     order = np.lexsort((rows.frame, rows.track_id))
     track_id, frame = rows.track_id[order], rows.frame[order]
     same_track = np.diff(track_id) == 0
-    _check_duplicates(rows, order, same_track & (np.diff(frame) == 0))
     notes = rows.notes
     unsorted_tracks = _unsorted(rows)
     if unsorted_tracks:
@@ -127,7 +123,20 @@ def to_tracks(rows: Rows) -> TrackSet:
     return TrackSet(tuple(tracks), rows.camera, summary)
 
 
-def _check_duplicates(rows: Rows, order: NDArray[np.int64], twice: NDArray[np.bool_]) -> None:
+def check_rows(rows: Rows) -> None:
+    """Refuse a file of which no row is left, or of which two are of one track in one frame.
+
+    Raises
+    ------
+    InputError
+        With what was left out, or with the line of the first row that comes again.
+    """
+    if not len(rows):
+        reasons = "; ".join(f"{count} {reason}" for reason, count in rows.refused.items())
+        found = f"no usable row ({reasons} refused)" if reasons else "no rows"
+        raise InputError(found, "at least one row", path=rows.path)
+    order = np.lexsort((rows.frame, rows.track_id))
+    twice = (np.diff(rows.track_id[order]) == 0) & (np.diff(rows.frame[order]) == 0)
     if twice.any():
         later = order[np.flatnonzero(twice) + 1]
         i = int(later.min())

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from graphtrack import bounds
 from graphtrack.angles import wrap
 from graphtrack.errors import InputError
-from graphtrack.io import schema
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
@@ -47,7 +47,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     names = ("t", *(f"{name} of {label}" for label in ids.values() for name in _PERSON))
     table = read_numbers(text, delimiter=None, widths=(1 + 5 * people,), names=names)
     steps = len(table.values)
-    t = table.bounded(0, -schema.LARGEST_SECONDS, schema.LARGEST_SECONDS)
+    t = table.bounded(0, -bounds.LARGEST_SECONDS, bounds.LARGEST_SECONDS)
     late = np.flatnonzero(np.diff(t) <= 0.0)
     if len(late):
         raise table.fail(int(late[0]) + 1, 0, "a time after that of the row before")

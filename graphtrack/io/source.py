@@ -69,6 +69,18 @@ class Source:
         return self.data[:HEAD_BYTES]
 
     @cached_property
+    def utf16(self) -> str | None:
+        """The name of the UTF-16 encoding that the content seems to have; None for any other."""
+        if self.data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return "UTF-16"
+        # Without a mark at the beginning: of most characters one byte is null, and always the same one.
+        first, second = self.head[::2], self.head[1::2]
+        for nulls, others, name in ((second, first, "UTF-16LE"), (first, second, "UTF-16BE")):
+            if nulls.count(0) > 0.8 * len(nulls) and 0 not in others:
+                return name
+        return None
+
+    @cached_property
     def text(self) -> str:
         """The content as UTF-8 text, with or without a byte order mark.
 
@@ -77,8 +89,9 @@ class Source:
         InputError
             On binary files and other encodings, with the line of the first bad byte.
         """
-        if self.data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            raise InputError("UTF-16 text", "UTF-8 text", path=self.path, line=1)
+        if self.utf16 is not None:
+            expected = f"UTF-8 text, such as iconv -f {self.utf16} -t UTF-8 makes of it"
+            raise InputError("UTF-16 text", expected, path=self.path, line=1)
         null = self.data.find(b"\0")
         if null >= 0:
             raise InputError("a null byte (a binary file?)", "text", path=self.path, line=self._line(null))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from graphtrack.io import schema
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.rows import Rows, to_tracks
+from graphtrack.io.speeds import with_speeds_checked
 from graphtrack.tracks import STATE, Track, TrackSet
 
 if TYPE_CHECKING:
@@ -69,41 +70,89 @@ def to_table(tracks: TrackSet) -> pd.DataFrame:
     return pd.DataFrame(to_columns(tracks))
 
 
-def from_table(table: pd.DataFrame, *, fps: float | None = None) -> TrackSet:
+def from_table(table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
     """Tracks from a table with the columns of the native format; a missing cell is a missing observation.
+
+    Parameters
+    ----------
+    table : a DataFrame, or name → column; dates and times in ``t`` become seconds since 1970 (UTC)
 
     Raises
     ------
     InputError
         Naming the row (from 1) and column that cannot be used.
     """
+    table = _frame(table)
     names = [str(name) for name in table.columns]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"column {twice!r} twice", "each column once")
-    columns = {}
+    columns, notes = {}, []
     for name in names:
         if name in schema.NAMES:
-            columns[name] = table[name].to_numpy() if name == "label" else _numbers(table, name)
-    return from_columns(
+            values = table[name]
+            if name == "t" and values.dtype.kind in "mM":
+                values = _seconds(values)
+                notes.append("t had dates or times: seconds, of dates since 1970-01-01 UTC")
+            columns[name] = values.to_numpy() if name == "label" else _numbers(values, name)
+    path = Path("table")
+    tracks = from_columns(
         columns,
-        path=Path("table"),
+        path=path,
         format="table",
         options=ReadOptions(fps=fps),
         line_of=lambda i: i + 1,
         ignored=schema.unknown(names),
+        notes=tuple(notes),
     )
+    return with_speeds_checked(tracks, path)
 
 
-def _numbers(table: pd.DataFrame, name: str) -> FloatArray:
+def _frame(table: Any) -> pd.DataFrame:
     import pandas as pd
 
+    if isinstance(table, pd.DataFrame):
+        return table
+    if not isinstance(table, Mapping):
+        raise InputError(f"a {type(table).__name__}", "a DataFrame, or a dict of columns")
+    columns = {str(name): pd.Series(column) for name, column in _arrays(table)}
+    sizes = {name: len(column) for name, column in columns.items()}
+    if len(set(sizes.values())) > 1:
+        found = ", ".join(f"{name} ({size})" for name, size in sizes.items())
+        raise InputError(f"columns of different lengths: {found}", "a row for each person and frame")
+    return pd.DataFrame({name: column.to_numpy() for name, column in columns.items()})
+
+
+def _arrays(table: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, column in table.items():
+        try:
+            shape = np.shape(column)
+        except ValueError:  # rows of different lengths
+            shape = (0, 0)
+        if len(shape) != 1:
+            raise InputError(f"an array of shape {shape}", "a column of shape (n,)", column=str(name))
+        yield name, column
+
+
+def _seconds(times: pd.Series[Any]) -> pd.Series[Any]:
+    import pandas as pd
+
+    if times.dtype.kind == "M":
+        times = times - pd.Timestamp(0, tz=times.dt.tz)
+    return times.dt.total_seconds()
+
+
+def _numbers(column: pd.Series[Any], name: str) -> FloatArray:
+    import pandas as pd
+
+    if column.dtype.kind in "mM":
+        raise InputError("dates or times", "numbers", column=name)
     try:
-        return table[name].to_numpy(dtype=float, na_value=np.nan)
+        return column.to_numpy(dtype=float, na_value=np.nan)
     except (TypeError, ValueError):
-        bad = pd.to_numeric(table[name], errors="coerce").isna() & table[name].notna()
+        bad = pd.to_numeric(column, errors="coerce").isna() & column.notna()
         row = int(np.flatnonzero(bad.to_numpy())[0]) if bad.any() else 0
-        raise InputError(f"{table[name].iloc[row]!r}", "a number", line=row + 1, column=name) from None
+        raise InputError(f"{column.iloc[row]!r}", "a number", line=row + 1, column=name) from None
 
 
 def from_columns(
@@ -114,6 +163,7 @@ def from_columns(
     options: ReadOptions,
     line_of: Callable[[int], int],
     ignored: list[str],
+    notes: tuple[str, ...] = (),
 ) -> TrackSet:
     """Tracks from the columns of the native table, checked cell by cell.
 
@@ -122,6 +172,7 @@ def from_columns(
     columns : name → (n,) numbers, NaN where a cell is empty; ``label`` holds text or None
     path, format, options, line_of : as in `Rows` and the readers
     ignored : names of columns that the file has besides
+    notes : what was assumed so far
 
     Raises
     ------
@@ -144,7 +195,8 @@ def from_columns(
             _check_bounds(values, schema.BY_NAME[name], fail)
     for group in schema.TOGETHER:
         _check_group({name: columns[name] for name in group if name in columns}, fail)
-    notes = (f"ignored columns {', '.join(ignored)}",) if ignored else ()
+    if ignored:
+        notes = (*notes, f"ignored columns {', '.join(ignored)}")
     track_id = columns["track_id"].astype(np.int64)
     rows = Rows(
         path,
@@ -183,15 +235,13 @@ def check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable
     if bad.any():
         row = int(np.argmax(bad))
         found = "an empty cell" if np.isnan(values[row]) else f"{values[row]:.17g}"
-        raise fail(found, f"a whole number within ±{highest}", row, name)
+        raise fail(found, schema.expected_integer(highest), row, name)
 
 
 def _check_bounds(values: FloatArray, column: schema.Column, fail: Callable[..., InputError]) -> None:
-    with np.errstate(invalid="ignore"):
-        bad = (values < column.low) | (values > column.high) | (column.strict & (values == column.low))
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise fail(f"{values[row]:g}", column.expected, row, column.name)
+    place = column.bounds.first_outside(values)
+    if place is not None:
+        raise fail(f"{values[place]:g}", column.bounds.expected, place[0], column.name)
 
 
 def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError]) -> None:
@@ -204,12 +254,12 @@ def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError
         row = int(np.argmax(partial))
         names = list(group)
         name = names[int(np.argmax(empty[row]))]
-        raise fail("an empty cell", f"all of {names[0]} … {names[-1]} or none of them", row, name)
+        raise fail("an empty cell", schema.expected_group(names), row, name)
     first = next(iter(group))
     if first.endswith("_p0"):
         zero = np.sum(list(group.values()), axis=0) <= 0.0
         if zero.any():
-            raise fail("class likelihoods that are all 0", "one above 0", int(np.argmax(zero)), first)
+            raise fail(*schema.NO_CLASS, int(np.argmax(zero)), first)
 
 
 def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:

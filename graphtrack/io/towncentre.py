@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from graphtrack import bounds
 from graphtrack.angles import FloatArray
 from graphtrack.geometry import GroundCamera
-from graphtrack.io import schema
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, read_calibration
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
@@ -32,6 +32,11 @@ def looks_like(head: bytes, path: Path) -> bool:
     return mostly(head, matches)
 
 
+def beside(path: Path) -> tuple[Path, ...]:
+    """Where the camera's calibration lies."""
+    return (path.parent / "calibration.ci",)
+
+
 def read(source: Source, options: ReadOptions) -> TrackSet:
     """Read boxes and put their bottom centres on the ground.
 
@@ -51,7 +56,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     rows = Rows(
         source.path,
         "towncentre",
-        table.integers(1, schema.LARGEST_ID),
+        table.integers(1, bounds.LARGEST_ID),
         table.integers(0),
         {"pixel": pixel},
         table.line_of,
@@ -63,9 +68,9 @@ def _camera(
     source: Source, options: ReadOptions, pixel: FloatArray, height: FloatArray
 ) -> tuple[GroundCamera, tuple[str, ...]]:
     camera, notes = known_camera(options, pixel)
-    beside = source.path.parent / "calibration.ci"
-    if camera is None and options.metres_per_pixel is None and beside.is_file():
-        camera, notes = read_calibration(beside), ("calibration from calibration.ci beside the file",)
+    (found,) = beside(source.path)
+    if camera is None and options.metres_per_pixel is None and found.is_file():
+        camera, notes = read_calibration(found), ("calibration from calibration.ci beside the file",)
     if camera is None:
         return camera_or_scale(options, pixel, height)
     scale, why = _image_scale(options, camera, pixel - np.column_stack([np.zeros_like(height), height]))
@@ -95,4 +100,5 @@ FORMAT = Format(
     suffixes=(),
     looks_like=looks_like,
     read=read,
+    beside=beside,
 )

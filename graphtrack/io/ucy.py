@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from graphtrack.bounds import LARGEST_FRAME, LARGEST_PIXELS
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, on_ground, read_homography
@@ -15,7 +16,6 @@ from graphtrack.io.numbers import parse_number
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.rows import Rows, to_tracks
-from graphtrack.io.schema import LARGEST_FRAME, LARGEST_PIXELS
 from graphtrack.io.source import Source
 from graphtrack.tracks import TrackSet
 
@@ -28,12 +28,25 @@ _FROM_PIXEL = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 _MIRROR = np.diag([1.0, -1.0, 1.0])
 
-_POINTS = re.compile(r"(\d{1,9})\s*(-.*)?", re.ASCII)
+_COUNT = re.compile(r"(\d{1,9})\s*(-.*)?", re.ASCII)
+_COMMENT = re.compile(r" - | ?\(")
+_POINT = ("x", "y", "frame", "gaze")
+_OBSTACLES = {
+    "line": (("left x", "left y", "right x", "right y", "type"),),
+    "cylinder": (("x", "y"), ("radius", "type", "id"), ("start", "end")),
+}
+"""Kind of obstacle → what each of its lines holds."""
+_WHOLE = {"frame", "type", "id", "start", "end"}
 
 
 def looks_like(head: bytes, path: Path) -> bool:
     """Whether the first line counts splines."""
     return b"number of splines" in head.split(b"\n", 1)[0].lower()
+
+
+def beside(path: Path) -> tuple[Path, ...]:
+    """Where the homography of the data set lies."""
+    return (path.parent / "H.txt",)
 
 
 @dataclass(frozen=True)
@@ -57,10 +70,12 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     InputError
         With the line of the first thing that cannot be used, or if there is no homography.
     """
-    points = _control_points(source)
+    lines = _Lines(source)
+    points = _control_points(lines)
     pixel = np.array([(point.u, point.v) for point in points]).reshape(-1, 2)
     notes = [
         "gaze was not read: most of it is the direction to the next control point, which tells the future",
+        *_obstacles(lines),
     ]
     camera, more = _camera(source, options, pixel)
     frame = np.array([point.frame for point in points], dtype=np.int64)
@@ -89,9 +104,9 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
     given = options.homography
     notes: tuple[str, ...] = ()
     if given is None and options.point_pairs is None and options.calibration is None:
-        beside = source.path.parent / "H.txt"
-        if beside.is_file():
-            given, notes = beside, ("homography from H.txt beside the file",)
+        (found,) = beside(source.path)
+        if found.is_file():
+            given, notes = found, ("homography from H.txt beside the file",)
         elif options.metres_per_pixel is None:
             raise InputError(
                 "no homography",
@@ -113,48 +128,92 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
     return camera, notes
 
 
-def _control_points(source: Source) -> list[_ControlPoint]:
-    """All control points, in the order of the file."""
-    lines = [(number, line.strip()) for number, line in enumerate(source.lines, 1) if line.strip()]
-    place = 0
+class _Lines:
+    """The lines of a file that hold something, one after the other."""
 
-    def fail(found: str, expected: str, column: str | None = None) -> InputError:
-        line = lines[place][0] if place < len(lines) else len(source.lines)
-        return InputError(found, expected, path=source.path, line=line, column=column)
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._lines = [(number, line.strip()) for number, line in enumerate(source.lines, 1) if line.strip()]
+        self._place = 0
 
-    def count(what: str) -> int:
-        if place >= len(lines):
-            raise fail("the end of the file", what)
-        match = _POINTS.fullmatch(lines[place][1])
+    @property
+    def number(self) -> int:
+        """Of the current line, in the file; of the last one at the end."""
+        return self._lines[self._place][0] if self.left else len(self._source.lines)
+
+    @property
+    def left(self) -> bool:
+        """Whether there is a current line."""
+        return self._place < len(self._lines)
+
+    def text(self, expected: str) -> str:
+        """The current line; an error at the end of the file."""
+        if not self.left:
+            raise self.fail("the end of the file", expected)
+        return self._lines[self._place][1]
+
+    def fail(self, found: str, expected: str, column: str | None = None) -> InputError:
+        """The error for the current line."""
+        return InputError(found, expected, path=self._source.path, line=self.number, column=column)
+
+    def count(self, expected: str) -> int:
+        """The count that the current line begins with, and go on."""
+        text = self.text(expected)
+        match = _COUNT.fullmatch(text)
         if match is None:
-            raise fail(repr(lines[place][1][:40]), what)
+            raise self.fail(repr(text[:40]), expected)
+        self._place += 1
         return int(match[1])
 
-    splines = count("the number of splines")
-    place = 1
+    def numbers(self, names: tuple[str, ...], expected: str) -> list[float]:
+        """The numbers of the current line, before its comment, and go on."""
+        text = self.text(expected)
+        cells = _COMMENT.split(text, maxsplit=1)[0].split()
+        if len(cells) != len(names):
+            raise self.fail(f"{len(cells)} columns", f"{len(names)}: {' '.join(names)}")
+        values = []
+        for name, cell in zip(names, cells, strict=True):
+            value, whole = parse_number(cell), name in _WHOLE
+            highest = LARGEST_FRAME if whole else LARGEST_PIXELS
+            if value is None or abs(value) > highest or (whole and value != int(value)):
+                kind = "whole number" if whole else "number"
+                raise self.fail(repr(cell[:40]), f"a {kind} within ±{highest:g}", name)
+            values.append(value)
+        self._place += 1
+        return values
+
+
+def _control_points(lines: _Lines) -> list[_ControlPoint]:
+    """All control points, in the order of the file."""
+    splines = lines.count("the number of splines")
     points: list[_ControlPoint] = []
     for spline in range(splines):
-        expected_points = count(f"the number of control points of spline {spline + 1} of {splines}")
-        place += 1
-        for _ in range(expected_points):
-            if place >= len(lines):
-                raise fail("the end of the file", f"a control point of spline {spline + 1} of {splines}")
-            number, text = lines[place]
-            cells = text.split(" - ")[0].split()
-            if len(cells) != 4:
-                raise fail(f"{len(cells)} columns", "4: x y frame gaze")
-            values = [parse_number(cell) for cell in cells]
-            for name, cell, value in zip(("x", "y", "frame", "gaze"), cells, values, strict=True):
-                highest = LARGEST_FRAME if name == "frame" else LARGEST_PIXELS
-                if value is None or abs(value) > highest or (name == "frame" and value != int(value)):
-                    whole = "whole " if name == "frame" else ""
-                    raise fail(repr(cell[:40]), f"a {whole}number within ±{highest:g}", name)
-            x, y, frame, _gaze = (value or 0.0 for value in values)
+        of = f"of spline {spline + 1} of {splines}"
+        for _ in range(lines.count(f"the number of control points {of}")):
+            number = lines.number
+            x, y, frame, _gaze = lines.numbers(_POINT, f"a control point {of}")
             points.append(_ControlPoint(spline, x + _CENTRE[0], _CENTRE[1] - y, int(frame), number))
-            place += 1
-    if place < len(lines):
-        raise fail(repr(lines[place][1][:40]), f"the end of the file after {splines} splines")
     return points
+
+
+def _obstacles(lines: _Lines) -> tuple[str, ...]:
+    """Read past the obstacles that may stand after the splines; a note on them.
+
+    They are things on the ground, which have nothing to say of people's tracks.
+    """
+    told: dict[str, str] = {}
+    end = "the end of the file, or the number of line or cylinder obstacles, after the splines"
+    while lines.left:
+        text = lines.text(end)
+        kind = next((kind for kind in _OBSTACLES if f"number of {kind} obstacles" in text.lower()), None)
+        if kind is None or kind in told:
+            raise lines.fail(repr(text[:40]), end)
+        count = lines.count(f"the number of {kind} obstacles")
+        for k in range(count):
+            for names in _OBSTACLES[kind]:
+                lines.numbers(names, f"{' '.join(names)} of {kind} obstacle {k + 1} of {count}")
+        told[kind] = f"{count} {kind} obstacle{'' if count == 1 else 's'}"
+    return (f"{' and '.join(told.values())} not read",) if told else ()
 
 
 FORMAT = Format(
@@ -163,4 +222,5 @@ FORMAT = Format(
     suffixes=(".vsp",),
     looks_like=looks_like,
     read=read,
+    beside=beside,
 )

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,12 +14,16 @@ from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference.offline import engine_of
+from graphtrack.io.given import tracks_of
 from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature, definite
 from graphtrack.learning.free import Free, free_parameters, with_values
 from graphtrack.learning.journal import Journal
 from graphtrack.learning.objective import Criterion, Objective, in_blocks
 from graphtrack.model import Model
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks import Track
+
+if TYPE_CHECKING:
+    from graphtrack.io.given import Given
 
 MAX_FRAMES = 20_000
 """Person-frames that are learned from; of more, tracks are chosen at random."""
@@ -82,7 +86,7 @@ class Fit:
 
 
 def fit(
-    tracks: TrackSet,
+    tracks: Given,
     model: Model | str | Path = "separate",
     *,
     criterion: Criterion | None = None,
@@ -103,7 +107,7 @@ def fit(
 
     Parameters
     ----------
-    tracks : observations
+    tracks : observations, in any form that `graphtrack.solve` takes
     model : where to begin; what is 0 there stays 0
     criterion : None: by the truth, where any track has one; else by the evidence, where it is known
     hold_out : share of the tracks that only judge, in [0, 0.9]
@@ -122,6 +126,7 @@ def fit(
     engine_of(model, "chain")
     if not 0.0 <= hold_out <= 0.9:
         raise InputError(f"hold_out = {hold_out!r}", "a share in [0, 0.9]")
+    tracks = tracks_of(tracks)
     usable = [track for track in tracks if len(track) > 1 and np.isfinite(track.position).any()]
     if criterion is None:
         normalised = all(term.is_normalised for term in model.terms)
@@ -261,7 +266,8 @@ def _score(
 def _fingerprint(
     tracks: Sequence[Track], model: Model, criterion: Criterion, camera: GroundCamera | None
 ) -> str:
-    digest = hashlib.sha256(repr((model, criterion)).encode())
+    terms = [type(term).__qualname__ for term in model.terms]
+    digest = hashlib.sha256(repr((model.preset, model.parameters, terms, criterion)).encode())
     for track in tracks:
         for field in fields(track):
             value = getattr(track, field.name)

@@ -15,7 +15,7 @@ from graphtrack.model.gait import GaitOffsets
 from graphtrack.model.intentional import IntentionalMotion
 from graphtrack.model.motion import Motion
 from graphtrack.model.orientation import BodyDynamics, HeadDynamics
-from graphtrack.model.parameters import GaitParameters
+from graphtrack.model.parameters import GaitParameters, range_of
 from graphtrack.model.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.position import PositionLikelihood
 from graphtrack.tracks import Track
@@ -56,7 +56,7 @@ class Free:
     @property
     def is_probability(self) -> bool:
         """Whether it is learned by its log odds; else by its logarithm."""
-        return self._greatest < 1.0
+        return self._range[1] < 1.0
 
     def get(self, model: Model) -> float:
         """Its value in a model."""
@@ -65,26 +65,23 @@ class Free:
 
     def to_scale(self, value: float) -> float:
         """Logarithm, or log odds of a probability."""
-        value = min(value, self._greatest)
+        value = min(value, self._range[1])
         return math.log(value / (1.0 - value)) if self.is_probability else math.log(value)
 
     def from_scale(self, x: float) -> float:
         """The inverse of `to_scale`, within what the parameter may be."""
         value = 1.0 / (1.0 + math.exp(-x)) if self.is_probability else math.exp(x)
-        return min(value, self._greatest)
+        low, high = self._range
+        return min(max(value, low), high)
 
     @cached_property
-    def _greatest(self) -> float:
-        """The greatest value that is tried: one that it may have, not too far from what is usual."""
+    def _range(self) -> tuple[float, float]:
+        """The least and the greatest value that is tried: it may have both, and neither is out of the way."""
         group, key = self.name.split(".")
-        defaults = getattr(Parameters(), group)
-        for limit in (1e3, 100.0, 10.0):
-            try:
-                replace(defaults, **{key: limit})
-            except InputError:
-                continue
-            return limit
-        return 0.999
+        limits = range_of(getattr(Parameters(), group), key)
+        assert limits is not None  # only numbers are learned
+        low, high = limits
+        return low, min(high, 0.999 if high <= 1.0 else 1e3)
 
 
 def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:

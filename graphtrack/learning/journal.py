@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from graphtrack.angles import FloatArray
+from graphtrack.io.atomic import atomic_path
 
 
 class Journal:
@@ -39,7 +40,8 @@ class Journal:
             whole = [fingerprint]
         for entry in whole[1:]:
             self._known[entry[0], tuple(entry[1])] = entry[2]
-        path.write_text("".join(json.dumps(entry) + "\n" for entry in whole), encoding="utf-8")
+        with atomic_path(path) as temporary:
+            temporary.write_text("".join(json.dumps(entry) + "\n" for entry in whole), encoding="utf-8")
 
     def __len__(self) -> int:
         return len(self._known)

@@ -15,8 +15,10 @@ from graphtrack.inference.elimination_kernels import Workspace, workspace
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.inference.problem import Problem, Result
 from graphtrack.inference.solution import bounded
+from graphtrack.inference.warm import SOLVER, offline_rehearsal
 from graphtrack.model import Model
 from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track
 
 MAX_ITERATIONS, TOLERANCE = 100, 1e-13
@@ -60,6 +62,7 @@ class Solver:
 
     def __init__(self, tracks: Sequence[Track], model: Model, camera: GroundCamera | None) -> None:
         self._tracks, self._camera = tracks, camera
+        make_ready(SOLVER, offline_rehearsal(model, steps=True))
         # The engine finds modes from the solution without couplings, so that is where it starts.
         start = Model("separate", model.parameters) if model.has_modes else model
         packed = pack(tracks, start, camera)

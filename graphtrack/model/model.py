@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import gtsam
 import tomli_w
 
+from graphtrack.display import html_table, listed
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.io.atomic import atomic_path
@@ -54,6 +56,11 @@ def default_parameters(preset: str) -> Parameters:
     return preset_parameters.get(preset, Parameters())
 
 
+def best_preset(engine: str = "auto") -> str:
+    """The best preset that an engine has: "full", or "joint" with one of GTSAM's, which have no modes."""
+    return "full" if engine in ("auto", "chain") else "joint"
+
+
 class Model:
     """A list of terms. Every engine interprets the same list.
 
@@ -79,10 +86,25 @@ class Model:
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used
         self.has_modes = any(isinstance(term, GaitOffsets) for term in self.terms)
+        self.is_linear = all(term.is_linear for term in self.terms)
 
     def __repr__(self) -> str:
-        extra = "".join(f", {kind.__name__}" for kind in self._extra)
-        return f"Model({self.preset!r}{extra}, {self.parameters})"
+        parts = [repr(self.preset), *(kind.__name__ for kind in self._extra), *self._changed()]
+        return f"Model({listed(parts, 5)})"
+
+    def _repr_html_(self) -> str:
+        terms = [(type(term).__name__, (type(term).__doc__ or "").partition("\n")[0]) for term in self.terms]
+        return html_table(repr(self), ("term", ""), terms)
+
+    def _changed(self) -> list[str]:
+        """The parameters that are not the preset's own."""
+        own = asdict(default_parameters(self.preset))
+        return [
+            f"{table}.{name}={value!r}"
+            for table, values in asdict(self.parameters).items()
+            for name, value in values.items()
+            if value != own[table][name]
+        ]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Model, (self.preset, self.parameters, self._extra)
@@ -100,28 +122,45 @@ class Model:
         return sum(term.cost(states, track, camera) for term in self.terms)
 
     def to_dict(self) -> dict[str, Any]:
-        """What a model file holds."""
-        from dataclasses import asdict
+        """What a model file holds.
 
+        Raises
+        ------
+        InputError
+            If the model has terms of its own: they are code, and would be left out.
+        """
+        if self._extra:
+            names = ", ".join(kind.__name__ for kind in self._extra)
+            raise InputError(
+                f"a model with terms of its own ({names}), which a file cannot hold",
+                "a preset and its parameters: save Model(preset, parameters), add the terms once loaded",
+            )
         return {"preset": self.preset, **asdict(self.parameters)}
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> Model:
-        """The inverse of `to_dict`; InputError names what is unknown or out of range."""
+    def from_dict(cls, content: dict[str, Any], engine: str = "auto") -> Model:
+        """The inverse of `to_dict`; InputError names what is unknown or out of range.
+
+        Without a preset it is `best_preset` of the ``engine``.
+        """
         tables = dict(content)
-        preset = tables.pop("preset", "joint")
+        preset = tables.pop("preset", best_preset(engine))
         if not isinstance(preset, str):
             raise InputError(f"preset = {preset!r}", f"one of {', '.join(presets)}")
         return cls(preset, Parameters.from_dict(tables, default_parameters(preset)))
 
     def save(self, path: str | Path) -> None:
-        """Write a model file (TOML), whole or not at all."""
+        """Write a model file (TOML), whole or not at all; InputError if it cannot hold the model."""
+        content = tomli_w.dumps(self.to_dict())
         with atomic_path(path) as temporary:
-            Path(temporary).write_text(tomli_w.dumps(self.to_dict()), encoding="utf-8")
+            Path(temporary).write_text(content, encoding="utf-8")
 
     @classmethod
-    def load(cls, path: str | Path) -> Model:
-        """Read a model file (TOML); InputError names the file and the key."""
+    def load(cls, path: str | Path, engine: str = "auto") -> Model:
+        """Read a model file (TOML); InputError names the file and the key.
+
+        One without a preset has the best that the ``engine`` has, as `Model.named` says.
+        """
         try:
             content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
@@ -129,7 +168,7 @@ class Model:
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(f"no TOML ({error})", "a model file", path=path) from error
         try:
-            return cls.from_dict(content)
+            return cls.from_dict(content, engine)
         except InputError as error:
             raise InputError(error.found, error.expected, path=path) from error
 
@@ -137,14 +176,15 @@ class Model:
     def named(cls, model: Model | str | Path | None, engine: str = "auto") -> Model:
         """A model from a preset's name or a model file's path; a model is returned as it is.
 
-        None stands for the best preset that the engine has: "full", or "joint" with GTSAM.
+        None stands for the best preset that the engine has, and so does a file that names none: "full", or
+        "joint" with GTSAM.
         """
         if model is None:
-            return cls("full" if engine in ("auto", "chain") else "joint")
+            return cls(best_preset(engine))
         if isinstance(model, Model):
             return model
         if isinstance(model, str) and model in presets:
             return cls(model)
         if Path(model).suffix == ".toml":
-            return cls.load(model)
+            return cls.load(model, engine)
         raise InputError(f"model {str(model)!r}", f"one of {', '.join(presets)}, or a model file (.toml)")

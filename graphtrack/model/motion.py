@@ -31,6 +31,8 @@ def process_noise(dt: float, acceleration_density: float) -> FloatArray:
 class Motion(Term):
     """White-noise acceleration between frames, and a broad prior on the velocity where the track begins."""
 
+    linear = True
+
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """`WnoaMotionFactorPoint2`, native and exact."""
         motion = self.parameters.motion

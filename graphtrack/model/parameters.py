@@ -17,16 +17,41 @@ from graphtrack.errors import InputError
 Robust = Literal["none", "huber", "cauchy"]
 
 
-def _check(owner: object, name: str, low: float, high: float, *, open_low: bool = False) -> None:
-    value = getattr(owner, name)
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not number or not (low < value if open_low else low <= value) or value > high:
-        bracket = "(" if open_low else "["
-        raise InputError(f"{name} = {value!r}", f"a number in {bracket}{low:g}, {high:g}]")
+def _number(default: float, low: float, high: float, unit: str = "") -> Any:
+    """A field of a parameter with its range, in its unit.
+
+    Within all ranges estimates are finite: what lies beyond is no property of people, and some of it can not
+    be solved in double precision.
+    """
+    return field(default=default, metadata={"range": (low, high), "unit": unit})
+
+
+class _Group:
+    """Parameters that check themselves against their ranges."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]
+            _check(self, name)
+
+
+def range_of(group: Any, name: str) -> tuple[float, float] | None:
+    """Lowest and highest value of a parameter of a group, in its unit; None for one that is no number."""
+    limits: tuple[float, float] | None = group.__dataclass_fields__[name].metadata.get("range")
+    return limits
+
+
+def _check(group: Any, name: str) -> None:
+    limits, value = range_of(group, name), getattr(group, name)
+    if limits is None:
+        return
+    low, high = limits
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        unit = group.__dataclass_fields__[name].metadata["unit"]
+        raise InputError(f"{name} = {value!r}", f"a number in [{low:g}, {high:g}] {unit}".rstrip())
 
 
 @dataclass(frozen=True)
-class MotionParameters:
+class MotionParameters(_Group):
     """White-noise acceleration and intentional motion (MODEL terms 1 and 5).
 
     Attributes
@@ -37,18 +62,13 @@ class MotionParameters:
         0: it does not
     """
 
-    acceleration_density: float = 0.15
-    initial_speed_std: float = 1.5
-    head_rate: float = 1.3
-
-    def __post_init__(self) -> None:
-        _check(self, "acceleration_density", 0.0, 1e6, open_low=True)
-        _check(self, "initial_speed_std", 0.0, 1e3, open_low=True)
-        _check(self, "head_rate", 0.0, 1e3)
+    acceleration_density: float = _number(0.15, 1e-5, 1e4, "m²/s³")
+    initial_speed_std: float = _number(1.5, 1e-3, 1e3, "m/s")
+    head_rate: float = _number(1.3, 0.0, 100.0, "1/s")
 
 
 @dataclass(frozen=True)
-class OrientationParameters:
+class OrientationParameters(_Group):
     """Rotational diffusion of body and head (MODEL term 2): κ of a step is 1/(diffusion·Δt).
 
     Attributes
@@ -56,16 +76,12 @@ class OrientationParameters:
     body_diffusion, head_diffusion : rad²/s
     """
 
-    body_diffusion: float = 0.24
-    head_diffusion: float = 0.11
-
-    def __post_init__(self) -> None:
-        for name in ("body_diffusion", "head_diffusion"):
-            _check(self, name, 0.0, 1e6, open_low=True)
+    body_diffusion: float = _number(0.24, 1e-6, 1e4, "rad²/s")
+    head_diffusion: float = _number(0.11, 1e-6, 1e4, "rad²/s")
 
 
 @dataclass(frozen=True)
-class CouplingParameters:
+class CouplingParameters(_Group):
     """Body follows motion and head follows body (MODEL terms 3 and 4; 002 eq. 8–10).
 
     Attributes
@@ -78,14 +94,10 @@ class CouplingParameters:
         counts once, as in 002.
     """
 
-    motion_body_kappa: float = 38.0
-    speed_threshold: float = 0.13
-    head_body_kappa: float = 4.5
-    correlation_time: float = 0.38
-
-    def __post_init__(self) -> None:
-        for name in ("motion_body_kappa", "speed_threshold", "head_body_kappa", "correlation_time"):
-            _check(self, name, 0.0, 1e6)
+    motion_body_kappa: float = _number(38.0, 0.0, 1e6, "(m/s)⁻²")
+    speed_threshold: float = _number(0.13, 0.0, 100.0, "m/s")
+    head_body_kappa: float = _number(4.5, 0.0, 1e6)
+    correlation_time: float = _number(0.38, 0.0, 1e3, "s")
 
     def weight(self, step: float | None) -> float:
         """How much a coupling counts at a frame ``step`` seconds after the one before (None: the first)."""
@@ -95,7 +107,7 @@ class CouplingParameters:
 
 
 @dataclass(frozen=True)
-class GaitParameters:
+class GaitParameters(_Group):
     """Modes of the couplings (MODEL, "Where the papers need care"): aligned, or free with an offset.
 
     Attributes
@@ -116,38 +128,28 @@ class GaitParameters:
     head_rate_seen : share of the motion's ``head_rate`` that holds where a position is seen, 0 to 1
     """
 
-    body_aligned: float = 0.36
-    body_switching: float = 0.013
-    body_spread: float = 0.07
-    body_drift: float = 0.003
-    body_strength: float = 3.3
-    body_free_strength: float = 0.63
-    body_lead: float = 0.13
-    head_evidence: float = 0.25
-    head_aligned: float = 0.31
-    head_switching: float = 0.011
-    head_spread: float = 0.07
-    head_drift: float = 0.003
-    head_strength: float = 6.4
-    head_free_strength: float = 7.8
-    head_lead: float = 0.35
-    body_offset_kappa: float = 0.2
-    head_offset_kappa: float = 3.0
-    head_rate_seen: float = 0.54
-
-    def __post_init__(self) -> None:
-        for name in ("body_aligned", "head_aligned", "head_evidence", "head_rate_seen"):
-            _check(self, name, 0.0, 1.0)
-        for name in ("body_lead", "head_lead"):
-            _check(self, name, 0.0, 10.0)
-        for side in ("body", "head"):
-            for name in ("switching", "spread", "drift", "strength", "free_strength"):
-                _check(self, f"{side}_{name}", 0.0, 1e6)
-            _check(self, f"{side}_offset_kappa", 0.0, 100.0)
+    body_aligned: float = _number(0.36, 0.0, 1.0)
+    body_switching: float = _number(0.013, 0.0, 1e3, "1/s")
+    body_spread: float = _number(0.07, 0.0, math.pi, "rad")
+    body_drift: float = _number(0.003, 0.0, 1e3, "rad²/s")
+    body_strength: float = _number(3.3, 0.0, 1e3)
+    body_free_strength: float = _number(0.63, 0.0, 1e3)
+    body_lead: float = _number(0.13, 0.0, 10.0, "s")
+    head_evidence: float = _number(0.25, 0.0, 1.0)
+    head_aligned: float = _number(0.31, 0.0, 1.0)
+    head_switching: float = _number(0.011, 0.0, 1e3, "1/s")
+    head_spread: float = _number(0.07, 0.0, math.pi, "rad")
+    head_drift: float = _number(0.003, 0.0, 1e3, "rad²/s")
+    head_strength: float = _number(6.4, 0.0, 1e3)
+    head_free_strength: float = _number(7.8, 0.0, 1e3)
+    head_lead: float = _number(0.35, 0.0, 10.0, "s")
+    body_offset_kappa: float = _number(0.2, 0.0, 100.0)
+    head_offset_kappa: float = _number(3.0, 0.0, 100.0)
+    head_rate_seen: float = _number(0.54, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
-class LikelihoodParameters:
+class LikelihoodParameters(_Group):
     """Position and orientation likelihoods (MODEL terms 6 and 7).
 
     Attributes
@@ -162,23 +164,18 @@ class LikelihoodParameters:
     class_outlier_probability : ε of class likelihoods
     """
 
-    position_std: float = 0.1
-    pixel_std: float = 3.0
+    position_std: float = _number(0.1, 1e-6, 100.0, "m")
+    pixel_std: float = _number(3.0, 1e-3, 1e4, "pixels")
     image_frame: bool = True
     robust: Robust = "none"
-    robust_threshold: float = 3.0
-    body_kappa: float = 4.0
-    head_kappa: float = 4.0
-    outlier_probability: float = 0.0
-    class_outlier_probability: float = 0.05
+    robust_threshold: float = _number(3.0, 0.01, 1e3, "standard deviations")
+    body_kappa: float = _number(4.0, 0.0, 1e6)
+    head_kappa: float = _number(4.0, 0.0, 1e6)
+    outlier_probability: float = _number(0.0, 0.0, 0.999)
+    class_outlier_probability: float = _number(0.05, 0.0, 0.999)
 
     def __post_init__(self) -> None:
-        for name in ("position_std", "pixel_std", "robust_threshold"):
-            _check(self, name, 0.0, 1e6, open_low=True)
-        for name in ("body_kappa", "head_kappa"):
-            _check(self, name, 0.0, 1e6)
-        for name in ("outlier_probability", "class_outlier_probability"):
-            _check(self, name, 0.0, 0.999)
+        super().__post_init__()
         if self.robust not in ("none", "huber", "cauchy"):
             raise InputError(f"robust = {self.robust!r}", "'none', 'huber' or 'cauchy'")
         if not isinstance(self.image_frame, bool):
@@ -208,8 +205,12 @@ class Parameters:
         known = [f.name for f in fields(cls)]
         parts = {}
         for table, values in tables.items():
-            if table not in known or not isinstance(values, dict):
-                raise InputError(f"table {table!r}", f"one of {', '.join(known)}")
+            is_table = isinstance(values, dict)
+            if table not in known:
+                kind = "table" if is_table else "key"
+                raise InputError(f"the unknown {kind} {table!r}", f"preset, or a table of {', '.join(known)}")
+            if not is_table:
+                raise InputError(f"{table} = {values!r}", f"a table [{table}]")
             part = getattr(start, table)
             names = [f.name for f in fields(part)]
             for name in values:

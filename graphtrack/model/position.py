@@ -58,6 +58,8 @@ def _mass(likelihood: LikelihoodParameters) -> float:
 class PositionLikelihood(Term):
     """Gaussian in metres, or in pixels through the camera (002 eq. 12); robust by option."""
 
+    linear = True  # where `PackedTracks.is_linear` finds neither pixels nor a robust loss
+
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """A native prior in metres, or a custom factor in pixels."""
         likelihood, seen = self.parameters.likelihood, step.observation

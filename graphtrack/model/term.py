@@ -27,10 +27,12 @@ class Term(ABC):
     parameters : all parameters of the model
     uses : the orientations that the term acts on; a model estimates those that some term acts on
     only_compiled : whether the term says what factors cannot, so that GTSAM does not solve its models
+    linear : whether the linear solution (`linear_kernels`) knows all that the term packs; see `is_linear`
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset()
     only_compiled: ClassVar[bool] = False
+    linear: ClassVar[bool] = False
 
     def __init__(self, parameters: Parameters) -> None:
         self.parameters = parameters
@@ -64,3 +66,8 @@ class Term(ABC):
     def is_compiled(self) -> bool:
         """Whether the chain solver knows the term: the class itself, not a parent, states its `pack`."""
         return "pack" in vars(type(self))
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the linear solution knows the term: the class itself, not a parent, says ``linear``."""
+        return bool(vars(type(self)).get("linear", False))

@@ -1,4 +1,4 @@
-"""What people look at: figures, interactive charts, the bird's-eye replay and the one-file HTML report.
+"""What people look at: figures, and the one-file HTML report with its replay from above.
 
-Nothing is imported here, so that ``import graphtrack`` loads neither matplotlib nor plotly.
+Nothing is imported here, so that ``import graphtrack`` does not load matplotlib.
 """

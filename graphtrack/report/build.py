@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from graphtrack.angles import mean_absolute_error
-from graphtrack.report.charts import angles_chart, errors_charts
-from graphtrack.report.content import Card, Chart, Note, Picture, Report, Section, Table
+from graphtrack.angles import FloatArray, mean_absolute_error
+from graphtrack.report.content import AngleChart, Card, Note, Picture, Report, Section, Table
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
-from graphtrack.report.plots import plot_angles, plot_errors, plot_nees, plot_tracks
-from graphtrack.report.plots.scene import CROWD
+from graphtrack.report.plots import plot_angles, plot_errors, plot_nees
+from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import replay_data
 from graphtrack.report.rows import Rows
 from graphtrack.report.shapes import probability_ellipse
 from graphtrack.tracks import ReadSummary, Track, TrackSet
 
-MAX_CHARTS = 40
-"""People with a chart of their own angles; the replay and the table have everybody."""
+Errors = dict[str, float | None]
+"""Column of the table of people → error of one of them."""
 
 CLOCK_TIMES = 1e6
 """Seconds from which on times must be those of a clock, not of a recording."""
 
 MAX_PICTURES = 6
-"""The same for still pictures, which are larger."""
+"""People with a still picture of their angles; the chart, the replay and the table have everybody."""
 
 
 def tracking_report(
@@ -51,7 +51,8 @@ def tracking_report(
     consistency : NEES of the methods, as for `graphtrack.report.plots.plot_nees`
     cards : further numbers for the top of the page
     sections : further sections, put at the end
-    interactive : charts that zoom and hover (adds the 4.8 MB of plotly to the page) instead of still pictures
+    interactive : a chart of angles that follows the replay, of whomever the reader chooses, instead of still
+        pictures of the first few people
 
     Returns
     -------
@@ -67,41 +68,50 @@ def tracking_report(
     if origin:
         subtitle = f"{subtitle} Times count from {origin:.0f} s.".strip()
     pairs = pair_tracks(estimates, observations)
-    picture = Picture(
-        "Everybody's path from above" + (", with body and head at regular times" * (len(pairs) <= CROWD)),
-        plot_tracks(estimates, observations),
-        f"Bird's-eye view of the paths of {len(pairs)} people.",
+    errors = tuple(person_errors(pair) for pair in pairs)
+    words = (
+        "The time that people spent where, under everybody's path, and the paths by the way they went; "
+        "a dot is where one ends"
+        if is_crowd(pairs)
+        else "Everybody's path from above, with body and head at regular times"
     )
+    picture = Picture(words, plot_pairs(pairs), f"Bird's-eye view of the paths of {len(pairs)} people.")
     parts = [
-        Section("From above", (picture,)),
         _angles_section(pairs, interactive),
-        Section("People", (people_table(pairs),)),
+        Section("People", (people_table(pairs, errors),)),
+        Section("From above", (picture,)),
     ]
     if comparison is not None or consistency is not None:
-        parts.append(_methods_section(comparison, consistency, interactive))
+        parts.append(_methods_section(comparison, consistency))
     summary = (estimates if observations is None else observations).summary
     if summary.rows_read or summary.notes:
         parts.append(Section("What was read", reading_items(summary)))
     return Report(
         title=title,
         subtitle=subtitle,
-        cards=(*_cards(pairs), *cards),
-        replay=replay_data(estimates, observations),
+        cards=(*_cards(pairs, errors), *cards),
+        replay=replay_data(pairs),
         sections=(*parts, *sections),
     )
 
 
-def people_table(pairs: tuple[Pair, ...]) -> Table:
-    """One line a person: extent in time, what was observed, uncertainty and, where truth is known, errors."""
+def people_table(pairs: Sequence[Pair], errors: Sequence[Errors]) -> Table:
+    """One line a person: extent in time, what was observed, uncertainty and, where truth is known, errors.
+
+    Parameters
+    ----------
+    pairs : the people
+    errors : of each of them, as `person_errors` returns them
+    """
     table: list[dict[str, Any]] = []
-    for pair in pairs:
-        estimate, line = pair.estimate, _errors(pair)
+    for pair, line in zip(pairs, errors, strict=True):
+        estimate = pair.estimate
         step = np.diff(estimate.position[finite_rows(estimate.position)], axis=0)
         body_std, head_std = (_median_degrees(estimate.std(name)) for name in ("body", "head"))
         table.append(
             {
                 "person": estimate.track_id,
-                "label": estimate.label or (pair.observation.label if pair.observation is not None else ""),
+                "label": pair.label,
                 "from (s)": float(estimate.t[0]),
                 "to (s)": float(estimate.t[-1]),
                 "frames": len(estimate),
@@ -113,13 +123,14 @@ def people_table(pairs: tuple[Pair, ...]) -> Table:
                 **line,
             }
         )
-    columns = [c for c in (table[0] if table else {"person": 0}) if any(_is_known(row[c]) for row in table)]
+    columns = [
+        c for c in (table[0] if table else {"person": 0}) if any(row[c] not in (None, "") for row in table)
+    ]
     note = (
         "Uncertainties are medians over the frames; the 95 % radius is the longer half-axis of the ellipse."
     )
-    return Table(
-        "Results of each person", tuple(columns), tuple(tuple(row[c] for c in columns) for row in table), note
-    )
+    rows = tuple(tuple(row[c] for c in columns) for row in table)
+    return Table("Results of each person", tuple(columns), rows, note, person_column="person")
 
 
 def reading_items(summary: ReadSummary) -> tuple[Table | Note, ...]:
@@ -143,10 +154,11 @@ def _from_zero(estimates: TrackSet, observations: TrackSet | None) -> tuple[Trac
 
 
 def _angles_section(pairs: tuple[Pair, ...], interactive: bool) -> Section:
-    angled = [p for p in pairs if p.estimate.body is not None or p.estimate.head is not None]
+    angled = [pair for pair in pairs if _is_known(pair.estimate.body) or _is_known(pair.estimate.head)]
     if not angled:
         return Section("Body and head", (Note("No body or head angle was estimated."),))
-    if not interactive:
+    # The chart is drawn from the data of the replay, which has nobody without a position.
+    if not interactive or not any(_is_known(pair.estimate.position) for pair in angled):
         pictures = [
             Picture(
                 pair.name, plot_angles(pair.estimate, pair.observation), f"Angles of {pair.name} over time."
@@ -154,32 +166,30 @@ def _angles_section(pairs: tuple[Pair, ...], interactive: bool) -> Section:
             for pair in angled[:MAX_PICTURES]
         ]
         return Section("Body and head", (*pictures, *_left_out(len(angled), MAX_PICTURES)))
-    charts = {pair.name: angles_chart(pair.estimate, pair.observation) for pair in angled[:MAX_CHARTS]}
-    note = "Click on a point to take the replay to its time."
-    chart = Chart("Orientation over time", charts, note=note, has_time=True)
-    return Section("Body and head", (chart, *_left_out(len(angled), MAX_CHARTS)))
+    note = (
+        "Shows whom you choose, here, in the replay or in the table of people. A click takes the replay to "
+        "that time; drag to move, ctrl + wheel to zoom, double-click to fit."
+    )
+    return Section("Body and head", (AngleChart("Orientation over time", note),))
 
 
 def _left_out(count: int, limit: int) -> tuple[Note, ...]:
     return (Note(f"The first {limit} of {count} people are shown."),) if count > limit else ()
 
 
-def _methods_section(comparison: Rows | None, consistency: Rows | None, interactive: bool) -> Section:
-    items: list[Note | Table | Picture | Chart] = []
+def _methods_section(comparison: Rows | None, consistency: Rows | None) -> Section:
+    items: list[Table | Picture] = []
     if comparison is not None:
         words = "Error of each method: the median, and its spread over the tracks"
-        if interactive:
-            items.append(Chart(words, errors_charts(comparison), choose=False))
-        else:
-            items.append(Picture(words, plot_errors(comparison)))
-        items.append(Table.from_records("Comparison of methods", comparison))
+        table = Table.from_records("Comparison of methods", comparison)
+        items += [Picture(words, plot_errors(comparison)), table]
     if consistency is not None:
         words = "Consistency: the mean NEES of each method, and the 95 % band it should lie in"
         items += [Picture(words, plot_nees(consistency)), Table.from_records("Consistency", consistency)]
     return Section("Methods", tuple(items))
 
 
-def _cards(pairs: tuple[Pair, ...]) -> tuple[Card, ...]:
+def _cards(pairs: Sequence[Pair], errors: Sequence[Errors]) -> tuple[Card, ...]:
     frames = sum(len(pair.estimate) for pair in pairs)
     times = [pair.estimate.t for pair in pairs]
     seconds = max(t[-1] for t in times) - min(t[0] for t in times) if times else 0.0
@@ -188,7 +198,6 @@ def _cards(pairs: tuple[Pair, ...]) -> tuple[Card, ...]:
     seen = [pair.seen for pair in pairs if pair.seen is not None]
     if seen:
         cards.append(Card("Observed", f"{100.0 * np.concatenate(seen).mean():.1f} %", "of the person-frames"))
-    errors = [_errors(pair) for pair in pairs]
     for column, label, unit in (
         ("position RMSE (m)", "Position error", "m"),
         ("body error (°)", "Body error", "°"),
@@ -200,14 +209,15 @@ def _cards(pairs: tuple[Pair, ...]) -> tuple[Card, ...]:
     return tuple(cards)
 
 
-def _errors(pair: Pair) -> dict[str, float | None]:
-    """Errors of one person where the truth is known, else None."""
+def person_errors(pair: Pair) -> Errors:
+    """Errors of one person in position (root mean square, metres) and angles (mean, degrees).
+
+    None where the truth is not known.
+    """
     estimate = pair.estimate
     squared = ((estimate.position - pair.true_position) ** 2).sum(axis=1)
     squared = squared[np.isfinite(squared)]
-    line: dict[str, float | None] = {
-        "position RMSE (m)": float(np.sqrt(squared.mean())) if squared.size else None
-    }
+    line: Errors = {"position RMSE (m)": float(np.sqrt(squared.mean())) if squared.size else None}
     for name in ("body", "head"):
         angle = getattr(estimate, name)
         error = np.nan if angle is None else np.degrees(mean_absolute_error(angle, pair.true_angle(name)))
@@ -228,5 +238,5 @@ def _median_degrees(std: Any) -> float | None:
     return None if std is None or not std.size else float(np.degrees(np.median(std)))
 
 
-def _is_known(value: Any) -> bool:
-    return value is not None and value != ""
+def _is_known(values: FloatArray | None) -> bool:
+    return values is not None and bool(np.isfinite(values).any())

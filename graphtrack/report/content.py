@@ -38,12 +38,14 @@ class Table:
     columns : headings, with units
     rows : each as long as ``columns``
     note : a sentence below the table
+    person_column : the column of track ids, if any: a click on one takes the replay to the person
     """
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
     note: str = ""
+    person_column: str | None = None
 
     @classmethod
     def from_records(cls, title: str, table: Rows, *, note: str = "") -> Table:
@@ -76,24 +78,18 @@ class Picture:
     description: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Chart:
-    """Plotly figures: the reader chooses one, or they stand side by side as far as the page is wide.
+@dataclass(frozen=True)
+class AngleChart:
+    """Body and head over time of whom the reader chooses, drawn from the data of the report's replay.
 
     Attributes
     ----------
     title : str
-    figures : name → plotly figure
     note : a sentence below
-    choose : whether one of the figures is shown at a time
-    has_time : whether x is the time of the replay, so that a click on a point takes the replay there
     """
 
     title: str
-    figures: Mapping[str, Any]
     note: str = ""
-    choose: bool = True
-    has_time: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,7 +97,7 @@ class Section:
     """A heading and what stands below it."""
 
     title: str
-    items: tuple[Note | Table | Picture | Chart, ...]
+    items: tuple[Note | Table | Picture | AngleChart, ...]
 
 
 @dataclass(frozen=True)

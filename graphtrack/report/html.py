@@ -7,14 +7,15 @@ import html
 import json
 import math
 import numbers
-from collections.abc import Mapping
+import zlib
 from importlib import resources
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 from graphtrack.io.atomic import atomic_path
-from graphtrack.report.content import Card, Chart, Note, Picture, Report, Section, Table
+from graphtrack.report.charts_html import render_angle_chart
+from graphtrack.report.content import AngleChart, Card, Note, Picture, Report, Section, Table
 from graphtrack.report.replay_html import render_replay
 from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
 
@@ -24,7 +25,21 @@ SECURITY = (
 )
 """What the page may load: itself. The browser enforces that nothing leaves or enters over the network."""
 
-SCRIPTS = ("replay_data.js", "replay_draw.js", "replay_controls.js", "page.js")
+SCRIPTS = (
+    "replay_data.js",
+    "people.js",
+    "canvas_pointer.js",
+    "replay_draw.js",
+    "replay_pick.js",
+    "replay_pointer.js",
+    "replay_controls.js",
+    "people_list.js",
+    "angles_draw.js",
+    "angles_chart.js",
+    "tables.js",
+    "page.js",
+)
+"""In the order in which they stand in the page; together they are one function."""
 
 
 def write_report(path: str | Path, report: Report) -> None:
@@ -48,7 +63,7 @@ def write_report(path: str | Path, report: Report) -> None:
 
 
 def render_report(report: Report) -> str:
-    """The page as text. Words are escaped; data stand in it as JSON that cannot end its script element."""
+    """The page as text. Words are escaped; data stand in it packed, so that they cannot end their element."""
     has_replay = report.replay is not None and bool(report.replay["people"])
     names = (["Replay"] if has_replay else []) + [section.title for section in report.sections]
     anchors = [f"section-{i}" for i in range(len(names))]
@@ -57,12 +72,11 @@ def render_report(report: Report) -> str:
         parts += [
             f'<section aria-labelledby="{anchors[0]}"><h2 id="{anchors[0]}">Replay</h2>',
             render_replay(report.replay),
-            f'<script type="application/json" id="replay-data">{safe_json(report.replay)}</script>',
+            f'<script type="application/octet-stream" id="replay-data">{packed(report.replay)}</script>',
             "</section>",
         ]
     for anchor, section in zip(anchors[has_replay:], report.sections, strict=True):
         parts.append(_section(anchor, section))
-    has_charts = any(isinstance(item, Chart) for section in report.sections for item in section.items)
     scripts = "\n".join(_asset(name) for name in SCRIPTS)
     return "\n".join(
         [
@@ -73,16 +87,21 @@ def render_report(report: Report) -> str:
             f"<style>\n{_colours()}\n{_asset('page.css')}</style>\n</head>\n<body>\n" + '<main class="wrap">',
             *parts,
             "</main>",
-            f"<script>{_plotly()}</script>" if has_charts else "",
             f'<script>(function () {{\n"use strict";\n{scripts}}})();</script>\n</body>\n</html>\n',
         ]
     )
 
 
-def safe_json(data: Any) -> str:
-    """JSON that can stand inside a script element: no ``<``, ``>`` or ``&``, and no NaN."""
+def packed(data: Any) -> str:
+    """JSON, compressed (zlib) and in base64: a third of its size, and it cannot end its element.
+
+    Raises
+    ------
+    ValueError
+        For a value that JSON does not have, such as NaN.
+    """
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    return base64.b64encode(zlib.compress(text.encode("utf-8"))).decode("ascii")
 
 
 def format_cell(value: Any) -> str:
@@ -125,13 +144,13 @@ def _section(anchor: str, section: Section) -> str:
     return f'<section aria-labelledby="{anchor}">{heading}\n{body}\n</section>'
 
 
-def _item(item: Note | Table | Picture | Chart) -> str:
+def _item(item: Note | Table | Picture | AngleChart) -> str:
     if isinstance(item, Table):
         return _table(item)
     if isinstance(item, Picture):
         return _picture(item)
-    if isinstance(item, Chart):
-        return _chart(item)
+    if isinstance(item, AngleChart):
+        return render_angle_chart(item)
     return f"<p>{html.escape(item.text)}</p>"
 
 
@@ -140,7 +159,11 @@ def _table(table: Table) -> str:
         all(isinstance(row[i], numbers.Real) or row[i] is None for row in table.rows)
         for i in range(len(table.columns))
     ]
-    kinds = [' class="number"' if flag else "" for flag in numeric]
+    # The scripts make buttons of the ids: without them there is nothing that a click could do.
+    kinds = [
+        (' class="number"' if flag else "") + (" data-person" if column == table.person_column else "")
+        for column, flag in zip(table.columns, numeric, strict=True)
+    ]
     head = "".join(
         f'<th scope="col"{k}>{html.escape(c)}</th>' for c, k in zip(table.columns, kinds, strict=True)
     )
@@ -172,39 +195,9 @@ def _picture(picture: Picture) -> str:
     )
 
 
-def _chart(chart: Chart) -> str:
-    note = f'<p class="quiet">{html.escape(chart.note)}</p>' if chart.note else ""
-    if chart.choose:
-        return f'<div class="panel">{_plot(chart.title, chart.figures, chart.has_time)}{note}</div>'
-    plots = [_plot(name, {name: figure}, chart.has_time) for name, figure in chart.figures.items()]
-    title = f"<h3>{html.escape(chart.title)}</h3>"
-    return f'<div class="panel">{title}<div class="plots">{"".join(plots)}</div>{note}</div>'
-
-
-def _plot(title: str, figures: Mapping[str, Any], has_time: bool) -> str:
-    """One place for a plotly figure; the data of all that can be shown in it stand beside it."""
-    data = [json.loads(figure.to_json()) for figure in figures.values()]
-    height = max(int(figure["layout"].get("height", 420)) for figure in data)
-    options = "".join(f"<option>{html.escape(name)}</option>" for name in figures)
-    title = html.escape(title)
-    choice = f'<p class="pick"><label>Show <select>{options}</select></label></p>' if len(data) > 1 else ""
-    return (
-        f'<div class="chart"{" data-time" if has_time else ""}><h4>{title}</h4>{choice}'
-        f'<div class="plot" role="img" aria-label="{title}" style="height:{height}px"></div>'
-        f'<script type="application/json">{safe_json(data)}</script></div>'
-    )
-
-
 def _colours() -> str:
     return f":root {{ --body: {BODY_COLOUR}; --head: {HEAD_COLOUR}; --velocity: {VELOCITY_COLOUR}; }}"
 
 
 def _asset(name: str) -> str:
     return (resources.files("graphtrack.report") / "assets" / name).read_text(encoding="utf-8")
-
-
-def _plotly() -> str:
-    from plotly.offline import get_plotlyjs
-
-    # The library holds no such text today; were it to, the page would end in the middle of it.
-    return str(get_plotlyjs()).replace("</script", "<\\/script")

@@ -22,6 +22,7 @@ class Pair:
     seen : (n,) bool
         Whether the position was observed at each frame of the estimate; None without observations.
     seen_position : (n, 2) metres, the observed position at the frames of the estimate; NaN where not observed
+    seen_body, seen_head : (n,) radians, the observed angles (`observed_angle`) there; NaN where not observed
     true_position, true_body, true_head : (n, 2), (n,), (n,)
         The truth at the frames of the estimate, from either track; NaN where it is not known.
     """
@@ -30,24 +31,25 @@ class Pair:
     observation: Track | None
     seen: NDArray[np.bool_] | None
     seen_position: FloatArray
+    seen_body: FloatArray
+    seen_head: FloatArray
     true_position: FloatArray
     true_body: FloatArray
     true_head: FloatArray
 
     @property
+    def label(self) -> str:
+        """The person's label, of either track; empty where there is none."""
+        return self.estimate.label or (self.observation.label if self.observation is not None else "")
+
+    @property
     def name(self) -> str:
         """What a reader should see: the id, and the label if there is one."""
-        return display_name(self.estimate, self.observation)
+        return f"person {self.estimate.track_id}" + (f" ({self.label})" if self.label else "")
 
     def true_angle(self, name: str) -> FloatArray:
         """The true ``body`` or ``head`` (radians, (n,))."""
         return self.true_body if name == "body" else self.true_head
-
-
-def display_name(track: Track, other: Track | None = None) -> str:
-    """``person 3`` or ``person 3 (label)``; the label may come from either track."""
-    label = track.label or (other.label if other is not None else "")
-    return f"person {track.track_id}" + (f" ({label})" if label else "")
 
 
 def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
@@ -71,11 +73,19 @@ def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
             return np.full(shape, np.nan)
         return _at_frames(other, observation, estimate)
 
+    def seen_angle(name: str) -> FloatArray:
+        observed = None if observation is None else observed_angle(observation, name)
+        if observation is None or observed is None:
+            return np.full(n, np.nan)
+        return _at_frames(observed, observation, estimate)
+
     return Pair(
         estimate=estimate,
         observation=observation,
         seen=seen,
         seen_position=seen_position,
+        seen_body=seen_angle("body"),
+        seen_head=seen_angle("head"),
         true_position=truth("true_position", (n, 2)),
         true_body=truth("true_body", (n,)),
         true_head=truth("true_head", (n,)),

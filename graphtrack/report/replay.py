@@ -1,17 +1,17 @@
-"""The data behind the replay: tracks thinned, quantised and delta-coded so that a page stays small."""
+"""The data of the replay and the chart of angles: thinned, quantised and delta-coded, to be small."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
-from graphtrack.report.pairing import Pair, pair_tracks
+from graphtrack.report.pairing import Pair
 from graphtrack.report.shapes import longest_step, probability_ellipse
-from graphtrack.report.style import person_colour
-from graphtrack.tracks import TrackSet
+from graphtrack.report.style import person_colour, person_dash
 
 TIME_STEP: Final = 1e-3
 """Seconds a unit of a coded time."""
@@ -22,17 +22,16 @@ LENGTH_STEP: Final = 1e-3
 ANGLE_STEP: Final = float(np.radians(0.1))
 """Radians a unit of a coded angle."""
 
+MAX_SAMPLES: Final = 200_000
+"""Person-frames in a page. Packed, noisy ones with every channel take up to 33 bytes each: 7 MB of a page."""
+
 Codes = list[int | None]
 
 
 def replay_data(
-    estimates: TrackSet,
-    observations: TrackSet | None = None,
-    *,
-    max_rate: float = 20.0,
-    max_samples: int = 150_000,
+    pairs: Sequence[Pair], *, max_rate: float = 30.0, max_samples: int = MAX_SAMPLES
 ) -> dict[str, Any]:
-    """Everything the replay shows, ready for `json.dumps`.
+    """Everything the replay and the charts of angles show, ready for `json.dumps`.
 
     Each channel of a person is a list of integers: the first is the value in units of `TIME_STEP`,
     `LENGTH_STEP` or `ANGLE_STEP`, the following ones are differences to the last known value, and None is a
@@ -41,33 +40,39 @@ def replay_data(
 
     Parameters
     ----------
-    estimates : the people to show; those without a finite position are left out
-    observations : the tracks they were estimated from, matched by ``track_id``
-    max_rate : samples a second that are kept of each person
-    max_samples : samples that are kept of all people together; the rate is lowered to stay below
+    pairs : the people to show; those without a finite position are left out
+    max_rate : frames a second that are kept
+    max_samples : samples that are kept of all people together; of every n frames one is kept to stay below
 
     Returns
     -------
     dict
-        ``rate`` (samples a second, None where nothing was left out), ``steps`` (the three units) and
-        ``people``.
+        ``frame`` (seconds from one frame to the next, as shown; None where nobody has two), ``every`` (one
+        of how many frames is shown), ``kept`` and ``of`` (person-frames shown, and there), ``steps`` (the
+        three units) and ``people``.
     """
-    pairs = [
-        pair for pair in pair_tracks(estimates, observations) if np.isfinite(pair.estimate.position).any()
-    ]
-    kept = [thin(pair.estimate.t, max_rate) for pair in pairs]
-    total, seconds = sum(map(len, kept)), sum(float(np.ptp(pair.estimate.t)) for pair in pairs)
-    rate = max_rate
-    if total > max_samples and seconds > 0.0:
-        rate = max_samples / seconds
-        kept = [thin(pair.estimate.t, rate) for pair in pairs]
-    thinned = any(len(at) < len(pair.estimate) for at, pair in zip(kept, pairs, strict=True))
-    people = [_person(i, pair, at) for i, (pair, at) in enumerate(zip(pairs, kept, strict=True))]
+    placed = [(i, pair) for i, pair in enumerate(pairs) if np.isfinite(pair.estimate.position).any()]
+    times = [pair.estimate.t for _, pair in placed]
+    frame = frame_interval(times)
+    every, kept = _thinned(times, frame, max_rate, max_samples)
     return {
-        "rate": round(rate, 2) if thinned else None,
+        "frame": None if frame is None else round(frame * every, 4),
+        "every": every,
+        "kept": sum(map(len, kept)),
+        "of": sum(map(len, times)),
         "steps": {"time": TIME_STEP, "length": LENGTH_STEP, "angle": ANGLE_STEP},
-        "people": people,
+        "people": [_person(i, pair, at) for (i, pair), at in zip(placed, kept, strict=True)],
     }
+
+
+def frame_interval(times: Sequence[FloatArray]) -> float | None:
+    """Seconds from frame to frame of the track that has most a second; None where none has two frames.
+
+    Parameters
+    ----------
+    times : of each track, (n,) seconds
+    """
+    return min((float(np.median(np.diff(t))) for t in times if len(t) > 1), default=None)
 
 
 def thin(t: FloatArray, rate: float) -> NDArray[np.intp]:
@@ -80,16 +85,33 @@ def thin(t: FloatArray, rate: float) -> NDArray[np.intp]:
     return np.union1d(first, len(t) - 1)
 
 
+def _thinned(
+    times: Sequence[FloatArray], frame: float | None, max_rate: float, max_samples: int
+) -> tuple[int, list[NDArray[np.intp]]]:
+    """One of how many frames stays within both limits, and the indices of what is kept of each track."""
+    every = 1 if frame is None else max(1, int(np.ceil(1.0 / (frame * max_rate) - 1e-6)))
+    longest = max((float(np.ptp(t)) for t in times), default=0.0)
+    while True:
+        # Whole frames, so that steps stay even; where none is left out, times need not be even at all.
+        if frame is None or every == 1:
+            kept = [np.arange(len(t)) for t in times]
+        else:
+            kept = [thin(t, 1.0 / (every * frame)) for t in times]
+        total = sum(map(len, kept))
+        if total <= max_samples or frame is None or every * frame > longest:
+            return every, kept
+        every = max(every + 1, int(every * total / max_samples))
+
+
 def delta_code(values: FloatArray, step: float) -> Codes | None:
     """Integers in units of ``step``: the first value, then differences; None where a value is not finite."""
     known = np.isfinite(values)
     if not known.any():
         return None
-    whole = np.round(values[known] / step).astype(np.int64)
-    codes: list[int | None] = [None] * len(values)
-    for i, code in zip(np.nonzero(known)[0], np.diff(whole, prepend=0), strict=True):
-        codes[i] = int(code)
-    return codes
+    codes = np.full(len(values), None, dtype=object)
+    codes[known] = np.diff(np.round(values[known] / step).astype(np.int64), prepend=0)
+    found: Codes = codes.tolist()
+    return found
 
 
 def delta_decode(codes: Codes | None, step: float, n: int) -> FloatArray:
@@ -105,7 +127,7 @@ def delta_decode(codes: Codes | None, step: float, n: int) -> FloatArray:
 
 def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
     estimate = pair.estimate
-    label = estimate.label or (pair.observation.label if pair.observation is not None else "")
+    body_std, head_std = estimate.std("body"), estimate.std("head")
     absent, absent_pair = np.full(len(at), np.nan), np.full((len(at), 2), np.nan)
     velocity = absent_pair if estimate.velocity is None else estimate.velocity[at]
     ellipse = probability_ellipse(
@@ -127,14 +149,20 @@ def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:
         "tilt": ellipse.angle,
         "body": absent if estimate.body is None else estimate.body[at],
         "head": absent if estimate.head is None else estimate.head[at],
+        "body_std": absent if body_std is None else body_std[at],
+        "head_std": absent if head_std is None else head_std[at],
+        "seen_body": pair.seen_body[at],
+        "seen_head": pair.seen_head[at],
         "true_body": pair.true_body[at],
         "true_head": pair.true_head[at],
     }
     t = estimate.t[at]
     return {
-        "id": estimate.track_id,
-        "label": label,
+        # As text: a number in JavaScript has 53 bits.
+        "id": str(estimate.track_id),
+        "label": pair.label,
         "colour": person_colour(index),
+        "dash": person_dash(index),
         # Between samples further apart than this the person is not shown: the track has a hole there.
         "hole": round(longest_step(t), 3),
         "seen": None if pair.seen is None else "".join("1" if flag else "0" for flag in pair.seen[at]),

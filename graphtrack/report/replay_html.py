@@ -11,6 +11,8 @@ from importlib import resources
 from string import Template
 from typing import Any
 
+import numpy as np
+
 _ARROW = (
     '<line x1="2" y1="8" x2="16" y2="8" stroke="var(--{name})" stroke-width="{width}"/>'
     '<path d="M15 {top} L23 8 L15 {bottom} Z" fill="var(--{name})"/>'
@@ -18,6 +20,8 @@ _ARROW = (
 
 _KEYS = {
     "trail": '<path d="M2 12 C8 2 15 14 22 5" fill="none" stroke="var(--muted)" stroke-width="2.4"/>',
+    "paths": '<path d="M1 13 C8 0 16 16 23 3 M1 5 C9 16 14 0 23 12" fill="none" stroke="var(--muted)" '
+    'stroke-opacity=".6"/>',
     "body": _ARROW.format(name="body", width=4, top=2, bottom=14),
     "head": _ARROW.format(name="head", width=2.4, top=3.5, bottom=12.5),
     "velocity": _ARROW.format(name="velocity", width=2, top=4, bottom=12),
@@ -30,12 +34,11 @@ _KEYS = {
     "12</text>",
 }
 
-_PERSON_KEY = '<circle cx="12" cy="8" r="6" fill="{colour}"/>'
 _UNSEEN_KEY = '<circle cx="12" cy="8" r="5" fill="var(--surface)" stroke="var(--muted)" stroke-width="2.5"/>'
 
 
 def render_replay(data: Mapping[str, Any]) -> str:
-    """The stage, the controls, the layers that double as the legend, and a box for each person.
+    """The stage, the controls and the layers, which double as the legend; scripts fill in the list of people.
 
     Parameters
     ----------
@@ -44,13 +47,39 @@ def render_replay(data: Mapping[str, Any]) -> str:
     people = data["people"]
     layers = [_layer(name, words, shown) for name, words, shown in _layers(people)]
     if any(person["seen"] is not None for person in people):
-        layers.append(f"<span>{_svg(_UNSEEN_KEY)} not observed at this time</span>")
+        layers.append(f"<span>{svg_key(_UNSEEN_KEY)} not observed at this time</span>")
     template = (resources.files("graphtrack.report") / "assets" / "replay.html").read_text(encoding="utf-8")
     return Template(template).substitute(
         count="1 person" if len(people) == 1 else f"{len(people)} people",
         layers="\n".join(layers),
-        people="\n".join(_person(person) for person in people),
-        thinned="" if data["rate"] is None else f" Shown at {data['rate']:g} samples a second.",
+        example=html.escape(people[0]["id"]),
+        step=_frame(data),
+        thinned=_thinned(data),
+    )
+
+
+def svg_key(content: str) -> str:
+    """A small picture for a legend, 24 by 16 units, of SVG elements."""
+    return f'<svg class="key" viewBox="0 0 24 16" aria-hidden="true">{content}</svg>'
+
+
+def _frame(data: Mapping[str, Any]) -> str:
+    """How long a frame is, if frames are even: annotations at odd times have no length to speak of."""
+    frame = data["frame"]
+    if frame is None:
+        return ""
+    frames = np.concatenate([person["t"][1:] for person in data["people"]]) * data["steps"]["time"] / frame
+    return f" ({frame:.3g} s)" if np.mean(np.abs(frames - np.round(frames)) < 0.05) > 0.9 else ""
+
+
+def _thinned(data: Mapping[str, Any]) -> str:
+    """What the page leaves out of the data, if anything."""
+    if data["kept"] == data["of"]:
+        return ""
+    kept, of = (f"{data[name]:,}".replace(",", "\u202f") for name in ("kept", "of"))
+    return (
+        f" To keep the page small, the replay and the charts show {kept} of {of} person-frames, "
+        f"one every {data['frame']:.3g} s; tables and pictures are of all."
     )
 
 
@@ -69,7 +98,8 @@ def _layers(people: list[Mapping[str, Any]]) -> list[tuple[str, str, bool]]:
         ("head", "head", True),
         ("velocity", "velocity (1 s)", False),
         ("ellipse", "95 % of position", True),
-        ("trail", "path", True),
+        ("trail", "trail", True),
+        ("paths", "whole paths", True),
         ("observation", "observation", True),
         ("truth", "truth", False),
         ("label", "id", True),
@@ -79,14 +109,6 @@ def _layers(people: list[Mapping[str, Any]]) -> list[tuple[str, str, bool]]:
 
 def _layer(name: str, words: str, shown: bool) -> str:
     checked = " checked" if shown else ""
-    return f'<label><input type="checkbox" data-layer="{name}"{checked}>{_svg(_KEYS[name])} {words}</label>'
-
-
-def _person(person: Mapping[str, Any]) -> str:
-    words = html.escape(str(person["id"]) + (f" {person['label']}" if person["label"] else ""))
-    key = _svg(_PERSON_KEY.format(colour=html.escape(str(person["colour"]))))
-    return f'<label><input type="checkbox" data-person checked>{key} {words}</label>'
-
-
-def _svg(content: str) -> str:
-    return f'<svg class="key" viewBox="0 0 24 16" aria-hidden="true">{content}</svg>'
+    return (
+        f'<label><input type="checkbox" data-layer="{name}"{checked}>{svg_key(_KEYS[name])} {words}</label>'
+    )

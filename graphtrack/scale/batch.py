@@ -16,6 +16,7 @@ from graphtrack.errors import InputError
 from graphtrack.inference import Failure, Solution, SolverOptions, solve
 from graphtrack.inference.solution import Engine
 from graphtrack.io.options import ReadOptions
+from graphtrack.io.speeds import Speeds
 from graphtrack.io.table import from_columns, to_columns
 from graphtrack.model import Model
 
@@ -72,6 +73,7 @@ class Shard:
     failures : tracks that could not be smoothed
     unconverged : (track id, iterations) of those that were, but did not converge
     notes : of the reader
+    speeds : of all tracks that went in
     """
 
     columns: dict[str, NDArray[Any]]
@@ -81,6 +83,7 @@ class Shard:
     failures: tuple[Failure, ...]
     unconverged: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
+    speeds: Speeds
 
 
 def smooth_batch(work: Work, batch: Batch) -> Shard:
@@ -110,6 +113,7 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
         line_of=lambda row: int(number[row]),
         ignored=[],
     )
+    speeds = Speeds.of(tracks)
     if work.select:
         tracks = tracks.select(*work.select)
     found = solve(tracks, work.model, engine=work.engine, jobs=work.jobs, options=work.options)
@@ -122,6 +126,7 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
         tuple(result for result in found if isinstance(result, Failure)),
         tuple((result.track.track_id, result.iterations) for result in good if not result.converged),
         tracks.summary.notes,
+        speeds,
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
-from graphtrack.io import schema
+from graphtrack.bounds import LARGEST_ID
 from graphtrack.io.table import check_integers
 from graphtrack.scale.dataset import Dataset
 
@@ -81,7 +81,7 @@ def index_tracks(dataset: Dataset) -> Index:
         check_integers(
             block[:, 0],
             "track_id",
-            schema.LARGEST_ID,
+            LARGEST_ID,
             lambda found, expected, row, column, first=first: dataset.fail(
                 found, expected, first + row, column
             ),

@@ -14,12 +14,16 @@ from graphtrack.errors import InputError
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.offline import BATCH, engine_of
 from graphtrack.inference.solution import Engine
+from graphtrack.inference.warm import SOLVER, solver_rehearsal
 from graphtrack.io import schema
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions
+from graphtrack.io.places import check_distinct
+from graphtrack.io.speeds import Speeds
 from graphtrack.io.table import check_names
 from graphtrack.model import Model
+from graphtrack.readiness import make_ready
 from graphtrack.scale.batch import Batch, Shard, Work, smooth_batch
 from graphtrack.scale.cluster import smooth_on_cluster
 from graphtrack.scale.dataset import Dataset, open_dataset
@@ -79,8 +83,8 @@ def smooth_dataset(
     Parameters
     ----------
     dataset : a Parquet file, or a folder of them that together are one native table
-    output : the Parquet file to write. It is there whole or, on any failure, not at all; nor is it written
-        when no track could be smoothed. Temporary files lie beside it.
+    output : the Parquet file to write, outside of the data set. It is there whole or, on any failure, not at
+        all; nor is it written when no track could be smoothed. Temporary files lie beside it.
     model, engine, options : as in `graphtrack.solve`
     jobs : as in `graphtrack.solve`; with ``cluster="local"`` processes with a batch each, by default one for
         each processor
@@ -94,12 +98,14 @@ def smooth_dataset(
     Raises
     ------
     InputError
-        For input that cannot be right, with file, row and column, or a cluster that cannot be reached.
+        For input that cannot be right, with file, row and column, for an output that is a part of the data
+        set, or a cluster that cannot be reached.
     GraphtrackError
         When the cluster is lost, or a batch ends every worker that takes it.
     """
     dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     output, model = Path(output), Model.named(model, engine)
+    check_distinct({"the output": output}, {"the data set": [dataset.path, *(f.path for f in dataset.files)]})
     if batch_frames < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"batch_frames = {batch_frames}, jobs = {jobs}", "numbers from 1")
     read_options, notes = _with_camera(dataset, ReadOptions() if read_options is None else read_options)
@@ -118,6 +124,9 @@ def smooth_dataset(
         1 if cluster else jobs,
         SolverOptions() if options is None else options,
     )
+    if cluster in (None, "local"):
+        # Once for all processes of this machine.
+        make_ready(SOLVER, solver_rehearsal(work.model, work.engine, read_options.camera))
     index = index_tracks(dataset)
 
     def labelled(scratch: Path) -> Iterator[Batch]:
@@ -149,6 +158,7 @@ def _write(
     progress: Callable[[int], None] | None,
 ) -> Outcome:
     n_tracks = n_sorted = 0
+    speeds = Speeds()
     failures: list[Failure] = []
     unconverged: list[tuple[int, int]] = []
     said = dict.fromkeys(notes)
@@ -158,6 +168,7 @@ def _write(
                 writer.add(shard.columns)
                 n_tracks += shard.n_tracks
                 n_sorted += shard.n_sorted
+                speeds += shard.speeds
                 failures += shard.failures
                 unconverged += shard.unconverged
                 said |= dict.fromkeys(shard.notes)
@@ -174,6 +185,8 @@ def _write(
         said[f"the frames of {n_sorted} of the tracks were out of order and have been sorted"] = None
     if dataset.ignored:
         said[f"ignored columns {', '.join(dataset.ignored)}"] = None
+    if speeds.note is not None:
+        said[speeds.note] = None
     return Outcome(n_tracks, writer.n_rows, work.engine, tuple(failures), tuple(unconverged), tuple(said))
 
 

@@ -42,7 +42,7 @@ def evaluate(
     for name in tables or ():
         if name not in _TABLES:
             raise InputError(f"table {name!r}", f"one of {', '.join(_TABLES)}")
-    check_outputs(plot)
+    check_outputs({"--plot": plot})
     wanted = tables or _TABLES
     if plot is not None and "pose" not in wanted:
         raise InputError("--plot without the table pose", "pose among the tables")

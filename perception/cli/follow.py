@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from graphtrack.cli.console import console, counted, progress_bar
+from graphtrack.cli.console import console, progress_bar
 from graphtrack.cli.options import Seed, check_outputs
+from graphtrack.display import counted
+from perception.cli.common import print_skipped, read_camera
 
 if TYPE_CHECKING:
     from perception.box_camera import BoxCamera
     from perception.guidance import GraphGuide
     from perception.images import Image
-    from perception.trackers.tracker import Box
+    from perception.trackers.tracker import Box, BoxEstimate
 
 _FILE = {"exists": True, "dir_okay": False}
-_SHOWN = 5
 
 
 def follow(
@@ -92,11 +93,10 @@ def follow(
 ) -> None:
     """Follow one person or head through a video, and write its boxes as observations for graphtrack."""
     from graphtrack.errors import InputError
-    from graphtrack.geometry import GroundCamera
-    from graphtrack.io.cameras import read_calibration, read_homography
     from perception import following
     from perception.box_camera import PERSON_IN_HEADS, BoxCamera
-    from perception.drawing import check_render, renderer
+    from perception.drawing import check_render, draw, pictures
+    from perception.drawing.output import is_video
     from perception.frames import FrameSource
     from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
     from perception.trackers.registry import OF_HEADS, make_tracker
@@ -105,17 +105,22 @@ def follow(
         raise InputError(f"--head-pose {head_pose}", "frame or filtered")
     if output.suffix.lower() != ".csv":
         raise InputError(f"{output.name}", "a file to write that ends in .csv", path=output)
-    check_outputs(output)
     if render is not None:
         check_render(render)
+    in_folder = render is not None and not is_video(render)
+    check_outputs(
+        {"--output": output, "--render": None if in_folder else render},
+        {
+            "the input": FrameSource.files(source),
+            "--homography": homography,
+            "--calibration": calibration,
+        },
+        folders={"--render": render if in_folder else None},
+    )
     box = None if init is None else following.parse_box(init)
     frames = FrameSource.open(source)
     rate = fps or frames.fps or 25.0
-    camera = None
-    if calibration is not None:
-        camera = read_calibration(calibration)
-    elif homography is not None:
-        camera = GroundCamera.from_homography(read_homography(homography))
+    camera = read_camera(homography, calibration)
     parameters = None
     if tracker == MixedStateTracker.name:
         parameters = MixedStateParameters(pan_limit=math.radians(pan_limit))
@@ -137,9 +142,14 @@ def follow(
     refused: list[str] = []
     with (
         progress_bar(frames.count, "frames") as advance,
-        nullcontext() if render is None else renderer(render, rate, follower.pan_classes) as show,
+        nullcontext() if render is None else pictures(render, rate) as write,
     ):
         begun = time.perf_counter()
+
+        def show(number: int, image: Image, estimate: BoxEstimate) -> None:
+            if write is not None:
+                write(number, draw(image, number, estimate, follower.pan_classes))
+
         found = following.follow(
             follower,
             frames,
@@ -156,10 +166,7 @@ def follow(
             found, on_ground(first), follower.pan_classes, rate, filtered=head_pose == "filtered"
         )
         following.write_boxes(found, track, output)
-    for reason in refused[:_SHOWN]:
-        console.print(f"  skipped: {reason}", markup=False)
-    if len(refused) > _SHOWN:
-        console.print(f"  skipped: {len(refused) - _SHOWN} more", markup=False)
+    print_skipped(refused)
     for note in following.notes(found, track):
         console.print(f"  note: {note}", markup=False)
     if camera is None:

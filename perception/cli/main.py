@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from graphtrack.cli.main import run
-from perception.cli import evaluate, follow, observe, train
+from perception.cli import evaluate, follow, observe, simulate, train
 
 app = typer.Typer(
     name="perception", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
@@ -19,6 +19,7 @@ def start() -> None:
 
 app.command("observe")(observe.observe)
 app.command("follow")(follow.follow)
+app.command("simulate")(simulate.simulate)
 app.command("train")(train.train)
 app.command("evaluate")(evaluate.evaluate)
 app.command("card")(train.card)

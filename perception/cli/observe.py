@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from graphtrack.cli.console import console, counted, progress_bar
+from graphtrack.cli.console import console, progress_bar
 from graphtrack.cli.options import check_outputs
+from graphtrack.display import counted
+from perception.cli.common import print_skipped, read_camera
 
 if TYPE_CHECKING:
     from graphtrack.geometry import GroundCamera
+    from graphtrack.tracks import TrackSet
     from perception.boxes import PersonBox
     from perception.frames import FrameSource
     from perception.journal import Journal
+    from perception.pipeline import Seen
 
 _FILE = {"exists": True, "dir_okay": False}
-_SHOWN = 5
 
 
 def observe(
@@ -57,70 +61,92 @@ def observe(
     write_boxes_to: Annotated[
         Path | None, typer.Option("--write-boxes", help="Write the detected boxes here, as MOT text.")
     ] = None,
+    render: Annotated[
+        Path | None,
+        typer.Option("--render", help="Draw it all: a video .mp4 or .avi, or else a folder of images."),
+    ] = None,
 ) -> None:
     """Find people and say where they are and how their bodies and heads point, frame by frame.
 
     A run that was broken off goes on where it was when it is called again in the same way.
     """
     from graphtrack.errors import InputError
-    from graphtrack.geometry import GroundCamera
     from graphtrack.io import write
-    from graphtrack.io.cameras import read_calibration, read_homography
     from perception import pipeline
     from perception.boxes import read_boxes, write_boxes
-    from perception.frames import FrameSource
+    from perception.drawing import check_render
+    from perception.drawing.output import is_video
+    from perception.frames import FrameSource, of_one_size
     from perception.journal import Journal
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 
     if head_pose not in HEAD_POSE:
         raise InputError(f"--head-pose {head_pose}", " or ".join(HEAD_POSE))
-    check_outputs(write_boxes_to, table=output)
+    if render is not None:
+        check_render(render)
+    in_folder = render is not None and not is_video(render)
+    found_so_far = output.with_name(f"{output.name}.detections")
+    known_so_far = output.with_name(f"{output.name}.journal")
+    check_outputs(
+        {
+            "--output": output,
+            "the journals of --output": [found_so_far, known_so_far],
+            "--write-boxes": write_boxes_to,
+            "--render": None if in_folder else render,
+        },
+        {
+            "the input": FrameSource.files(source),
+            "--boxes": boxes,
+            "--homography": homography,
+            "--calibration": calibration,
+            "--head-pose-model": head_pose_model,
+            "--body-pose-model": body_pose_model,
+        },
+        folders={"--render": render if in_folder else None},
+        table=output,
+    )
     frames = FrameSource.open(source)
+    rate = fps or frames.fps or 25.0
     models = pipeline.Models(
         load_head_localiser(),
         load_classifier("body_pose", body_pose_model),
         load_classifier(head_pose, head_pose_model),
     )
-    camera = None
-    if calibration is not None:
-        camera = read_calibration(calibration)
-    elif homography is not None:
-        camera = GroundCamera.from_homography(read_homography(homography))
+    camera = read_camera(homography, calibration)
     refused: list[str] = []
-    state = source.stat()
-    video = (str(source), state.st_size, state.st_mtime_ns)
-    detections = Journal(output.with_name(f"{output.name}.detections"), _key(video))
+    detections = Journal(found_so_far, _key(frames.stamp()), list, _detection)
     if boxes is not None:
-        people = read_boxes(boxes)
+        people = read_boxes(boxes, refused.append)
     else:
-        people = _detect(frames, camera, detections)
+        people = _detect(frames, camera, detections, refused.append)
         if write_boxes_to is not None:
             write_boxes(people, write_boxes_to)
     looked = time.perf_counter()
-    key = _key(video, head_pose, str(head_pose_model), str(body_pose_model), people)
-    journal = Journal(output.with_name(f"{output.name}.journal"), key)
+    key = _key(frames.stamp(), head_pose, _stamp(head_pose_model), _stamp(body_pose_model), people)
+    journal = Journal(known_so_far, key, pipeline.Seen.to_record, pipeline.Seen.from_record)
     journal.open()
     _say_how_far(journal)
     try:
-        with progress_bar(frames.count) as advance:
-            count = pipeline.observe(frames, people, models, journal, refuse=refused.append, advance=advance)
+        shown = of_one_size(frames) if render is not None and is_video(render) else frames
+        with progress_bar(frames.count, "frames") as advance:
+            count = pipeline.observe(shown, people, models, journal, refuse=refused.append, advance=advance)
         seen = pipeline.seen_in(journal)
-        tracks = pipeline.to_tracks(seen, models.head_pose.classes, camera, fps or frames.fps or 25.0)
-        write(tracks, output)
-    except InputError:
+        tracks = pipeline.to_tracks(seen, models.head_pose.classes, camera, rate)
+    except InputError:  # the same command would end in the same way
         journal.close(remove=True)
         detections.close(remove=True)
         raise
-    except BaseException:
+    finally:
         journal.close(remove=False)
-        raise
+    seconds = time.perf_counter() - looked
+    if render is not None:
+        _render(frames, seen, tracks, render, rate)
+    write(tracks, output)
     journal.close(remove=True)
     detections.close(remove=True)
-    seconds = time.perf_counter() - looked
-    for reason in refused[:_SHOWN]:
-        console.print(f"  skipped: {reason}", markup=False)
-    if len(refused) > _SHOWN:
-        console.print(f"  skipped: {len(refused) - _SHOWN} more", markup=False)
+    print_skipped(refused)
+    for reason, times in tracks.summary.refused.items():
+        console.print(f"  refused {times}: {reason}", markup=False)
     if camera is None:
         console.print("  note: no camera is known: positions are pixels times a scale", markup=False)
     console.print(
@@ -128,19 +154,38 @@ def observe(
         f"{counted(count, 'frame')} in {seconds:.1f} s ({count / max(seconds, 1e-9):.1f} a second)",
         markup=False,
     )
-    console.print(f"wrote {output}", markup=False)
+    console.print(f"wrote {output}" + ("" if render is None else f" and {render}"), markup=False)
+
+
+def _stamp(path: Path | None) -> object:
+    """What tells a file from what it is after a change."""
+    if path is None:
+        return None
+    state = path.stat()
+    return str(path), state.st_size, state.st_mtime_ns
 
 
 def _key(*asked: object) -> str:
     return hashlib.sha256(repr(asked).encode()).hexdigest()
 
 
-def _say_how_far(journal: Journal) -> None:
+def _say_how_far(journal: Journal[Any]) -> None:
     if journal.frames:
         console.print(f"going on after {counted(len(journal.frames), 'frame')}", markup=False)
 
 
-def _detect(frames: FrameSource, camera: GroundCamera | None, journal: Journal) -> list[PersonBox]:
+def _detection(values: Any) -> list[float]:
+    """A detection as the journal has it: left, top, width, height and score."""
+    left, top, width, height, score = (float(value) for value in values)
+    return [left, top, width, height, score]
+
+
+def _detect(
+    frames: FrameSource,
+    camera: GroundCamera | None,
+    journal: Journal[list[float]],
+    refuse: Callable[[str], None],
+) -> list[PersonBox]:
     """Detected people as tracks; frames that the journal has are decoded for their colours only."""
     import numpy as np
 
@@ -149,9 +194,9 @@ def _detect(frames: FrameSource, camera: GroundCamera | None, journal: Journal) 
     detector, tracker = PeopleDetector(), PeopleTracker(camera)
     journal.open()
     _say_how_far(journal)
-    start, count = time.perf_counter(), 0
+    start, count, detected = time.perf_counter(), 0, 0
     try:
-        with progress_bar(frames.count) as advance:
+        with progress_bar(frames.count, "frames") as advance:
             for frame in frames:
                 advance(1)
                 if frame.image is None:
@@ -162,6 +207,7 @@ def _detect(frames: FrameSource, camera: GroundCamera | None, journal: Journal) 
                     count += 1
                 boxes = np.array(journal.frames[frame.number], float).reshape(-1, 5)
                 tracker.update(frame.number, frame.image, boxes[:, :4], boxes[:, 4])
+                detected += len(boxes)
     finally:
         journal.close(remove=False)
     seconds = time.perf_counter() - start
@@ -170,4 +216,22 @@ def _detect(frames: FrameSource, camera: GroundCamera | None, journal: Journal) 
         f"({count / max(seconds, 1e-9):.1f} a second)",
         markup=False,
     )
+    if tracker.passing:
+        refuse(
+            f"{tracker.passing} of {detected} detected boxes, in tracks of less than {tracker.least} boxes"
+        )
     return tracker.tracks()
+
+
+def _render(frames: FrameSource, seen: list[Seen], tracks: TrackSet, path: Path, fps: float) -> None:
+    """Decode the frames once more and draw what was seen in them."""
+    from perception.drawing import draw_people, people_by_frame, pictures
+
+    people = people_by_frame(seen, tracks)
+    assert tracks.camera is not None
+    with pictures(path, fps) as write_picture, progress_bar(frames.count, "frames drawn") as advance:
+        for frame in frames:
+            advance(1)
+            if frame.image is not None:
+                shown = draw_people(frame.image, frame.number, people.get(frame.number, ()), tracks.camera)
+                write_picture(frame.number, shown)

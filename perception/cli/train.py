@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from graphtrack.cli.console import console
+from graphtrack.cli.console import console, printable
 from graphtrack.cli.options import Seed, check_outputs
 
 Name = Annotated[
@@ -48,9 +48,13 @@ def train(
 ) -> None:
     """Train a model on your labelled images, or on rendered ones."""
     from graphtrack.errors import InputError
+    from perception.frames import FrameSource
     from perception.training import train_on_files, train_on_rendered
 
-    check_outputs(output)
+    check_outputs(
+        {"--output": output},
+        {"--labels": labels, "an image of --images": None if images is None else FrameSource.files(images)},
+    )
     if (images is None) != (labels is None):
         raise InputError("one of --images and --labels", "both or neither")
     if images is not None and labels is not None:
@@ -69,7 +73,7 @@ def card(
     from perception.models import NAMES, model_path
     from perception.storage import load_model
 
-    print(load_model(model_path(model) if model in NAMES else model)[0].text())
+    print(printable(load_model(model_path(model) if model in NAMES else model)[0].text()))
 
 
 def sheet(
@@ -85,7 +89,7 @@ def sheet(
     from graphtrack.io import atomic_path
     from perception.synthetic import HeadVariation, contact_sheet, make_heads
 
-    check_outputs(output)
+    check_outputs({"--output": output})
     pans = np.arange(-180, 180, 30)
     heads = make_heads(
         12 * rows,

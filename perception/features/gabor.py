@@ -17,6 +17,8 @@ SCALES = (1.0, 2.0, 4.0)
 FREQUENCIES = (0.5, 0.25, 0.125)
 _SPACING = 4
 _GAUSSIAN_SIGMA = 2.0
+_NOTHING = 1e-30
+"""Weights below it are taken to be 0: processors multiply subnormal numbers up to twenty times slower."""
 
 
 def rotation_invariant_gabor(radius: FloatArray, sigma: float, frequency: float) -> FloatArray:
@@ -50,7 +52,9 @@ def filter_bank() -> NDArray[np.float32]:
     for sigma, frequency in zip(SCALES, FREQUENCIES, strict=True):
         rows.append(rotation_invariant_gabor(radius, sigma, frequency))
     bank = np.concatenate(rows)
-    return np.asarray(bank / np.abs(bank).sum(axis=1, keepdims=True), np.float32)
+    bank /= np.abs(bank).sum(axis=1, keepdims=True)
+    bank[np.abs(bank) < _NOTHING] = 0.0
+    return np.asarray(bank, np.float32)
 
 
 def gabor_features(images: NDArray[np.uint8]) -> FloatArray:

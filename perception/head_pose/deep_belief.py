@@ -6,6 +6,7 @@ PyTorch learns the network (`perception.head_pose.deep_belief_training`, extra `
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from typing import Any, ClassVar
 
 import numpy as np
@@ -75,6 +76,18 @@ class DeepBelief(FeatureClassifier):
         """Equalised pixels (n, 1024) in 0…1."""
         return grey_stack(images, SIDE, SIDE, equalise=True).reshape(len(images), -1) / 255.0
 
+    @staticmethod
+    def check_trainable() -> None:
+        """Refuse training where it cannot be done; before images are made for it, say.
+
+        Raises
+        ------
+        InputError
+            If PyTorch is not installed.
+        """
+        if find_spec("torch") is None:
+            raise InputError("no PyTorch", "the extra train: pip install 'graphtrack[train]'")
+
     def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
         """Train the network.
 
@@ -83,10 +96,9 @@ class DeepBelief(FeatureClassifier):
         InputError
             If PyTorch is not installed.
         """
-        try:
-            from perception.head_pose.deep_belief_training import Training, trained_network
-        except ImportError as error:
-            raise InputError("no PyTorch", "the extra train: pip install 'graphtrack[train]'") from error
+        self.check_trainable()
+        from perception.head_pose.deep_belief_training import Training, trained_network
+
         self._layers = trained_network(
             features.astype(np.float32),
             labels,

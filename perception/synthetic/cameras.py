@@ -60,6 +60,12 @@ class Camera:
         pixel = np.stack([x * factor, y * factor], axis=-1) * self.focal + np.array(self.size) / 2.0
         return np.where((z > 1e-6)[..., None], pixel, np.nan)
 
+    @property
+    def intrinsics(self) -> FloatArray:
+        """Camera matrix (3, 3) of a pinhole camera, in pixels."""
+        w, h = self.size
+        return np.array([[self.focal, 0.0, w / 2.0], [0.0, self.focal, h / 2.0], [0.0, 0.0, 1.0]])
+
     def ground_camera(self) -> GroundCamera:
         """The same pinhole camera as the tracker knows it, with its optical centre.
 
@@ -70,10 +76,8 @@ class Camera:
         """
         if self.lens != "pinhole":
             raise ValueError("a fisheye has no homography")
-        w, h = self.size
-        intrinsics = np.array([[self.focal, 0.0, w / 2.0], [0.0, self.focal, h / 2.0], [0.0, 0.0, 1.0]])
         return GroundCamera.from_calibration(
-            self.rotation, -self.rotation @ np.asarray(self.position), intrinsics
+            self.rotation, -self.rotation @ np.asarray(self.position), self.intrinsics
         )
 
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from graphtrack.angles import FloatArray
+from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.simulation import simulate
 from graphtrack.tracks import Track, TrackSet
 from perception.boxes import PersonBox
-from perception.synthetic.appearance import random_appearance
+from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.pedestrians import jittered_box
 from perception.synthetic.person import Posture
 from perception.synthetic.raycast import Ground
-from perception.synthetic.scene import Furniture, Person, Scene, render_frame
-from perception.synthetic.sensor import Image, random_light, random_sensor
+from perception.synthetic.scene import Furniture, Person, Scene
+from perception.synthetic.sensor import Image, Sensor, random_light, random_sensor
+from perception.synthetic.still import StillScene
 
 _SIZE = (640, 480)
 _FOCAL = 760.0
@@ -51,8 +54,62 @@ class Clip:
     fps: float
 
 
+@dataclass(frozen=True, eq=False)
+class Walks:
+    """People who walk before a camera, to be rendered.
+
+    Attributes
+    ----------
+    scene : the place and its camera
+    looks : of each person
+    sensor : of the camera
+    truth : positions (metres) and angles (radians) of every person in every frame
+    fps : frames a second
+    """
+
+    scene: Scene
+    looks: list[Appearance]
+    sensor: Sensor
+    truth: TrackSet
+    fps: float
+
+    def __len__(self) -> int:
+        return len(self.truth.tracks[0])
+
+    def frames(self, rng: np.random.Generator) -> Iterator[tuple[Image, list[PersonBox]]]:
+        """Images of frames 0, 1, 2 …, rendered one after the other, with people's boxes."""
+        place = StillScene(self.scene)
+        for k in range(len(self)):
+            postures = [_posture(track, k) for track in self.truth]
+            people = [Person(*both) for both in zip(self.looks, postures, strict=True)]
+            frame = place.render(people, self.sensor, rng)
+            boxes = []
+            for track, label in zip(self.truth, frame.labels, strict=True):
+                if label.body_box is not None and label.visibility > _VISIBLE and _inside(label.body_box):
+                    box = jittered_box(np.array(label.body_box), _BOX_OFFSET, _BOX_SCALE, _BOX_MARGIN, rng)
+                    left, top, width, height = (float(value) for value in box)
+                    boxes.append(PersonBox(k, track.track_id, (left, top, width, height)))
+            yield frame.image, boxes
+
+
 def walking_clip(rng: np.random.Generator, *, people: int = 3, steps: int = 30, fps: float = 5.0) -> Clip:
     """Render people who walk as the model "joint" has it, on a tiled floor with some furniture."""
+    walks = draw_walks(rng, people=people, steps=steps, fps=fps)
+    shown = list(walks.frames(rng))
+    boxes = [box for _, of_frame in shown for box in of_frame]
+    return Clip([image for image, _ in shown], boxes, walks.truth, walks.scene.camera.ground_camera(), fps)
+
+
+def draw_walks(rng: np.random.Generator, *, people: int = 3, steps: int = 30, fps: float = 5.0) -> Walks:
+    """Draw people who walk as the model "joint" has it, on a tiled floor with some furniture.
+
+    Raises
+    ------
+    InputError
+        For less than two frames.
+    """
+    if steps < 2:
+        raise InputError(f"{steps} frames", "at least 2")
     walks = simulate("joint", n_tracks=people, n_steps=steps, fps=fps, rng=rng)
     camera = Camera((0.0, -11.0, rng.uniform(2.2, 4.0)), np.pi / 2, -0.2, _FOCAL, _SIZE)
     furniture = tuple(
@@ -67,18 +124,7 @@ def walking_clip(rng: np.random.Generator, *, people: int = 3, steps: int = 30, 
     floor = Ground(tuple(rng.uniform(0.2, 0.6) + rng.normal(0.0, 0.03, 3)), 0.6, rng.uniform(0.0, 0.2))
     scene = Scene(camera, random_light(rng), floor, furniture, tuple(rng.uniform(0.3, 0.7, 3)))
     looks, sensor = [random_appearance(rng) for _ in range(people)], random_sensor(rng)
-    tracks = [_moved(track, rng) for track in walks]
-    images, boxes = [], []
-    for k in range(steps):
-        present = [Person(look, _posture(track, k)) for look, track in zip(looks, tracks, strict=True)]
-        frame = render_frame(scene, present, sensor, rng)
-        images.append(frame.image)
-        for track, label in zip(tracks, frame.labels, strict=True):
-            if label.body_box is not None and label.visibility > _VISIBLE and _inside(label.body_box):
-                box = jittered_box(np.array(label.body_box), _BOX_OFFSET, _BOX_SCALE, _BOX_MARGIN, rng)
-                left, top, width, height = (float(value) for value in box)
-                boxes.append(PersonBox(k, track.track_id, (left, top, width, height)))
-    return Clip(images, boxes, TrackSet(tuple(tracks)), camera.ground_camera(), fps)
+    return Walks(scene, looks, sensor, TrackSet(tuple(_moved(track, rng) for track in walks)), fps)
 
 
 def _moved(track: Track, rng: np.random.Generator) -> Track:

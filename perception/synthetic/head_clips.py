@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -126,8 +127,14 @@ def head_clip(
     parameters: HeadClipParameters = HeadClipParameters(),
     *,
     look: Appearance | None = None,
+    advance: Callable[[int], None] = lambda count: None,
 ) -> HeadClip:
     """Render one person, of whom head and shoulders are in the image; another at each call.
+
+    Parameters
+    ----------
+    look : of the person, to set it instead of drawing it
+    advance : is told how many more frames are cast
 
     Raises
     ------
@@ -143,7 +150,10 @@ def head_clip(
             continue
         camera = _camera(p, look, walk, rng)
         rays = camera.rays(_RAYS)
-        shown = [_person(k, walk, look, camera, rays, light) for k in range(p.frames)]
+        shown = []
+        for k in range(p.frames):
+            shown.append(_person(k, walk, look, camera, rays, light))
+            advance(1)
         hiding = None if p.occlusion is None else _wall(shown, p.occlusion)
         if p.occlusion is None or hiding is not None:
             break

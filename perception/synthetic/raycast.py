@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
+from graphtrack.readiness import Rehearsal, make_ready
 from perception.synthetic.raycast_kernels import cast_rays, group_balls
 from perception.synthetic.solids import Solids
 
@@ -101,25 +102,31 @@ def cast(
     if ground is not None:
         floor[:] = 1.0, *ground.colour, ground.tile, ground.contrast
     h, w = rays.shape[:2]
-    out: tuple[Any, ...] = cast_rays(
-        np.asarray(origin, float),
-        np.ascontiguousarray(rays, float).reshape(-1, 3),
-        w,
-        solids.kind,
-        solids.centre,
-        inverse,
-        radius,
-        solids.clip,
-        solids.colour,
-        solids.texture,
-        solids.material,
-        first,
-        balls,
-        owner,
-        np.array([light.direction, light.key, light.ambient], float),
-        floor,
-    )
-    colour, covered, skin, nearest, extent, covers, shows = out
+
+    def follow(some: FloatArray) -> tuple[Any, ...]:
+        found: tuple[Any, ...] = cast_rays(
+            np.asarray(origin, float),
+            some,
+            w,
+            solids.kind,
+            solids.centre,
+            inverse,
+            radius,
+            solids.clip,
+            solids.colour,
+            solids.texture,
+            solids.material,
+            first,
+            balls,
+            owner,
+            np.array([light.direction, light.key, light.ambient], float),
+            floor,
+        )
+        return found
+
+    flat = np.ascontiguousarray(rays, float).reshape(-1, 3)
+    make_ready("the renderer", Rehearsal(lambda: follow(flat[:1]), {cast_rays: 7.0}))
+    colour, covered, skin, nearest, extent, covers, shows = follow(flat)
     return Cast(
         colour.reshape(h, w, 3),
         covered.reshape(h, w),

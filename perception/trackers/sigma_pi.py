@@ -14,12 +14,12 @@ from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from graphtrack.particles import generator, resample
 from perception.classes import PoseClasses
-from perception.images import Image, as_uint8
+from perception.images import Image, as_uint8, checked_box
 from perception.trackers.dynamics import predict
 from perception.trackers.sigma_pi_cues import ColourCue, Cue, MotionCue, ShapeCue
 from perception.trackers.sigma_pi_network import CUES, TERM_NAMES, TERMS, adapted, output
 from perception.trackers.sigma_pi_parameters import SigmaPiParameters
-from perception.trackers.sigma_pi_windows import covered, cut_off, kernel, usable
+from perception.trackers.sigma_pi_windows import covered, cut_off, kernel
 from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes_of, states_of
 
 __all__ = ["SigmaPiParameters", "SigmaPiTracker"]
@@ -72,7 +72,7 @@ class SigmaPiTracker:
         self._scale = min(1.0, p.width / image.shape[1])
         small = self._reduced(image)
         self._shape = np.array([small.shape[1], small.shape[0]], float)
-        first = None if box is None else usable(box, image.shape) * self._scale
+        first = None if box is None else checked_box(box, image.shape) * self._scale
         used = np.array([all(self._used[c] for c in term) for term in TERMS])
         self.reliabilities = np.where(used, p.reliability, 0.0)
         self._offset = p.offset * used

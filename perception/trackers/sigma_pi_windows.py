@@ -6,30 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.angles import FloatArray
-from graphtrack.errors import InputError
 from perception.images import enlarged
-from perception.trackers.tracker import Box
 
 _BORDER = 3.0
 """Pixels: who is as near to the border of the frame is taken to be cut off by it."""
-
-
-def usable(box: Box, shape: tuple[int, ...]) -> FloatArray:
-    """A box as an array (4,), for an image of a shape (h, w, …).
-
-    Raises
-    ------
-    InputError
-        If it is not finite, has no size or lies outside the image.
-    """
-    values = np.asarray(box, float)
-    h, w = shape[:2]
-    if values.shape != (4,) or not np.isfinite(values).all() or values[2:].min() <= 0.0:
-        raise InputError(f"a box {np.round(values, 1).tolist()}", "left, top, width and height above 0")
-    left, top, width, height = values
-    if left >= w or top >= h or left + width <= 0.0 or top + height <= 0.0:
-        raise InputError(f"a box {values.round(1).tolist()}", f"one inside the image of {w} × {h} pixels")
-    return values
 
 
 def cut_off(window: FloatArray, shape: FloatArray) -> bool:

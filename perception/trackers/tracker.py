@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
 from perception.classes import PoseClasses
-from perception.images import Image
+from perception.images import Image, box_text, checked_box
 
 Box = tuple[float, float, float, float]
 """Left, top, width, height in pixels."""
@@ -175,13 +175,13 @@ def check_box(box: Box, image: Image) -> FloatArray:
     Raises
     ------
     InputError
-        If it is not finite, smaller than 2 pixels, or its middle is outside the image.
+        If it is no `checked_box`, smaller than 2 pixels, or its middle is outside the image.
     """
-    left, top, width, height = values = np.asarray(box, float)
+    left, top, width, height = values = checked_box(box, image.shape)
     h, w = image.shape[:2]
-    if not np.isfinite(values).all() or min(width, height) < 2.0:
-        raise InputError(f"a box {values.tolist()}", "left, top, width and height of at least 2 pixels")
+    if min(width, height) < 2.0:
+        raise InputError(box_text(values), "a width and height of at least 2 pixels")
     if not (0.0 <= left + width / 2.0 <= w and 0.0 <= top + height / 2.0 <= h):
-        expected = f"one with its middle inside the frame of {w} × {h} pixels"
-        raise InputError(f"a box {values.tolist()}", expected)
+        expected = f"one with its middle inside the image of {w} × {h} pixels"
+        raise InputError(box_text(values), expected)
     return values

@@ -1,11 +1,12 @@
 """The commands, as a user runs them."""
 
-import json
 import subprocess
 import sys
 
 import pandas as pd
 import pytest
+
+from graphtrack.cli import main
 
 
 def run(*arguments, stdin=None):
@@ -65,45 +66,18 @@ def test_a_track_without_positions_is_named_and_the_others_come_out(tmp_path):
     assert set(pd.read_csv(tmp_path / "out.csv").track_id) == {1}
 
 
-def rows_of(table):
-    return [json.dumps({k: v for k, v in row.items() if v == v}) for row in table.to_dict("records")]
-
-
-def test_stream_answers_each_row_and_resumes_after_a_stop(simulated, tmp_path):
-    table = pd.read_csv(simulated).drop(columns="label", errors="ignore").sort_values(["frame", "track_id"])
-    rows = rows_of(table)
-    whole = run("track", "-", stdin="\n".join(rows) + "\n")
-    assert whole.returncode == 0, whole.stderr
-    expected = [json.loads(line) for line in whole.stdout.splitlines()]
-    assert len(expected) == len(rows)
-    state = tmp_path / "state.json"
-    first = run("track", "-", "--state", state, stdin="\n".join(rows[:51]) + "\n")
-    second = run("track", "-", "--state", state, stdin="\n".join(rows[51:]) + "\n")
-    found = [json.loads(line) for line in (first.stdout + second.stdout).splitlines()]
-    assert len(found) == len(expected)
-    for a, b in zip(found, expected, strict=True):
-        assert a["status"] == b["status"]
-        for name in ("x", "y", "vx", "vy", "body_deg", "head_deg", "x_std", "body_std_deg"):
-            # A state begins without the last factorisation: it ends within the solver's tolerance.
-            assert a[name] == pytest.approx(b[name], rel=1e-5, abs=1e-5), name
-
-
-def test_a_bad_row_of_a_stream_is_answered_and_the_rest_goes_on():
-    rows = [
-        '{"track_id": 1, "frame": 0, "x": 0, "y": 0}',
-        "junk",
-        '{"track_id": 1, "frame": 1, "x": "a", "y": 0}',
-    ]
-    rows += ['{"track_id": 1, "frame": 2, "x": 0.1, "y": 0}']
-    done = run("track", "-", "--fps", 10, stdin="\n".join(rows) + "\n")
-    answers = [json.loads(line) for line in done.stdout.splitlines()]
-    assert done.returncode == 2
-    assert ["error" in answer for answer in answers] == [False, True, True, False]
-    assert "line 2" in answers[1]["error"] and "column x" in answers[2]["error"]
-
-
 def test_demo_writes_report_tables_and_figures(tmp_path):
     done = run("demo", "--out", tmp_path / "demo", "--seconds", 12)
     assert done.returncode == 0, done.stderr
     names = {path.name for path in (tmp_path / "demo").iterdir()}
     assert {"report.html", "tracks.png", "errors.png", "nees.png", "estimates.csv"} <= names
+
+
+def test_simulate_says_what_it_simulates(tmp_path, monkeypatch, capsys):
+    for model, said in (("joint", "model joint\n"), ("full", "model full, without its modes\n")):
+        output = str(tmp_path / "out.csv")
+        arguments = ["simulate", "-o", output, "--tracks", "1", "--steps", "3", "--model", model]
+        monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
+        with pytest.raises(SystemExit, match="0"):
+            main()
+        assert capsys.readouterr().err.endswith(said)

@@ -4,13 +4,10 @@ import json
 
 import pytest
 
-from graphtrack.cli.stream import People, parse_row, settings_of
-from graphtrack.errors import InputError
+from graphtrack.cli.live import lines_of
+from graphtrack.cli.stream import LONGEST_LINE, People
 from graphtrack.geometry import GroundCamera
 from graphtrack.inference import OnlineSmoother
-from graphtrack.model import Model
-
-SETTINGS = settings_of(Model("joint"), "fixed-lag", 1.0)
 
 
 def smoother(**options):
@@ -26,7 +23,11 @@ def walker(track_id, n=15):
 
 
 def answers(people, rows):
-    return [people.answer(json.dumps(one)) for one in rows]
+    return [people.answer(number, json.dumps(one).encode()) for number, one in enumerate(rows, 1)]
+
+
+def answer(line, fps=10.0):
+    return People(smoother, fps).answer(1, line if isinstance(line, bytes) else line.encode())
 
 
 def test_interleaved_people_do_not_touch_each_other():
@@ -69,55 +70,94 @@ def test_a_row_in_pixels_alone_starts_a_person_where_the_camera_is_known():
     assert {one["status"] for one in blind} == {"waiting"}
 
 
-def test_people_saved_at_any_row_go_on_alike(tmp_path):
-    rows = [one for pair in zip(walker(1), walker(2), strict=True) for one in pair]
-    whole = answers(People(smoother, 10.0), rows)
-    for stop in range(0, len(rows), 5):
-        first, second = People(smoother, 10.0), People(smoother, 10.0)
-        found = answers(first, rows[:stop])
-        first.save(tmp_path / "state.json", SETTINGS)
-        second.load(
-            tmp_path / "state.json",
-            SETTINGS,
-            lambda saved: OnlineSmoother.from_state(saved, "joint", lag=1.0),
-        )
-        found += answers(second, rows[stop:])
-        assert second.rows == len(rows)
-        for a, b in zip(found, whole, strict=True):
-            assert a == pytest.approx(b, abs=1e-6)
-
-
 @pytest.mark.parametrize(
-    "content", ["", "{", "[]", "{}", '{"settings": {}, "rows": "x", "people": {}}', "\x00\x01"]
-)
-def test_a_file_that_is_no_state_is_refused(content, tmp_path):
-    path = tmp_path / "state.json"
-    path.write_text(content)
-    with pytest.raises(InputError, match=r"state\.json"):
-        People(smoother, 10.0).load(path, SETTINGS, lambda saved: smoother())
-
-
-def test_a_state_of_another_model_is_refused(tmp_path):
-    path = tmp_path / "state.json"
-    People(smoother, 10.0).save(path, SETTINGS)
-    with pytest.raises(InputError, match="model"):
-        People(smoother, 10.0).load(
-            path, settings_of(Model("separate"), "fixed-lag", 1.0), lambda _: smoother()
-        )
-
-
-@pytest.mark.parametrize(
-    ("line", "column"),
+    ("line", "told"),
     [
-        ('{"frame": 1, "t": 0}', "track_id"),
-        ('{"track_id": 1.5, "frame": 1, "t": 0}', "track_id"),
-        ('{"track_id": 1, "frame": 1}', "t"),
-        ('{"track_id": 1, "frame": 1, "t": NaN}', "t"),
-        ('{"track_id": 1, "frame": 1, "t": 0, "x": true, "y": 0}', "x"),
-        ('{"track_id": 1, "frame": 1, "t": 0, "x": 1}', "y"),
-        ('{"track_id": 1, "frame": 1, "t": 0, "body_p0": 1}', "body_p"),
+        ('{"frame": 1}', "column track_id: found nothing, expected a whole number"),
+        ('{"track_id": 1.5, "frame": 1}', "column track_id: found 1.5, expected a whole number"),
+        ('{"track_id": "7", "frame": 1}', "column track_id: found '7', expected a whole number"),
+        (f'{{"track_id": {10**30}, "frame": 1}}', f"column track_id: found {10**30}, expected a whole"),
+        ('{"track_id": true, "frame": 1}', "column track_id: found true, expected a whole number"),
+        ('{"track_id": 1, "frame": 3e9}', "column frame: found 3000000000, expected a whole number"),
+        ('{"track_id": 1, "frame": 1, "x": 1e10, "y": 0}', "column x: found 1e+10, expected a number within"),
+        ('{"track_id": 1, "frame": 1, "x": 1e300, "y": 0}', "column x: found 1e+300, expected a number"),
+        ('{"track_id": 1, "frame": 1, "x": 1e999, "y": 0}', "column x: found '1e999', expected a finite"),
+        (f'{{"track_id": 1, "frame": 1, "x": {"9" * 5000}, "y": 0}}', "column x: found '9999"),
+        ('{"track_id": 1, "frame": 1, "x": NaN, "y": 0}', "column x: found 'NaN', expected a finite number"),
+        ('{"track_id": 1, "frame": 1, "x": true, "y": 0}', "column x: found true, expected a finite number"),
+        ('{"track_id": 1, "frame": 1, "x": [1], "y": 0}', "column x: found a list, expected a finite number"),
+        ('{"track_id": 1, "frame": 1, "x": 1}', "column y: found an empty cell, expected all of x … y or"),
+        ('{"track_id": 1, "frame": 1, "body_p0": 1}', "column body_p1: found an empty cell"),
+        ('{"track_id": 1, "frame": 1, "head_deg": 1e9}', "column head_deg: found 1e+09, expected a number"),
+        ('{"track_id": 1, "frame": 1, "pos_std": 0}', "column pos_std: found 0, expected a number above 0"),
+        ('{"track_id": 1, "frame": 1, "label": 5}', "column label: found 5, expected text or null"),
+        ('{"track_id": 1, "frame": 1, "x": 1, "y": 0, "x": 2}', "found the key 'x' twice"),
+        ('{"track_id": 1, "frame": 1, "x": 1_0}', "column x: found '1_0' at character 34, expected one JSON"),
+        ('{"track_id": 1, "frame": 1', "found the end of the line, expected one JSON object"),
+        ("[1, 2]", "found a list, expected one JSON object"),
+        ("[" * 100_000, "found brackets within brackets"),
+        (b'{"track_id": 1, "frame": 1, "label": "\xff"}', "found the byte 0xff, expected UTF-8 text"),
+        (b'{"track_id": 1, "label": "' + b"a" * LONGEST_LINE, "found more than 1048576 bytes"),
     ],
 )
-def test_a_bad_row_names_its_column(line, column):
-    with pytest.raises(InputError, match=f"column {column}"):
-        parse_row(line)
+def test_a_bad_row_is_told_as_it_would_be_of_a_file(line, told):
+    found = answer(line)
+    assert found["error"].startswith("line 1, " + told) or found["error"].startswith("line 1: " + told)
+
+
+def test_class_likelihoods_that_are_all_zero_are_refused():
+    zeros = {f"head_p{k}": 0.0 for k in range(12)}
+    assert "class likelihoods that are all 0" in answer(json.dumps(row(1, 0, x=0.0, y=0.0, **zeros)))["error"]
+    assert "error" not in answer(json.dumps(row(1, 0, x=0.0, y=0.0, **zeros | {"head_p3": 0.1})))
+
+
+def test_a_time_or_a_frame_rate_is_needed():
+    line = '{"track_id": 1, "frame": 1, "x": 0, "y": 0}'
+    assert "column t" in answer(line, fps=None)["error"]
+    assert answer(line.replace('"x"', '"t": 0.5, "x"'), fps=None)["t"] == 0.5
+
+
+def test_an_error_says_whose_row_it_was_as_far_as_it_can_be_read():
+    def place(line):
+        found = answer(line)
+        return found["track_id"], found["frame"], found["line"]
+
+    assert place('{"track_id": 7, "frame": 3, "x": "a", "y": 0}') == (7, 3, 1)
+    assert place('{"track_id": "a", "frame": 3}') == (None, 3, 1)
+    assert place('{"track_id": 7, "frame": 3, "frame": 4}') == (7, None, 1)
+    assert place("junk") == (None, None, 1)
+
+
+def test_line_numbers_count_blank_and_long_lines(tmp_path):
+    text = b"\n  \n{}\n" + b"a" * (3 * LONGEST_LINE) + b"\n\n{}"
+    (tmp_path / "rows").write_bytes(text)
+    with (tmp_path / "rows").open("rb") as stream:
+        found = [(number, line[:5]) for number, line in lines_of(stream, 11)]
+    assert found == [(13, b"{}\n"), (14, b"aaaaa"), (16, b"{}")]
+
+
+def test_identities_that_doubles_cannot_tell_apart_stay_apart_or_are_refused():
+    lines = [f'{{"track_id": {2**53 + k}, "frame": 0, "x": 0, "y": 0}}' for k in range(-3, 3)]
+    people = People(smoother, 10.0)
+    found = [people.answer(1, line.encode()) for line in lines]
+    known = [one["track_id"] for one in found if "error" not in one]
+    assert len(known) == len(set(known)) == len(people.smoothers) >= 2
+    assert all(str(one["track_id"]) in line for one, line in zip(found, lines, strict=True) if one in known)
+    assert "error" in found[-1]
+
+
+def test_unknown_keys_are_told_once_and_known_ones_of_answers_never():
+    told = []
+    people = People(smoother, 10.0, told.append)
+    first = {"mood": "good", "status": "new", "confidence": 1, "true_x": 0, "true_y": 0, "label": "she"}
+    for one in ({**first}, {**first, "colour": [1]}, {"shape": {"a": 1}, "x": "bad"}):
+        answers(people, [row(1, 0, **one)])
+    assert told == ["ignored key 'mood'", "ignored key 'colour'", "ignored key 'shape'"]
+
+
+def test_angles_are_the_same_in_any_turn():
+    def last(turn):
+        rows = [row(1, k, x=0.1 * k, y=0.0, head_deg=30.0 + turn) for k in range(5)]
+        return answers(People(smoother, 10.0), rows)[-1]["head_deg"]
+
+    assert last(3600.0) == pytest.approx(last(0.0), abs=1e-9)

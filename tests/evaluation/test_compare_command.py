@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from graphtrack.cli import main
+from graphtrack.model import Model
 
 ALL = "kf,intentional,particle,chain,fixed-lag,isam2,rts,ffbs,smoother"
 HEAD = "track_id,frame,t,x,y,body_deg,head_deg,true_x,true_y,true_body_deg,true_head_deg\n"
@@ -94,3 +95,22 @@ def test_a_model_that_no_method_knows_is_one_error(compare):
     status, said, found = compare(text, "kf,particle", "--model", "full")
     assert status == 0 and "particle failed on track 1" in said
     assert {row["method"] for row in found["rows"]} == {"kf"}
+
+
+OWN = {"kf": "position", "intentional": "intentional", "particle": "joint", "chain": "full"}
+OWN |= {"fixed-lag": "joint", "isam2": "joint", "rts": "position", "ffbs": "joint", "smoother": "full"}
+
+
+def test_each_method_has_its_best_model_and_the_table_and_caption_say_which(compare):
+    status, said, found = compare(HEAD + rows(1, range(12)))
+    assert status == 0 and not [record for record in found["per_track"] if record["failure"]]
+    assert found["models"] == OWN == {row["method"]: row["model"] for row in found["rows"]}
+    assert "full for chain, smoother" in said and "joint for particle" in said
+
+
+def test_a_model_that_is_given_is_everybodys_and_printed(compare, tmp_path):
+    Model("separate").save(tmp_path / "mine.toml")
+    for model in ("separate", "mine.toml"):
+        status, said, found = compare(HEAD + rows(1, range(12)), "kf,chain,isam2", "--model", model)
+        assert status == 0 and set(found["models"].values()) == {"separate"}
+        assert "The model is separate." in said and model in said

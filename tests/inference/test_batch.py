@@ -542,7 +542,7 @@ def test_the_pixel_likelihood_through_a_homography_is_gaussian_in_metres_for_sma
     n = len(track)
     # Costs that are quadratic: differences give their exact information.
     blank = replace(track, position=np.where(np.arange(n)[:, None] == 0, track.position, np.nan))
-    loose = Parameters(likelihood=LikelihoodParameters(position_std=1e5))
+    loose = Parameters(likelihood=LikelihoodParameters(position_std=100.0))
     origin = States(np.zeros((n, 2)), np.zeros((n, 2)), np.full(n, np.nan), np.full(n, np.nan))
     information = hessian(cost_around(origin, blank, Model("position", loose)), 4 * n, step=1.0)
     vector = np.zeros(4 * n)

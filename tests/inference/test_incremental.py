@@ -26,9 +26,8 @@ CONVERGED: dict[str, Any] = {"step_tolerance": 1e-7, "max_iterations": 200}
 GTSAM_ENGINES = pytest.mark.parametrize("engine", ["fixed-lag", "isam2"])
 EVERY_ENGINE = pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
 EVERY_PRESET = pytest.mark.parametrize("preset", ["position", "separate", "joint"])
-# How far a smoother that was built again may be from one that was not (metres, m/s, radians; and for the
-# chain, whose curvature is from before the last Newton step, their squares).
-REBUILT = {"chain": 1e-4, "fixed-lag": 1e-10, "isam2": 1e-6}
+# How far a smoother that was built again may be from one that was not (metres, m/s, radians; their squares).
+REBUILT = {"fixed-lag": 1e-10, "isam2": 1e-6}
 
 
 def run(smoother: OnlineSmoother, seen: Sequence[Observation]) -> list[Estimate]:
@@ -475,40 +474,28 @@ def through_json(state: dict[str, Any]) -> dict[str, Any]:
     return json.loads(json.dumps(state, allow_nan=False))
 
 
-@EVERY_ENGINE
 @EVERY_PRESET
-def test_a_saved_state_goes_on_exactly_from_any_step(engine: Any, preset: str) -> None:
+def test_isam2_goes_on_from_any_step_within_its_threshold(preset: str) -> None:
+    """GTSAM does not give its Bayes tree away; for the other engines see `test_resume`."""
     track = without(
         walk(26, seed=17, uneven=True, noise=0.1, classes=True), "position", [0, 1, 12, 13, 14, 15]
     )
     seen = list(observations(track))
     seen[18], seen[19] = seen[19], seen[18]
-    options: dict[str, Any] = {"engine": engine, "lag": 1.0}
-    whole = OnlineSmoother(preset, **options)
+    whole = OnlineSmoother(preset, engine="isam2")
     expected, states = [], [whole.state()]
     for observation in seen:
         expected.append(whole.update(observation))
         states.append(through_json(whole.state()))
     assert expected[19].status == "late"
     for k in range(len(seen)):
-        resumed = OnlineSmoother.from_state(through_json(states[k]), preset, **options)
+        resumed = OnlineSmoother.from_state(through_json(states[k]), preset, engine="isam2")
         if k:
             assert_same(replace(resumed.update(seen[k - 1]), status="new"), expected[k - 1], 0.0)
         for step in range(k, min(k + 4, len(seen))):
             found = resumed.update(seen[step])
             assert found.status == expected[step].status
-            assert_same(found, expected[step], REBUILT[engine])
-
-
-def test_a_resumed_smoother_saves_the_same_state() -> None:
-    smoother = OnlineSmoother("joint", engine="fixed-lag", lag=1.0)
-    run(smoother, list(observations(walk(30))))
-    state = through_json(smoother.state())
-    again = through_json(OnlineSmoother.from_state(state, "joint", engine="fixed-lag", lag=1.0).state())
-    assert again.keys() == state.keys()
-    assert again["steps"][3]["observation"] == state["steps"][3]["observation"]
-    for name in ("information", "linear"):
-        np.testing.assert_allclose(again["prior"][name], state["prior"][name], rtol=1e-12, atol=1e-12)
+            assert_same(found, expected[step], REBUILT["isam2"])
 
 
 @pytest.mark.parametrize("first, second", [("fixed-lag", "chain"), ("chain", "fixed-lag")])
@@ -570,11 +557,14 @@ def damage(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
         lambda state: state["prior"].update(information=[[1.0]]),
         lambda state: state["last"].pop("covariance"),
         lambda state: state.update(next_index=None),
+        lambda state: state["arrays"].pop("states"),
+        lambda state: state["arrays"].update(states="AAAA"),
+        lambda state: state["arrays"].update(point="?"),
     ],
 )
 def test_damaged_states_are_refused(change: Callable[[dict[str, Any]], Any]) -> None:
     with pytest.raises(InputError, match="state"):
-        OnlineSmoother.from_state(damage(change), "joint", lag=1.0)
+        OnlineSmoother.from_state(damage(change), "joint", engine="fixed-lag", lag=1.0)
 
 
 def test_the_fixed_lag_keeps_no_more_than_its_window() -> None:

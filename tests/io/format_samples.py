@@ -200,6 +200,8 @@ SAMPLES = (
     Sample("csv", "made.csv", _native(".csv"), 2 * FRAMES, b",0.25,"),
     Sample("csv", "made.csv.gz", _native(".csv.gz"), 2 * FRAMES),
     Sample("parquet", "made.parquet", _native(".parquet"), 2 * FRAMES),
+    Sample("ndjson", "made.ndjson", _native(".ndjson"), 2 * FRAMES, b": 0.25,"),
+    Sample("ndjson", "made.jsonl.gz", _native(".jsonl.gz"), 2 * FRAMES),
     Sample("mocap", "clips.csv", mocap, 2 * FRAMES, b",0.1,0.2"),
     Sample("mot", "made.txt", mot, 2 * FRAMES, b",40,100"),
     Sample("mot", "metres.txt", mot_metres, 2 * FRAMES, b",40,100"),

@@ -98,6 +98,53 @@ def test_ucy_control_points_of_one_frame_are_counted(tmp_path: Path) -> None:
     assert io.read(path).summary.refused == {"second control point of a spline in one frame": 1}
 
 
+OBSTACLES = """\
+2 - number of line obstacles
+-379.000000 -300.000000 380.000000 -300.000000 1 - left(x,y) right(x,y), type
+-359.000000 120.000000 -207.000000 120.000000 0 - left(x,y) right(x,y), type
+1 - number of cylinder obstacles
+136.000000 -270.000000 (center)
+20.000000 2 0 (radius, type, id)
+0 1615 (start and end time)
+"""
+
+
+def test_ucy_obstacles_after_the_splines_are_read_past(tmp_path: Path) -> None:
+    path = sample_of("ucy").write(tmp_path)
+    plain = io.read(path)
+    path.write_bytes(ucy() + OBSTACLES.replace("\n", "\r\n").encode())
+    tracks = io.read(path)
+    assert "2 line obstacles and 1 cylinder obstacle not read" in tracks.summary.notes
+    assert tracks.summary.rows_read == plain.summary.rows_read
+    for one, other in zip(plain, tracks, strict=True):
+        np.testing.assert_array_equal(one.position, other.position)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "line"),
+    [
+        ("0 1615 (start and end time)\n", "", 7),
+        ("(start and end time)\n", "(start and end time)\n7 - number of people\n", 8),
+        ("(start and end time)\n", "(start and end time)\n0 - number of line obstacles\n", 8),
+        ("1 - number of cyl", "2 - number of cyl", 8),
+        ("2 - number of line", "1 - number of line", 3),
+        ("20.000000 2 0", "20.000000 2 0.5", 6),
+        ("136.000000", "nan", 5),
+        ("380.000000 -300.000000 1 -", "380.000000 -300.000000 -", 2),
+    ],
+)
+def test_what_is_no_obstacle_after_the_splines_is_refused(
+    before: str, after: str, line: int, tmp_path: Path
+) -> None:
+    path = sample_of("ucy").write(tmp_path)
+    assert before in OBSTACLES
+    path.write_bytes(ucy() + OBSTACLES.replace(before, after).encode())
+    with pytest.raises(InputError) as caught:
+        io.read(path)
+    text = path.read_text()
+    assert caught.value.line == min(ucy().count(b"\n") + line, text.count("\n") + 1)
+
+
 def test_town_centre_boxes_of_the_half_image_are_doubled(tmp_path: Path) -> None:
     path = sample_of("towncentre").write(tmp_path)
     found = io.read(path)

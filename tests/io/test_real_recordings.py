@@ -64,6 +64,7 @@ def test_counts(name: str, rows: int, used: int, people: int, data_dir: Path) ->
     assert tracks.summary.rows_read == rows
     assert tracks.summary.rows_used == used == tracks.n_frames
     assert len(tracks) == people
+    assert not any("faster than" in note for note in tracks.summary.notes)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 
 from graphtrack import io
 from graphtrack.angles import wrap
+from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
 from graphtrack.io.native_csv import _header, _read_fast, _read_slowly
@@ -36,7 +37,7 @@ def tracks(draw: st.DrawFn) -> TrackSet:
         "covariance": draw(st.booleans()),
         "true_body": draw(st.booleans()),
     }
-    ids = draw(st.lists(st.integers(-(2**53), 2**53), min_size=1, max_size=3, unique=True))
+    ids = draw(st.lists(st.integers(-LARGEST_ID, LARGEST_ID), min_size=1, max_size=3, unique=True))
     made = []
     for identity in sorted(ids):
         n = draw(st.integers(1, 5))
@@ -85,7 +86,8 @@ def assert_same(a: TrackSet, b: TrackSet) -> None:
                 np.testing.assert_allclose(y, x, rtol=1e-14, atol=0.0)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet"])
+@pytest.mark.filterwarnings("ignore::graphtrack.errors.InputWarning")
+@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet", ".ndjson", ".jsonl.gz"])
 @settings(deadline=None, max_examples=60)
 @given(written=tracks())
 def test_files_give_back_the_tracks(suffix: str, written: TrackSet) -> None:
@@ -98,6 +100,7 @@ def test_files_give_back_the_tracks(suffix: str, written: TrackSet) -> None:
         assert [entry.name for entry in Path(folder).iterdir()] == [path.name]
 
 
+@pytest.mark.filterwarnings("ignore::graphtrack.errors.InputWarning")
 @settings(deadline=None, max_examples=60)
 @given(written=tracks())
 def test_tables_give_back_the_tracks(written: TrackSet) -> None:

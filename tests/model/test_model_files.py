@@ -3,20 +3,26 @@ from __future__ import annotations
 import dataclasses
 import math
 import pickle
+import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from walks import walk
 
+import graphtrack as gt
+from graphtrack.cli import main
+from graphtrack.cli.saving import settings_of
 from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
 from graphtrack.inference import OnlineSmoother
 from graphtrack.model import (
     CouplingParameters,
-    GaitParameters,
     LikelihoodParameters,
     Model,
     MotionParameters,
@@ -24,54 +30,27 @@ from graphtrack.model import (
     Parameters,
     presets,
 )
+from graphtrack.model.orientation import BodyDynamics
+from graphtrack.model.parameters import range_of
 
-POSITIVE = st.floats(1e-300, 1e3)
-NOT_NEGATIVE = st.one_of(st.just(0.0), st.floats(0.0, 1e6))
-PROBABILITY = st.floats(0.0, 0.999)
-ROBUST = st.sampled_from(["none", "huber", "cauchy"])
-
+TABLES = {table.name: getattr(Parameters(), table.name) for table in dataclasses.fields(Parameters)}
+NUMBERS = {
+    (table, key.name): limits
+    for table, group in TABLES.items()
+    for key in dataclasses.fields(group)
+    if (limits := range_of(group, key.name)) is not None
+}
 PARAMETERS = st.builds(
     Parameters,
-    motion=st.builds(MotionParameters, POSITIVE, POSITIVE, st.floats(0.0, 1e3)),
-    orientation=st.builds(OrientationParameters, POSITIVE, POSITIVE),
-    coupling=st.builds(CouplingParameters, NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE),
-    gait=st.builds(
-        GaitParameters,
-        body_aligned=PROBABILITY,
-        body_drift=NOT_NEGATIVE,
-        body_lead=st.floats(0.0, 10.0),
-        head_strength=NOT_NEGATIVE,
-        head_offset_kappa=st.floats(0.0, 100.0),
-        head_rate_seen=PROBABILITY,
-    ),
-    likelihood=st.builds(
-        LikelihoodParameters,
-        position_std=POSITIVE,
-        pixel_std=POSITIVE,
-        image_frame=st.booleans(),
-        robust=ROBUST,
-        robust_threshold=POSITIVE,
-        body_kappa=NOT_NEGATIVE,
-        head_kappa=NOT_NEGATIVE,
-        outlier_probability=PROBABILITY,
-        class_outlier_probability=PROBABILITY,
-    ),
+    **{
+        table: st.builds(
+            type(group),
+            **{key: st.floats(*limits) for (of, key), limits in NUMBERS.items() if of == table},
+            **({"robust": st.sampled_from(["none", "huber", "cauchy"])} if table == "likelihood" else {}),
+        )
+        for table, group in TABLES.items()
+    },
 )
-NUMBERS = [
-    (table.name, key.name)
-    for table in dataclasses.fields(Parameters)
-    for key in dataclasses.fields(getattr(Parameters(), table.name))
-    if isinstance(getattr(getattr(Parameters(), table.name), key.name), float)
-]
-STRICTLY_POSITIVE = [
-    ("motion", "acceleration_density"),
-    ("motion", "initial_speed_std"),
-    ("orientation", "body_diffusion"),
-    ("orientation", "head_diffusion"),
-    ("likelihood", "position_std"),
-    ("likelihood", "pixel_std"),
-    ("likelihood", "robust_threshold"),
-]
 
 
 def load(folder: Path, text: str) -> Model:
@@ -115,7 +94,6 @@ def test_a_saved_model_is_plain_toml_with_every_parameter(tmp_path: Path) -> Non
 def test_what_a_file_does_not_name_keeps_its_default(tmp_path: Path) -> None:
     model = load(tmp_path, 'preset = "position"\n[likelihood]\nposition_std = 0.25\n')
     assert model.parameters == Parameters(likelihood=LikelihoodParameters(position_std=0.25))
-    assert load(tmp_path, "").parameters == Parameters()
 
 
 def test_integers_are_numbers(tmp_path: Path) -> None:
@@ -165,11 +143,77 @@ def test_a_preset_that_is_none_is_named(tmp_path: Path, value: str) -> None:
     assert "position, separate, joint" in str(refused(tmp_path, f"preset = {value}\n"))
 
 
-@pytest.mark.parametrize("text", ["[motoin]\n", "motion = 3\n", "[[motion]]\nacceleration_density = 1.0\n"])
-def test_an_unknown_table_is_named(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [("[motoin]\n", "the unknown table 'motoin'"), ("foo = 1\n", "the unknown key 'foo'")],
+)
+def test_an_unknown_table_or_key_is_named(tmp_path: Path, text: str, found: str) -> None:
     error = refused(tmp_path, text)
-    assert "table 'mot" in error.found
-    assert "motion, orientation, coupling, gait, likelihood" in error.expected
+    assert error.found == found
+    assert "preset" in error.expected and "motion, orientation, coupling, gait, likelihood" in error.expected
+
+
+@pytest.mark.parametrize("text", ["motion = 3\n", "[[motion]]\nacceleration_density = 1.0\n"])
+def test_what_should_be_a_table_is_named(tmp_path: Path, text: str) -> None:
+    assert refused(tmp_path, text).expected == "a table [motion]"
+
+
+@pytest.mark.parametrize("engine", ["auto", "chain", "gtsam", "fixed-lag", "isam2"])
+@pytest.mark.parametrize("text", ["", "[motion]\ninitial_speed_std = 0.7\n"])
+def test_a_file_without_a_preset_has_the_one_that_no_file_at_all_has(
+    tmp_path: Path, engine: str, text: str
+) -> None:
+    path = tmp_path / "model.toml"
+    path.write_text(text, encoding="utf-8")
+    default = Model.named(None, engine)
+    found = Model.named(path, engine)
+    assert found.preset == default.preset
+    assert found.parameters.likelihood == default.parameters.likelihood
+    assert Model.load(path).preset == Model.named(None).preset == "full"
+
+
+def test_an_empty_model_file_is_the_default_on_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gt.write(gt.TrackSet((walk(10),)), tmp_path / "a.csv")
+    (tmp_path / "model.toml").touch()
+    monkeypatch.chdir(tmp_path)
+    for engine, preset in (("chain", "full"), ("gtsam", "joint")):
+        arguments = ["smooth", "a.csv", "-o", "out.csv", "--model", "model.toml", "--engine", engine]
+        monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
+        with pytest.raises(SystemExit, match="0"):
+            main()
+        assert f"model {preset}, engine {engine}" in " ".join(capsys.readouterr().err.split())
+
+
+def small_tracks() -> gt.TrackSet:
+    """People seen by angles and by classes, at even and uneven times, in metres and pixels, with gaps."""
+    camera = GroundCamera.from_homography(np.array([[0.02, 0, -5], [0, -0.02, 30], [0, 0.002, 0.2]]))
+    tracks = [walk(20, seed=1), walk(20, seed=2, classes=True, uneven=True, dt=0.04, track_id=2)]
+    tracks.append(walk(20, seed=3, dt=0.4, track_id=3))
+    tracks[2] = replace(tracks[2], pixel=camera.ground_to_image(tracks[2].position))
+    unseen = (np.arange(20) > 7) & (np.arange(20) < 12)
+    hidden = [replace(track, position=np.where(unseen[:, None], np.nan, track.position)) for track in tracks]
+    return gt.TrackSet(tuple(hidden), camera=camera)
+
+
+@pytest.mark.parametrize("preset", sorted(presets))
+def test_estimates_are_finite_where_a_parameter_is_as_low_or_as_high_as_it_may_be(preset: str) -> None:
+    tracks, own = small_tracks(), Model(preset).parameters
+    for (table, key), limits in NUMBERS.items():
+        for value in limits:
+            changed = replace(getattr(own, table), **{key: value})
+            for track in gt.smooth(tracks, Model(preset, replace(own, **{table: changed})), engine="chain"):
+                angles = [name for name in ("body", "head") if getattr(track, name) is not None]
+                states = [track.position, track.velocity, *(getattr(track, name) for name in angles)]
+                spreads = [track.std(name) for name in ("x", "y", "vx", "vy", *angles)]
+                assert all(np.isfinite(values).all() for values in (*states, *spreads)), (table, key, value)
+
+
+def test_a_value_beyond_its_range_is_refused_with_the_range_and_its_unit(tmp_path: Path) -> None:
+    error = refused(tmp_path, "[motion]\nacceleration_density = 1e-300\n")
+    assert error.found == "motion.acceleration_density = 1e-300"
+    assert error.expected == "a number in [1e-05, 10000] m²/s³"
 
 
 @pytest.mark.parametrize("table", ["motion", "orientation", "coupling", "likelihood"])
@@ -192,7 +236,7 @@ def test_a_value_that_is_no_number_in_range_is_named(
 @pytest.mark.parametrize(("table", "key"), NUMBERS, ids=lambda name: name)
 def test_zero_is_refused_where_it_divides_and_taken_elsewhere(tmp_path: Path, table: str, key: str) -> None:
     text = f"[{table}]\n{key} = 0.0\n"
-    if (table, key) in STRICTLY_POSITIVE:
+    if NUMBERS[table, key][0] > 0.0:
         assert f"{table}.{key}" in refused(tmp_path, text).found
     else:
         assert getattr(getattr(load(tmp_path, text).parameters, table), key) == 0.0
@@ -234,6 +278,29 @@ def test_a_model_that_cannot_be_saved_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises((InputError, OSError)):
         Model().save(target)
     assert list(tmp_path.iterdir()) == []
+
+
+class OfOnesOwn(BodyDynamics):
+    """A term that no preset has."""
+
+
+def test_terms_of_ones_own_are_not_left_out_in_silence(tmp_path: Path) -> None:
+    path = tmp_path / "model.toml"
+    Model("joint").save(path)
+    before, model = path.read_bytes(), Model("joint", terms=[OfOnesOwn])
+    for save in (
+        lambda: model.save(path),
+        model.to_dict,
+        lambda: settings_of(model, "auto", 1.0, None, None),
+    ):
+        with pytest.raises(InputError, match="OfOnesOwn"):
+            save()
+    assert path.read_bytes() == before
+    assert [type(term) for term in pickle.loads(pickle.dumps(model)).terms][-1] is OfOnesOwn
+    state = OnlineSmoother(model).state()
+    assert OnlineSmoother.from_state(state, model).model is model
+    with pytest.raises(InputError, match="OfOnesOwn"):
+        OnlineSmoother.from_state(state, "joint")
 
 
 def test_saving_replaces_a_file_whole(tmp_path: Path) -> None:

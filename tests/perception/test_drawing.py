@@ -11,7 +11,7 @@ import pytest
 from blob_tracker import SIZE, BlobTracker, blob_image
 
 from graphtrack.errors import InputError
-from perception.drawing import check_render, draw, renderer
+from perception.drawing import check_render, draw, pictures
 from perception.trackers.tracker import BoxEstimate
 
 CENTRE = (80.0, 60.0)
@@ -95,9 +95,9 @@ def test_long_names_are_written_to_their_end(estimate: BoxEstimate) -> None:
 
 @pytest.mark.parametrize("name", ["film.mp4", "film.avi"])
 def test_a_video_has_the_frames_that_were_shown(tmp_path: Path, estimate: BoxEstimate, name: str) -> None:
-    with renderer(tmp_path / name, 10.0) as show:
+    with pictures(tmp_path / name, 10.0) as write:
         for k in range(7):
-            show(k, blob_image(CENTRE), estimate)
+            write(k, draw(blob_image(CENTRE), k, estimate))
     video = cv2.VideoCapture(str(tmp_path / name))
     images = []
     while (read := video.read())[0]:
@@ -109,19 +109,51 @@ def test_a_video_has_the_frames_that_were_shown(tmp_path: Path, estimate: BoxEst
 
 
 def test_a_folder_has_an_image_for_each_frame_by_its_number(tmp_path: Path, estimate: BoxEstimate) -> None:
-    with renderer(tmp_path / "shown", 25.0) as show:
+    with pictures(tmp_path / "shown", 25.0) as write:
         for k in (3, 12):
-            show(k, blob_image(CENTRE), estimate)
+            write(k, draw(blob_image(CENTRE), k, estimate))
     assert sorted(path.name for path in (tmp_path / "shown").iterdir()) == ["000003.png", "000012.png"]
     picture = cv2.imread(str(tmp_path / "shown" / "000012.png"))
     np.testing.assert_array_equal(picture, draw(blob_image(CENTRE), 12, estimate))
 
 
 @pytest.mark.parametrize("name", ["film.mp4", "shown"])
-def test_nothing_is_left_of_a_rendering_that_failed(tmp_path: Path, estimate: BoxEstimate, name: str) -> None:
-    with pytest.raises(InputError, match="lost"), renderer(tmp_path / name, 25.0) as show:
-        show(0, blob_image(CENTRE), estimate)
+def test_nothing_is_left_of_a_rendering_that_failed(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="lost"), pictures(tmp_path / name, 25.0) as write:
+        write(0, blob_image(CENTRE))
         raise InputError("lost", "found")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_picture_of_another_size_is_refused_where_opencv_would_leave_it_out(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="frame 1 of 80 × 120"), pictures(tmp_path / "a.mp4", 5.0) as write:
+        write(0, blob_image(CENTRE))
+        write(1, blob_image(CENTRE)[:, :80])
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_video_that_could_not_be_written_whole_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Full:
+        fourcc = staticmethod(cv2.VideoWriter.fourcc)
+
+        def __init__(self, *given: object) -> None: ...
+
+        def isOpened(self) -> bool:
+            return True
+
+        def write(self, picture: np.ndarray) -> None: ...
+
+        def release(self) -> None: ...
+
+    monkeypatch.setattr(cv2, "VideoWriter", Full)
+    with pytest.raises(InputError, match="not all 3"), pictures(tmp_path / "film.avi", 5.0) as write:
+        for k in range(3):
+            write(k, blob_image(CENTRE))
+    monkeypatch.setattr(cv2, "imwrite", lambda *rest: False)
+    with pytest.raises(InputError, match="frame 7"), pictures(tmp_path / "shown", 5.0) as write:
+        write(7, blob_image(CENTRE))
     assert not list(tmp_path.iterdir())
 
 

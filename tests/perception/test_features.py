@@ -82,6 +82,11 @@ def test_gabor_features_are_normalised_filter_by_filter() -> None:
     np.testing.assert_allclose(features, brighter, atol=0.15)  # up to the rounding of the halves
 
 
+def test_the_filters_have_no_subnormal_numbers_which_processors_multiply_slowly() -> None:
+    size = np.abs(filter_bank())
+    assert size[size > 0.0].min() > 1e3 * np.finfo(np.float32).tiny
+
+
 def test_skin_colours_are_learned_and_grey_images_have_none() -> None:
     rng = np.random.default_rng(0)
     images, masks = [], []

@@ -184,6 +184,7 @@ def test_the_first_frames_number_is_no_delay(folder: Path, blobs: list[BlobTrack
         ("10,10,nan,5", "LEFT,TOP,WIDTH,HEIGHT"),
         ("900,10,20,20", "no target in the first frame"),
         ("-100,10,20,20", "no target in the first frame"),
+        ("-1e6,-1e6,2e6,2.0001e6", "at most 3 times as large as the image of 160 × 120"),
     ],
 )
 def test_a_start_that_cannot_be_is_one_error(folder: Path, init: str, message: str) -> None:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
 from graphtrack.geometry import GroundCamera
-from perception.boxes import PersonBox, foot_point, read_boxes, write_boxes
 from perception.people import DetectorParameters, PeopleDetector, PeopleTracker, colour_histogram
 
 RED, BLUE = (20, 20, 200), (200, 40, 20)
@@ -71,21 +68,6 @@ def test_short_tracks_are_dropped_and_gaps_are_filled() -> None:
     found = tracker.tracks()
     assert [(item.frame, item.track_id) for item in found] == [(k, 1) for k in range(9)]
     np.testing.assert_allclose([item.box[0] for item in found], 50 + 3 * np.arange(9))
-
-
-def test_boxes_survive_mot_text(tmp_path: Path) -> None:
-    boxes = [PersonBox(3, 1, (1.5, 2.25, 30.0, 80.0), 0.5), PersonBox(4, 2, (0.0, -2.0, 3.0, 8.0))]
-    write_boxes(boxes, tmp_path / "boxes.txt")
-    assert read_boxes(tmp_path / "boxes.txt") == boxes
-    np.testing.assert_allclose(foot_point(boxes[0].box), (16.5, 82.25))
-
-
-@pytest.mark.parametrize("line", ["1,1,0,0,0,5,1", "1,1,0,0,5,-1,1", "x,1,0,0,5,5,1", "1,1,0,0,5,5,0"])
-def test_boxes_that_cannot_be_used_are_refused(tmp_path: Path, line: str) -> None:
-    path = tmp_path / "boxes.txt"
-    path.write_text(line + "\n")
-    with pytest.raises(InputError, match=r"boxes\.txt"):
-        read_boxes(path)
 
 
 def test_an_empty_or_tiny_frame_has_no_people() -> None:

@@ -1,18 +1,22 @@
+import base64
 import json
 import re
+import zlib
 from html.parser import HTMLParser
 
 import numpy as np
 import pandas as pd
 import pytest
 from made_up import ERRORS, NEES, observed, scene, walker
-from plotly.offline import get_plotlyjs
 
+from graphtrack.angles import wrap
 from graphtrack.errors import InputError
+from graphtrack.report import build, pairing
 from graphtrack.report.build import tracking_report
 from graphtrack.report.content import Card, Note, Report, Section, Table
-from graphtrack.report.html import format_cell, render_report, safe_json, write_report
-from graphtrack.report.replay import LENGTH_STEP, delta_decode
+from graphtrack.report.html import format_cell, packed, render_report, write_report
+from graphtrack.report.pairing import pair_tracks
+from graphtrack.report.replay import LENGTH_STEP, MAX_SAMPLES, delta_decode, replay_data
 from graphtrack.tracks import ReadSummary, TrackSet
 
 HOSTILE = "</script><script>alert('x')</script>&\"'"
@@ -58,33 +62,70 @@ def test_the_page_refers_to_nothing_outside_itself(full):
         for name in ("src", "href", "srcset", "action", "poster", "data"):
             assert attributes.get(name, "#").startswith(("#", "data:image/png;base64,"))
     assert not any(tag in ("link", "iframe", "object", "embed") for tag, _ in page.elements)
-    # Plotly's own text has addresses for maps, which no chart here uses; ours has none at all.
-    ours = full.replace(get_plotlyjs(), "")
-    assert len(ours) < len(full)
-    assert not re.search(r"https?:|@import|url\(", ours)
+    # The name of SVG is written like an address; nothing is fetched from it.
+    assert not re.search(r"https?:|@import|url\(", full.replace("http://www.w3.org/2000/svg", ""))
     policies = [a["content"] for tag, a in page.elements if a.get("http-equiv") == "Content-Security-Policy"]
     assert policies[0].startswith("default-src 'none'")
 
 
-def test_plotly_stands_in_the_page_once_and_only_for_charts(full):
-    assert full.count(get_plotlyjs()[:200]) == 1
-    estimates, observations = scene(people=1)
-    still = render_report(tracking_report(estimates, observations, comparison=ERRORS, interactive=False))
-    assert len(still) < 2_000_000
-    assert "Plotly Cloud" not in still
+def unpacked(text):
+    return json.loads(zlib.decompress(base64.b64decode(text)))
 
 
-def test_plotly_is_told_not_to_offer_sending_data_away(full):
-    assert "showSendToCloud: false" in full
-    assert 'plotlyServerURL: ""' in full
+def replay_in(page):
+    kinds = [a for tag, a in page.elements if tag == "script"]
+    (text,) = [s for s, a in zip(page.scripts, kinds, strict=True) if a.get("id") == "replay-data"]
+    return unpacked(text)
+
+
+def test_a_page_of_three_people_is_light(full):
+    assert len(full.encode()) < 2_000_000
+
+
+def test_a_page_of_300_people_over_minutes_stays_below_8_megabytes():
+    rng = np.random.default_rng(0)
+    n = 40
+
+    def noisy(i):
+        track = walker(i, n=n)
+        position = 40.0 * rng.random(2) + np.cumsum(rng.normal(0.0, 0.1, (n, 2)), axis=0)
+        noise = {name: wrap(getattr(track, name) + rng.normal(0.0, 0.3, n)) for name in ("body", "head")}
+        return walker(i, n=n, position=position, covariance=track.covariance * rng.random((n, 1, 1)), **noise)
+
+    tracks = tuple(noisy(i) for i in range(300))
+    report = tracking_report(TrackSet(tracks), TrackSet(tuple(observed(track) for track in tracks)))
+    data = len(packed(report.replay))
+    rest = len(render_report(report).encode()) - data
+    # However many minutes: no more than MAX_SAMPLES of them go into a page.
+    assert rest + data * MAX_SAMPLES / report.replay["kept"] < 8_000_000
+
+
+@pytest.mark.parametrize(
+    ("t", "words"),
+    [
+        (np.arange(60) / 2.5, "one frame (0.4 s)"),
+        (np.arange(60) / 25.0, "one frame (0.04 s)"),
+        (np.cumsum(np.random.default_rng(0).uniform(0.5, 3.0, 60)), "one frame, with"),
+    ],
+)
+def test_the_page_says_how_long_a_frame_is_where_frames_are_even(t, words):
+    page = Page(render_report(Report("t", replay=replay_data(pair_tracks(TrackSet((walker(t=t),)))))))
+    assert words in " ".join("".join(page.words).split())
+
+
+def test_the_page_says_what_it_leaves_out():
+    estimates, _ = scene(people=2, n=600)
+    pairs = pair_tracks(estimates)
+    thinned = Report("t", replay=replay_data(pairs, max_samples=300))
+    words = " ".join(" ".join(Page(render_report(thinned)).words).split())
+    assert "242 of 1 200 person-frames, one every 0.2 s" in words
+    assert "person-frames, one every" not in render_report(Report("t", replay=replay_data(pairs)))
 
 
 def test_the_replay_in_the_page_brings_back_the_positions(full):
     page = Page(full)
-    kinds = [a for tag, a in page.elements if tag == "script"]
-    (text,) = [s for s, a in zip(page.scripts, kinds, strict=True) if a.get("id") == "replay-data"]
     estimates, _ = scene(people=3)
-    for person, estimate in zip(json.loads(text)["people"], estimates, strict=True):
+    for person, estimate in zip(replay_in(page)["people"], estimates, strict=True):
         t = delta_decode(person["t"], 1e-3, len(person["t"]))
         at = np.searchsorted(estimate.t, t - 5e-4)
         x = delta_decode(person["x"], LENGTH_STEP, len(t))
@@ -107,9 +148,7 @@ def test_hostile_words_stay_words():
     page, usual = Page(render_report(report)), Page(render_report(plain))
     assert len(page.scripts) == len(usual.scripts)
     assert HOSTILE in " ".join(page.words)
-    data = [s for s in page.scripts if s.startswith(("{", "["))]
-    assert all(json.loads(s) is not None for s in data)
-    assert json.loads(data[0])["people"][0]["label"] == HOSTILE
+    assert replay_in(page)["people"][0]["label"] == HOSTILE
 
 
 def test_links_lead_somewhere_and_ids_are_distinct(full):
@@ -134,13 +173,18 @@ def test_the_controls_are_those_that_there_are_data_for():
     bare = walker(1, body=None, covariance=None, velocity=None)
     page = Page(render_report(tracking_report(TrackSet((bare,)), interactive=False)))
     layers = {a["data-layer"] for _, a in page.elements if "data-layer" in a}
-    assert layers == {"head", "trail", "label"}
+    assert layers == {"head", "trail", "paths", "label"}
 
 
 def test_the_parts_that_the_scripts_look_for_are_in_the_page(full):
-    wanted = set(re.findall(r'part\("(\w+)"\)', full)) | {"everybody", "nobody"}
+    wanted = set(re.findall(r'part\("(\w+)"\)', full)) | set(re.findall(r'\[data-part="(\w+)"\]', full))
     there = {a["data-part"] for _, a in Page(full).elements if "data-part" in a}
     assert wanted == there
+
+
+def test_few_people_are_not_searched_and_hundreds_make_no_wall_of_boxes(full):
+    boxes = [a for tag, a in Page(full).elements if tag == "input" and a["type"] == "checkbox"]
+    assert all("data-layer" in box for box in boxes)
 
 
 @pytest.mark.parametrize("interactive", [True, False])
@@ -173,8 +217,9 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     write_report(path, Report("first"))
     assert "first" in path.read_text(encoding="utf-8")
     with pytest.raises(ValueError, match="JSON"):
+        data = replay_data(pair_tracks(scene(people=1)[0]))
         write_report(
-            path, Report("second", replay={"people": [{**_person(), "x": [float("nan")]}], "rate": None})
+            path, Report("second", replay={**data, "steps": {**data["steps"], "angle": float("nan")}})
         )
     assert "first" in path.read_text(encoding="utf-8")
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
@@ -182,16 +227,26 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
         write_report(tmp_path / "nowhere" / "report.html", Report("third"))
 
 
-def _person():
-    from graphtrack.report.replay import replay_data
-
-    return replay_data(TrackSet((walker(n=1),)))["people"][0]
-
-
-def test_json_in_a_page_cannot_end_its_element():
-    text = safe_json({"label": HOSTILE + "<!--"})
+def test_data_in_a_page_cannot_end_their_element():
+    text = packed({"label": HOSTILE + "<!--"})
     assert not set("<>&") & set(text)
-    assert json.loads(text)["label"] == HOSTILE + "<!--"
+    assert unpacked(text)["label"] == HOSTILE + "<!--"
+
+
+def test_tracks_are_paired_and_errors_computed_once_a_person(monkeypatch):
+    counts = {"pair": 0, "error": 0}
+
+    def counting(name, function):
+        def counted(*arguments):
+            counts[name] += 1
+            return function(*arguments)
+
+        return counted
+
+    monkeypatch.setattr(pairing, "pair_track", counting("pair", pairing.pair_track))
+    monkeypatch.setattr(build, "mean_absolute_error", counting("error", build.mean_absolute_error))
+    tracking_report(*scene(people=3))
+    assert counts == {"pair": 3, "error": 3 * 2}
 
 
 @pytest.mark.parametrize(

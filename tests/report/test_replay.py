@@ -1,16 +1,15 @@
 import json
-import shutil
-import subprocess
 from dataclasses import replace
-from importlib import resources
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from made_up import observed, scene, walker
+from page_scripts import in_node
 
 from graphtrack.angles import difference, wrap
+from graphtrack.report.pairing import pair_tracks
 from graphtrack.report.replay import (
     ANGLE_STEP,
     LENGTH_STEP,
@@ -45,8 +44,10 @@ def decoded(person, name, step):
 
 def test_the_data_survive_json_within_a_millimetre_and_a_tenth_of_a_degree():
     estimates, observations = scene(people=3, n=80)
-    data = json.loads(json.dumps(replay_data(estimates, observations, max_rate=100.0), allow_nan=False))
-    assert data["rate"] is None
+    data = json.loads(
+        json.dumps(replay_data(pair_tracks(estimates, observations), max_rate=100.0), allow_nan=False)
+    )
+    assert data["every"] == 1 and data["kept"] == data["of"] == 240
     for person, estimate, observation in zip(data["people"], estimates, observations, strict=True):
         assert decoded(person, "t", TIME_STEP) == pytest.approx(estimate.t, abs=1e-3)
         for i, axis in enumerate("xy"):
@@ -60,6 +61,11 @@ def test_the_data_survive_json_within_a_millimetre_and_a_tenth_of_a_degree():
         for name in ("body", "head"):
             error = difference(decoded(person, name, ANGLE_STEP), getattr(estimate, name))
             assert np.abs(error).max() <= ANGLE_STEP
+            std = decoded(person, f"{name}_std", ANGLE_STEP)
+            assert std == pytest.approx(estimate.std(name), abs=ANGLE_STEP)
+        seen_body = decoded(person, "seen_body", ANGLE_STEP)
+        assert np.isfinite(seen_body).tolist() == np.isfinite(observation.body).tolist()
+        assert np.nanmax(np.abs(difference(seen_body, observation.body))) <= ANGLE_STEP
         ellipse = probability_ellipse(estimate.covariance[:, :2, :2])
         assert decoded(person, "major", LENGTH_STEP) == pytest.approx(ellipse.semi_major, abs=1e-3)
         assert [flag == "1" for flag in person["seen"]] == np.isfinite(observation.position[:, 0]).tolist()
@@ -76,44 +82,71 @@ def test_thinning_keeps_both_ends_and_the_rate(steps, rate):
     assert len(np.unique(intervals)) == len(intervals)
 
 
-def test_many_samples_lower_the_rate_and_the_data_say_so():
+def test_of_too_many_samples_one_of_every_few_frames_is_kept():
     estimates, observations = scene(people=10, n=500)
-    data = replay_data(estimates, observations, max_samples=1000)
+    data = replay_data(pair_tracks(estimates, observations), max_samples=1000)
     kept = sum(len(person["t"]) for person in data["people"])
-    assert kept <= 1000 + 2 * 10  # both ends of everybody are always kept
-    assert data["rate"] == pytest.approx(5.0, rel=0.05)
+    assert data["kept"] == kept <= 1000 and data["of"] == 5000
+    # The last frame is always among them: every sixth leaves room for it, every fifth would not.
+    assert data["every"] == 6 and data["frame"] == pytest.approx(6 / 25)
+    assert set(np.diff(decoded(data["people"][0], "t", TIME_STEP))[:-1].round(3)) == {0.24}
+
+
+def test_frames_up_to_the_highest_rate_all_stay_and_quicker_ones_are_thinned_evenly():
+    def every(hz):
+        return replay_data(pair_tracks(TrackSet((walker(hz=hz, n=301),))))["every"]
+
+    assert [every(hz) for hz in (25, 30, 60, 120)] == [1, 1, 2, 4]
+
+
+def test_whoever_has_most_frames_a_second_sets_the_step():
+    slow, quick, once = walker(1, hz=2.5), walker(2, hz=25.0), walker(3, n=1)
+    assert replay_data(pair_tracks(TrackSet((slow, quick, once))))["frame"] == pytest.approx(0.04)
+    assert replay_data(pair_tracks(TrackSet((slow, once))))["frame"] == pytest.approx(0.4)
+    assert replay_data(pair_tracks(TrackSet((once,))))["frame"] is None
 
 
 def test_twenty_people_over_600_frames_stay_below_a_megabyte():
     estimates, observations = scene(people=20, n=600)
-    assert len(json.dumps(replay_data(estimates, observations), separators=(",", ":"))) < 1_000_000
+    assert (
+        len(json.dumps(replay_data(pair_tracks(estimates, observations)), separators=(",", ":"))) < 1_000_000
+    )
 
 
 def test_absent_channels_and_people_are_absent():
     nowhere = walker(2, position=np.full((60, 2), np.nan))
     bare = walker(1, body=None, head=None, covariance=None, velocity=None)
-    data = replay_data(TrackSet((nowhere, bare)))
+    data = replay_data(pair_tracks(TrackSet((nowhere, bare))))
     (person,) = data["people"]
-    assert person["id"] == 1
-    missing = ("body", "head", "major", "vx", "seen", "seen_x", "true_x", "true_body")
+    assert person["id"] == "1"
+    missing = (
+        "body",
+        "head",
+        "body_std",
+        "major",
+        "vx",
+        "seen",
+        "seen_x",
+        "seen_head",
+        "true_x",
+        "true_body",
+    )
     assert all(person[name] is None for name in missing)
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="needs node to run the page's own decoder")
 def test_the_page_shows_people_where_they_are():
     estimate = walker(4, n=60)
     jump = replace(estimate, t=np.where(np.arange(60) < 30, estimate.t, estimate.t + 10.0))
-    data = replay_data(TrackSet((jump,)), TrackSet((replace(observed(estimate), t=jump.t),)), max_rate=100.0)
+    seen = replace(observed(estimate), t=jump.t)
+    data = replay_data(pair_tracks(TrackSet((jump,)), TrackSet((seen,))), max_rate=100.0)
     between = (jump.t[:-1] + jump.t[1:]) / 2.0
-    script = (resources.files("graphtrack.report") / "assets" / "replay_data.js").read_text(encoding="utf-8")
-    script += f"""
+    code = f"""
     const data = {json.dumps(data)};
     const person = decodePerson(data.people[0], data.steps);
     const ask = (times) => times.map((t) => stateAt(person, t));
-    console.log(JSON.stringify([ask({jump.t.tolist()}), ask({between.tolist()}), ask([-1, 99])]));
+    return [ask({jump.t.tolist()}), ask({between.tolist()}), ask([-1, 99])];
     """
-    run = subprocess.run(["node", "-e", script], capture_output=True, text=True, check=True)
-    at, halfway, outside = json.loads(run.stdout)
+    at, halfway, outside = in_node(("replay_data.js",), code)
     assert outside == [None, None]
     for i, state in enumerate(at):
         assert [state["x"], state["y"]] == pytest.approx(jump.position[i], abs=2e-3)

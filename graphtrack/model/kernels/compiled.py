@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import os
-import re
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from types import FunctionType
+from typing import TypeVar, cast
 
 import numba
+
+from graphtrack.model.kernels.fingerprint import fingerprint, source_file
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 # Sums may be reordered and fused; NaN and infinity keep their meaning ("nnan" would break isnan).
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
-_IMPORT = re.compile(rb"^from ([\w.]+) import", re.MULTILINE)
 
 
 def compiled(function: Function) -> Function:
@@ -25,35 +23,27 @@ def compiled(function: Function) -> Function:
 
     The code is kept under ``NUMBA_CACHE_DIR``, or else in the user's cache folder. Numba alone would only
     look whether the function's own file has changed, and run what is inlined from others as it once was.
+    A function without a file, from a notebook's cell or the prompt, and any where no folder can be written
+    to, is compiled anew in every process.
     """
-    given = numba.config.CACHE_DIR
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphtrack"
-    numba.config.CACHE_DIR = str(Path(given or home) / fingerprint(function.__module__))
+    given, folder = numba.config.CACHE_DIR, _folder(cast(FunctionType, function))
+    numba.config.CACHE_DIR = folder or given
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)(function)
+        return numba.njit(cache=bool(folder), nogil=True, error_model="numpy", fastmath=_FAST)(function)
     finally:
         numba.config.CACHE_DIR = given
 
 
-@cache
-def fingerprint(module: str) -> str:
-    """A digest of the sources of a module and of all that it imports from its package, directly or not."""
-    package, _, _ = module.partition(".")
-    digest, waiting, seen = hashlib.sha256(), [module], {module}
-    while waiting:
-        source, imported = _source(waiting.pop())
-        digest.update(source)
-        for name in imported:
-            if name.partition(".")[0] == package and name not in seen:
-                seen.add(name)
-                waiting.append(name)
-    return digest.hexdigest()[:16]
-
-
-@cache
-def _source(module: str) -> tuple[bytes, list[str]]:
-    specification = importlib.util.find_spec(module)
-    if specification is None or specification.origin is None:
-        return b"", []
-    source = Path(specification.origin).read_bytes()
-    return source, [name.decode() for name in _IMPORT.findall(source)]
+def _folder(function: FunctionType) -> str:
+    """Where the machine code of a function is kept; "" if nowhere."""
+    source, written = source_file(function.__module__), Path(function.__code__.co_filename)
+    # A module may also run what was not written in its file: cells, `exec`.
+    if source is None or not written.is_file() or not written.samefile(source):
+        return ""
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphtrack"
+        folder = Path(numba.config.CACHE_DIR or home) / fingerprint(function.__module__)
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):  # a folder that cannot be made; a user without a home
+        return ""
+    return str(folder) if os.access(folder, os.W_OK) else ""

@@ -1,40 +1,26 @@
-// Starts the replay and draws the charts once the page is there.
+// Starts the tables, then unpacks the data and starts what is drawn from them.
 
-function readJson(element) { return JSON.parse(element.textContent); }
+const tables = [...document.querySelectorAll(".panel table")];
+const turning = tables.map(startTable);
 
-function themeChart(layout, root) {
-  const style = getComputedStyle(root);
-  const colour = (name) => style.getPropertyValue("--" + name).trim();
-  const bar = { bgcolor: "rgba(0,0,0,0)", color: colour("muted"), activecolor: colour("ink") };
-  const themed = { modebar: bar, ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { ...layout.font, color: colour("ink") } };
-  Object.keys(layout).filter((key) => /^[xy]axis/.test(key)).forEach((key) => {
-    themed[key] = { ...layout[key], gridcolor: colour("grid"), zerolinecolor: colour("grid"), linecolor: colour("muted") };
-  });
-  return themed;
-}
-
-function startChart(root, replay) {
-  const figures = readJson(root.querySelector('script[type="application/json"]'));
-  const plot = root.querySelector(".plot"), choice = root.querySelector("select");
-  // The buttons are named one by one: by default plotly offers to send the data to a server of its makers.
-  const config = {
-    responsive: true, displayModeBar: "time" in root.dataset, displaylogo: false, showSendToCloud: false, plotlyServerURL: "",
-    modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]],
-  };
-  const ink = () => getComputedStyle(root).getPropertyValue("--ink").trim();
-  function show() {
-    const figure = figures[choice ? choice.selectedIndex : 0];
-    // Truth is drawn in the colour of the text, which depends on the theme.
-    const traces = figure.data.map((trace) => (trace.meta === "truth" ? { ...trace, line: { ...trace.line, color: ink() } } : trace));
-    return Plotly.react(plot, traces, themeChart(figure.layout, root), config);
+async function startDrawing() {
+  const root = document.querySelector(".replay"), holder = document.getElementById("replay-data");
+  if (!root) return;
+  let data;
+  try {
+    data = await unpack(holder.textContent);
+  } catch (error) {
+    const trouble = root.querySelector('[data-part="trouble"]');
+    const old = "This browser cannot unpack the data of the replay (Chrome 80, Firefox 113, Safari 16.4 and later can).";
+    trouble.textContent = typeof DecompressionStream === "undefined" ? old : "The data of the replay are damaged: " + error.message;
+    trouble.hidden = false;
+    return;
   }
-  show().then(() => {
-    if (replay && "time" in root.dataset) plot.on("plotly_click", (event) => replay.seek(event.points[0].x));
-  });
-  if (choice) choice.addEventListener("change", show);
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", show);
+  const crowd = createCrowd(data.people.map((coded) => decodePerson(coded, data.steps)));
+  const replay = startReplay(root, crowd, data.frame || 0);
+  startPeople(root, crowd, replay);
+  document.querySelectorAll(".angles").forEach((chart) => startAngles(chart, crowd, replay));
+  tables.forEach((table, i) => linkTable(table, turning[i], crowd, replay));
 }
 
-const replayRoot = document.querySelector(".replay");
-const replay = replayRoot ? startReplay(replayRoot, readJson(document.getElementById("replay-data"))) : null;
-document.querySelectorAll(".chart").forEach((root) => startChart(root, replay));
+startDrawing();

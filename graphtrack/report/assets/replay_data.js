@@ -1,22 +1,31 @@
-// Decoding the replay's data and asking where a person is at a time. Nothing here touches the page.
+// Unpacking and decoding the replay's data, and asking where a person is at a time. Nothing here touches the page.
 
 const LENGTHS = ["x", "y", "vx", "vy", "major", "minor", "seen_x", "seen_y", "true_x", "true_y"];
-const ANGLES = ["tilt", "body", "head", "true_body", "true_head"];
+const ANGLES = ["tilt", "body", "head", "body_std", "head_std", "seen_body", "seen_head", "true_body", "true_head"];
 const TURN = 2 * Math.PI;
 
-function undelta(codes, step, n) {
-  const values = new Float64Array(n).fill(NaN);
+// Base64 of zlib of JSON → what the JSON says.
+async function unpack(text) {
+  const letters = atob(text.trim()), bytes = new Uint8Array(letters.length);
+  for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);
+  const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return JSON.parse(await new Response(plain).text());
+}
+
+// A channel that is known nowhere stays empty: what is read from it is undefined, which is not finite either.
+function undelta(codes, step) {
+  const values = new Float64Array(codes ? codes.length : 0).fill(NaN);
   let last = 0;
   if (codes) codes.forEach((code, i) => { if (code !== null) { last += code; values[i] = last * step; } });
   return values;
 }
 
 function decodePerson(coded, steps) {
-  const n = coded.t.length;
-  const person = { id: coded.id, label: coded.label, colour: coded.colour, hole: coded.hole, seen: coded.seen, shown: true };
-  person.t = undelta(coded.t, steps.time, n);
-  LENGTHS.forEach((name) => { person[name] = undelta(coded[name], steps.length, n); });
-  ANGLES.forEach((name) => { person[name] = undelta(coded[name], steps.angle, n); });
+  const person = { id: coded.id, label: coded.label, colour: coded.colour, dash: coded.dash, hole: coded.hole, seen: coded.seen, shown: true };
+  person.name = coded.id + (coded.label ? " " + coded.label : "");
+  person.t = undelta(coded.t, steps.time);
+  LENGTHS.forEach((name) => { person[name] = undelta(coded[name], steps.length); });
+  ANGLES.forEach((name) => { person[name] = undelta(coded[name], steps.angle); });
   return person;
 }
 
@@ -30,13 +39,31 @@ function indexAt(times, t) {
   return low - 1;
 }
 
+// All times at which anybody has a sample, ascending, each once.
+function sampleTimes(people) {
+  const all = new Float64Array(people.reduce((n, p) => n + p.t.length, 0));
+  let end = 0;
+  people.forEach((p) => { all.set(p.t, end); end += p.t.length; });
+  all.sort();
+  return all.filter((t, i) => i === 0 || t > all[i - 1]);
+}
+
+// The time one frame on (direction 1) or back (-1): that of the next sample of anybody. From a sample, what lies within
+// half a frame of it is passed over: cameras that are a few milliseconds apart take one frame at the same time.
+function stepTime(times, frame, now, direction) {
+  const last = times.length - 1, at = indexAt(times, now + 5e-4);
+  const guard = at >= 0 && Math.abs(times[at] - now) < 1e-3 ? frame / 2 : 1e-3;
+  if (direction > 0) return times[Math.min(indexAt(times, now + guard) + 1, last)];
+  const before = indexAt(times, now - guard);
+  return times[Math.max(before, 0)];
+}
+
 function mix(a, b, f) { return f === 0 ? a : f === 1 ? b : a + f * (b - a); }
 
-// Along the shorter arc: from 170° to -170° goes through 180°.
-function mixAngle(a, b, f) {
-  const step = (((b - a) % TURN) + 1.5 * TURN) % TURN - TURN / 2;
-  return f === 0 ? a : f === 1 ? b : a + f * step;
-}
+// The shorter way from one angle to another: from 170° to -170° it is 20°.
+function arc(a, b) { return (((b - a) % TURN) + 1.5 * TURN) % TURN - TURN / 2; }
+
+function mixAngle(a, b, f) { return f === 0 ? a : f === 1 ? b : a + f * arc(a, b); }
 
 // What is known of a person at time t, or null where the track has not begun, has ended or has a hole.
 function stateAt(person, t) {
@@ -50,7 +77,7 @@ function stateAt(person, t) {
   const state = { index: i, nearest, seen: person.seen === null || person.seen[nearest] === "1" };
   ["x", "y", "vx", "vy", "true_x", "true_y"].forEach((name) => { state[name] = mix(person[name][i], person[name][j], f); });
   ["body", "head", "true_body", "true_head"].forEach((name) => { state[name] = mixAngle(person[name][i], person[name][j], f); });
-  ["major", "minor", "tilt", "seen_x", "seen_y"].forEach((name) => { state[name] = person[name][nearest]; });
+  ["major", "minor", "tilt", "seen_x", "seen_y", "body_std", "head_std", "seen_body", "seen_head"].forEach((name) => { state[name] = person[name][nearest]; });
   return Number.isFinite(state.x) && Number.isFinite(state.y) ? state : null;
 }
 

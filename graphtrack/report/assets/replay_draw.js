@@ -3,7 +3,7 @@
 function readTheme(element) {
   const style = getComputedStyle(element);
   const theme = {};
-  ["body", "head", "velocity", "ink", "muted", "grid", "surface"].forEach((name) => {
+  ["body", "head", "velocity", "ink", "muted", "grid", "surface", "accent"].forEach((name) => {
     theme[name] = style.getPropertyValue("--" + name).trim();
   });
   return theme;
@@ -45,17 +45,61 @@ function drawGrid(ctx, view, theme) {
   ctx.stroke();
 }
 
-function drawTrail(ctx, view, person, xs, ys, upTo, since, now) {
-  let drawing = false, previous = -Infinity;
-  ctx.beginPath();
-  for (let i = Math.max(indexAt(person.t, since), 0); i <= upTo; i++) {
-    if (!Number.isFinite(xs[i]) || !Number.isFinite(ys[i])) { drawing = false; continue; }
-    const [sx, sy] = toScreen(view, xs[i], ys[i]);
-    if (drawing && person.t[i] - previous <= person.hole) ctx.lineTo(sx, sy); else ctx.moveTo(sx, sy);
-    drawing = true; previous = person.t[i];
+// Dashes lie still on the ground, wherever the trail begins: metres walked until each sample.
+function alongPath(person) {
+  if (!person.along) {
+    person.along = new Float64Array(person.x.length);
+    for (let i = 1; i < person.x.length; i++) {
+      const step = Math.hypot(person.x[i] - person.x[i - 1], person.y[i] - person.y[i - 1]);
+      person.along[i] = person.along[i - 1] + (Number.isFinite(step) ? step : 0);
+    }
   }
-  if (drawing && now) ctx.lineTo(...toScreen(view, now[0], now[1]));
+  return person.along;
+}
+
+function setDash(ctx, person, width) { ctx.setLineDash(person.dash.map((length) => length * width)); }
+
+// From the sample at `first` to the one at `last`, and on to `now` (screen) if given.
+function tracePath(ctx, view, person, xs, ys, first, last, now) {
+  let drawing = false, previous = -Infinity, px = NaN, py = NaN;
+  ctx.beginPath();
+  for (let i = first; i <= last; i++) {
+    if (!Number.isFinite(xs[i]) || !Number.isFinite(ys[i])) { drawing = false; continue; }
+    const sx = view.width / 2 + (xs[i] - view.x) * view.scale, sy = view.height / 2 - (ys[i] - view.y) * view.scale;
+    if (!drawing || person.t[i] - previous > person.hole) ctx.moveTo(sx, sy);
+    // Steps of less than a pixel cost time and show nothing.
+    else if (i < last && Math.abs(sx - px) < 1 && Math.abs(sy - py) < 1) { previous = person.t[i]; continue; }
+    else ctx.lineTo(sx, sy);
+    drawing = true; previous = person.t[i]; px = sx; py = sy;
+  }
+  if (drawing && now) ctx.lineTo(now[0], now[1]);
   ctx.stroke();
+}
+
+function strokePath(ctx, view, person, first, last, now, width, colour) {
+  ctx.strokeStyle = colour; ctx.lineWidth = width; ctx.lineJoin = "round"; ctx.lineCap = "butt";
+  setDash(ctx, person, width);
+  ctx.lineDashOffset = alongPath(person)[first] * view.scale;
+  tracePath(ctx, view, person, person.x, person.y, first, last, now);
+  ctx.setLineDash([]);
+}
+
+// Everybody's whole path, the fainter the more there are, without the dashes, which many thin lines turn into dust.
+function drawPaths(ctx, view, people) {
+  const shown = people.filter((p) => p.shown);
+  ctx.globalAlpha = shown.length <= 10 ? 0.45 : Math.max(0.16, 1.4 / Math.sqrt(shown.length));
+  ctx.lineWidth = 1; ctx.lineJoin = "round";
+  shown.forEach((p) => { ctx.strokeStyle = p.colour; tracePath(ctx, view, p, p.x, p.y, 0, p.t.length - 1, null); });
+  ctx.globalAlpha = 1;
+}
+
+// The whole path of someone the reader points at or has chosen, on a halo in the colour of the ground.
+function drawChosenPath(ctx, view, person, theme) {
+  const last = person.t.length - 1;
+  ctx.strokeStyle = theme.surface; ctx.lineWidth = 6; ctx.globalAlpha = 0.8;
+  tracePath(ctx, view, person, person.x, person.y, 0, last, null);
+  ctx.globalAlpha = 1;
+  strokePath(ctx, view, person, 0, last, null, 2.6, person.colour);
 }
 
 function drawArrow(ctx, from, angle, length, width, colour, halo) {
@@ -64,8 +108,9 @@ function drawArrow(ctx, from, angle, length, width, colour, halo) {
   const tip = [from[0] + c * length, from[1] + s * length];
   const barb = 2.1 * width + 2;
   const at = (along, across) => [tip[0] + along * c - across * s, tip[1] + along * s + across * c];
-  // A halo in the colour of the ground keeps crossing arrows apart.
-  [[halo, width + 2.5, 1.4], [colour, width, 0]].forEach(([paint, line, grow]) => {
+  // A halo in the colour of the ground keeps crossing arrows apart; among very many it would hide more than it shows.
+  const strokes = halo ? [[halo, width + 2.5, 1.4], [colour, width, 0]] : [[colour, width, 0]];
+  strokes.forEach(([paint, line, grow]) => {
     ctx.strokeStyle = ctx.fillStyle = paint; ctx.lineWidth = line; ctx.lineCap = "round";
     ctx.beginPath(); ctx.moveTo(...from); ctx.lineTo(...at(-barb, 0)); ctx.stroke();
     ctx.beginPath(); ctx.moveTo(...at(grow, 0)); ctx.lineTo(...at(-barb - grow, 0.62 * barb + grow)); ctx.lineTo(...at(-barb - grow, -0.62 * barb - grow));
@@ -88,42 +133,53 @@ function drawTruth(ctx, view, state, theme) {
   });
 }
 
-function drawPerson(ctx, view, person, state, layers, theme, t, trailSeconds) {
-  const here = toScreen(view, state.x, state.y);
-  ctx.lineJoin = "round";
+// `size` shrinks the marks where many people are; `strong` is one whom the reader points at or has chosen.
+function drawPerson(ctx, view, person, state, scene, size, strong) {
+  const { layers, theme, time, trail } = scene, here = toScreen(view, state.x, state.y), halo = size < 0.8 ? null : theme.surface;
   if (layers.ellipse && Number.isFinite(state.major)) {
     ctx.beginPath();
     ctx.ellipse(here[0], here[1], state.major * view.scale, state.minor * view.scale, -state.tilt, 0, TURN);
     ctx.fillStyle = person.colour; ctx.globalAlpha = 0.18; ctx.fill();
     ctx.strokeStyle = person.colour; ctx.globalAlpha = 0.9; ctx.lineWidth = 1; ctx.stroke(); ctx.globalAlpha = 1;
   }
+  const since = Math.max(indexAt(person.t, time - trail), 0);
   if (layers.truth) {
     ctx.strokeStyle = theme.ink; ctx.lineWidth = 1; ctx.setLineDash([4, 3]); ctx.globalAlpha = 0.6;
-    if (layers.trail) drawTrail(ctx, view, person, person.true_x, person.true_y, state.index, t - trailSeconds, null);
+    if (layers.trail) tracePath(ctx, view, person, person.true_x, person.true_y, since, state.index, null);
     ctx.setLineDash([]); ctx.globalAlpha = 1;
     drawTruth(ctx, view, state, theme);
   }
-  if (layers.trail) {
-    ctx.strokeStyle = person.colour; ctx.lineWidth = 2.2;
-    drawTrail(ctx, view, person, person.x, person.y, state.index, t - trailSeconds, [state.x, state.y]);
-  }
+  if (layers.trail) strokePath(ctx, view, person, since, state.index, here, 2.2, person.colour);
   if (layers.observation && state.seen && Number.isFinite(state.seen_x)) {
     const [ox, oy] = toScreen(view, state.seen_x, state.seen_y);
     ctx.strokeStyle = theme.surface; ctx.fillStyle = theme.ink; ctx.lineWidth = 1;
-    ctx.beginPath(); ctx.arc(ox, oy, 3.2, 0, TURN); ctx.fill(); ctx.stroke();
+    ctx.beginPath(); ctx.arc(ox, oy, 3.2 * size, 0, TURN); ctx.fill(); ctx.stroke();
   }
-  if (layers.body) drawArrow(ctx, here, state.body, 32, 4, theme.body, theme.surface);
+  if (layers.body) drawArrow(ctx, here, state.body, 32 * size, 4 * size, theme.body, halo);
   if (layers.velocity) drawVelocity(ctx, view, state, here, theme);
-  if (layers.head) drawArrow(ctx, here, state.head, 24, 2.4, theme.head, theme.surface);
-  ctx.beginPath(); ctx.arc(here[0], here[1], 5.5, 0, TURN);
-  ctx.fillStyle = state.seen ? person.colour : theme.surface;
-  ctx.strokeStyle = state.seen ? theme.surface : person.colour; ctx.lineWidth = state.seen ? 1.5 : 2.5;
-  ctx.fill(); ctx.stroke();
-  if (layers.label) {
-    const text = String(person.id);
-    ctx.font = "600 12px system-ui, sans-serif"; ctx.lineWidth = 3; ctx.strokeStyle = theme.surface; ctx.fillStyle = theme.ink;
-    ctx.strokeText(text, here[0] + 8, here[1] + 17); ctx.fillText(text, here[0] + 8, here[1] + 17);
+  if (layers.head) drawArrow(ctx, here, state.head, 24 * size, 2.4 * size, theme.head, halo);
+  if (strong) {
+    ctx.beginPath(); ctx.arc(here[0], here[1], 11, 0, TURN);
+    ctx.strokeStyle = theme.accent; ctx.lineWidth = 2.5; ctx.stroke();
   }
+  ctx.beginPath(); ctx.arc(here[0], here[1], 5.5 * size, 0, TURN);
+  ctx.fillStyle = state.seen ? person.colour : theme.surface;
+  ctx.strokeStyle = state.seen ? theme.surface : person.colour; ctx.lineWidth = state.seen ? 1.5 : 2.5 * size;
+  ctx.fill(); ctx.stroke();
+}
+
+// Ids, each where it covers none that is there already: in a crowd the rest are named when one points at them.
+function drawLabels(ctx, view, present, theme) {
+  const taken = [];
+  ctx.font = "600 12px system-ui, sans-serif"; ctx.lineWidth = 3; ctx.strokeStyle = theme.surface; ctx.fillStyle = theme.ink;
+  ctx.lineJoin = "round";
+  present.forEach(({ person, state, strong }) => {
+    const [sx, sy] = toScreen(view, state.x, state.y), left = sx + 8, width = ctx.measureText(person.id).width;
+    const box = [left, sy + 7, left + width, sy + 19];
+    if (!strong && taken.some((other) => box[0] < other[2] && other[0] < box[2] && box[1] < other[3] && other[1] < box[3])) return;
+    taken.push(box);
+    ctx.strokeText(person.id, left, sy + 17); ctx.fillText(person.id, left, sy + 17);
+  });
 }
 
 // One second long on the ground: the arrow ends where the person would be in a second.
@@ -132,15 +188,24 @@ function drawVelocity(ctx, view, state, here, theme) {
   if (speed * view.scale > 6) drawArrow(ctx, here, Math.atan2(state.vy, state.vx), speed * view.scale, 2, theme.velocity, theme.surface);
 }
 
-function drawMoment(ctx, view, people, layers, theme, t, trailSeconds) {
+function markSize(count) { return count <= 12 ? 1 : Math.max(0.6, Math.sqrt(12 / count)); }
+
+// scene: {people, layers, theme, time, trail, backdrop, strong}. `strong` holds the indices of those to be made plain.
+// Returns how many people are there.
+function drawMoment(ctx, view, scene) {
   ctx.clearRect(0, 0, view.width, view.height);
-  drawGrid(ctx, view, theme);
-  let present = 0;
-  people.forEach((person) => {
-    const state = person.shown ? stateAt(person, t) : null;
-    if (!state) return;
-    present += 1;
-    drawPerson(ctx, view, person, state, layers, theme, t, trailSeconds);
+  drawGrid(ctx, view, scene.theme);
+  if (scene.backdrop) ctx.drawImage(scene.backdrop, 0, 0, view.width, view.height);
+  const present = [];
+  scene.people.forEach((person, index) => {
+    const strong = scene.strong.includes(index), state = person.shown ? stateAt(person, scene.time) : null;
+    if (strong && person.shown) drawChosenPath(ctx, view, person, scene.theme);
+    if (state) present.push({ person, state, strong });
   });
-  return present;
+  // Those to be made plain are drawn over the others, but their ids take their places first.
+  present.sort((a, b) => a.strong - b.strong);
+  const size = markSize(present.length);
+  present.forEach(({ person, state, strong }) => drawPerson(ctx, view, person, state, scene, strong ? 1 : size, strong));
+  if (scene.layers.label) drawLabels(ctx, view, present.slice().reverse(), scene.theme);
+  return present.length;
 }

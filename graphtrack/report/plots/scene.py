@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from graphtrack.angles import FloatArray, unit
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots.canvas import new_figure, tidy
+from graphtrack.report.plots.crowd import plot_crowd
 from graphtrack.report.shapes import finite_runs, longest_step, probability_ellipse
 from graphtrack.report.style import (
     ANGLE_COLOURS,
@@ -23,6 +24,7 @@ from graphtrack.report.style import (
     TRUTH_COLOUR,
     VELOCITY_COLOUR,
     person_colour,
+    person_dash,
 )
 from graphtrack.tracks import Track, TrackSet
 
@@ -33,7 +35,7 @@ NAMED_PEOPLE = 10
 """Up to this many people are named in the legend; with more, the ids beside the paths must do."""
 
 CROWD = 40
-"""With more people than this only the paths are drawn: arrows, ellipses and ids would hide them."""
+"""With more people than this only paths are drawn (`plot_crowd`): arrows, ellipses, ids would hide them."""
 
 
 def plot_tracks(
@@ -48,8 +50,8 @@ def plot_tracks(
     """Draw everybody's path from above, in metres with equal axes.
 
     Body and head arrows and the 95 % ellipses of the position stand at regular intervals of time. Where the
-    person was not observed the path is dotted, and longer gaps end in hollow circles. Of a `CROWD` only the
-    paths are drawn.
+    person was not observed the path is dotted, and longer gaps end in hollow circles. Of more than `CROWD`
+    people only the paths are drawn: over a map of the time that they spent where, and by the way they went.
 
     Parameters
     ----------
@@ -64,8 +66,27 @@ def plot_tracks(
     -------
     matplotlib.figure.Figure
     """
-    pairs = pair_tracks(estimates, observations)
+    return plot_pairs(
+        pair_tracks(estimates, observations),
+        show_truth=show_truth,
+        show_velocity=show_velocity,
+        arrow_interval=arrow_interval,
+        title=title,
+    )
+
+
+def plot_pairs(
+    pairs: tuple[Pair, ...],
+    *,
+    show_truth: bool = True,
+    show_velocity: bool = False,
+    arrow_interval: float | None = None,
+    title: str = "",
+) -> Figure:
+    """`plot_tracks` of tracks that are already paired with their observations."""
     extent = _extent(pairs, show_truth)
+    if is_crowd(pairs):
+        return plot_crowd(pairs, extent, title)
     span_x, span_y = extent[1] - extent[0]
     # The page follows the scene, within what fits a screen: inches for the axes, then room for the legend.
     height = float(np.clip(7.0 * span_y / span_x, 3.2, 8.0))
@@ -84,14 +105,11 @@ def plot_tracks(
     size = 1.0 if len(pairs) <= 8 else 0.65
     interval = _nice_interval(pairs) if arrow_interval is None else arrow_interval
     for index, pair in enumerate(pairs):
-        colour = person_colour(index)
-        if len(pairs) > CROWD:
-            axes.plot(*pair.estimate.position.T, color=colour, linewidth=0.8, alpha=0.6)
-            continue
+        colour, dash = person_colour(index), person_dash(index)
         _draw_observations(axes, pair, colour)
         if show_truth:
             axes.plot(*pair.true_position.T, color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5), zorder=2.5)
-        _draw_path(axes, pair, colour)
+        _draw_path(axes, pair, colour, dash)
         at = _regular_samples(pair.estimate.t, finite_rows(pair.estimate.position), interval)
         _draw_ellipses(axes, pair, at, colour)
         if show_velocity and pair.estimate.velocity is not None:
@@ -117,6 +135,11 @@ def plot_tracks(
         nothing = "no positions to draw"
         axes.text(0.5, 0.5, nothing, transform=axes.transAxes, ha="center", color=NEUTRAL_COLOUR)
     return figure
+
+
+def is_crowd(pairs: tuple[Pair, ...]) -> bool:
+    """Whether more than `CROWD` people have a position to draw."""
+    return sum(bool(finite_rows(pair.estimate.position).any()) for pair in pairs) > CROWD
 
 
 def _extent(pairs: tuple[Pair, ...], show_truth: bool) -> FloatArray:
@@ -161,21 +184,26 @@ def _draw_observations(axes: Axes, pair: Pair, colour: str) -> None:
         axes.scatter(x, y, s=5, color=colour, alpha=0.55, linewidths=0, zorder=2)
 
 
-def _draw_path(axes: Axes, pair: Pair, colour: str) -> None:
+def _draw_path(axes: Axes, pair: Pair, colour: str, dash: tuple[float, ...]) -> None:
     position = pair.estimate.position
     seen = np.ones(len(position), dtype=bool) if pair.seen is None else pair.seen
     if len(position) == 1:
         axes.plot(*position.T, "o", color=colour, markersize=5, zorder=3)
         return
-    # A piece of the path is solid only when both of its ends were observed and nothing is missing between.
-    solid = seen[:-1] & seen[1:] & (np.diff(pair.estimate.t) <= longest_step(pair.estimate.t))
-    for flags, style in ((solid, "-"), (~solid, ":")):
+    # Dotted unless both ends of a piece were observed and nothing is missing between them.
+    whole = seen[:-1] & seen[1:] & (np.diff(pair.estimate.t) <= longest_step(pair.estimate.t))
+    for flags, style in ((whole, _line_style(dash)), (~whole, ":")):
         for run in finite_runs(flags):
-            axes.plot(*position[run.start : run.stop + 1].T, style, color=colour, linewidth=1.8, zorder=3)
+            piece = position[run.start : run.stop + 1]
+            axes.plot(*piece.T, linestyle=style, color=colour, linewidth=1.8, zorder=3)
     for run in finite_runs(~seen):
         if run.stop - run.start >= MARKED_GAP:
             ends = position[[run.start, run.stop - 1]]
             axes.plot(*ends.T, "o", color=colour, markerfacecolor="white", markersize=5.5, zorder=3.2)
+
+
+def _line_style(dash: tuple[float, ...]) -> Any:
+    return (0.0, dash) if dash else "-"
 
 
 def _draw_ellipses(axes: Axes, pair: Pair, at: NDArray[np.intp], colour: str) -> None:
@@ -250,8 +278,6 @@ def _legend(pairs: tuple[Pair, ...], show_truth: bool, show_velocity: bool) -> l
     grey = {"color": NEUTRAL_COLOUR}
     arrow = {"linewidth": 0, "marker": r"$\rightarrow$", "markersize": 13}
     handles: list[Line2D | Patch] = [_key("path", linewidth=1.8, **grey)]
-    if len(pairs) > CROWD:
-        return handles
     if any(pair.seen is not None and not pair.seen.all() for pair in pairs):
         handles.append(_key("not observed", linestyle=":", marker="o", markerfacecolor="white", **grey))
     if any(pair.observation is not None for pair in pairs):
@@ -267,7 +293,14 @@ def _legend(pairs: tuple[Pair, ...], show_truth: bool, show_velocity: bool) -> l
         handles.append(_key("truth", color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5)))
     if len(pairs) <= NAMED_PEOPLE:
         for i, pair in enumerate(pairs):
-            handles.append(_key(_short(pair.name), color=person_colour(i), linewidth=1.8))
+            handles.append(
+                _key(
+                    _short(pair.name),
+                    color=person_colour(i),
+                    linestyle=_line_style(person_dash(i)),
+                    linewidth=1.8,
+                )
+            )
     return handles
 
 

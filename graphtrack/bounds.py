@@ -1,0 +1,85 @@
+"""What numbers of a track may be: beyond these they are mistakes, in files and in memory alike."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LARGEST_FRAME = 2**31 - 1
+LARGEST_ID = 2**53 - 1
+"""Within ± this every whole number is a double of its own, to which no other one rounds."""
+LARGEST_METRES = 1e8
+"""Twice the way round the earth: a coordinate beyond it is a mistake."""
+LARGEST_SECONDS = 1e11
+LARGEST_PIXELS = 1e6
+LARGEST_DEGREES = 1e6
+LARGEST_CONCENTRATION = 1e9
+LARGEST_LIKELIHOOD = 1e12
+
+
+SMALLEST = math.ulp(0.0)
+"""The smallest number above 0."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Numbers from ``low`` to ``high``, both of them allowed."""
+
+    low: float
+    high: float
+
+    @property
+    def expected(self) -> str:
+        """What a number may be, in words."""
+        if math.isclose(-self.low, self.high):
+            return f"a number within ±{self.high:g}"
+        return f"a number {'above 0' if self.low == SMALLEST else f'from {self.low:g}'} to {self.high:g}"
+
+    def first_outside(self, values: NDArray[Any]) -> tuple[int, ...] | None:
+        """Where the first value is that is out of bounds, if any is; NaN, a missing value, is not."""
+        # Two reductions without a copy: this is asked of every channel of every track.
+        if not values.size:
+            return None
+        low, high = np.fmin.reduce(values, axis=None), np.fmax.reduce(values, axis=None)
+        if not (low < self.low or high > self.high):
+            return None
+        place = np.argmax((values < self.low) | (values > self.high))
+        return tuple(int(i) for i in np.unravel_index(place, values.shape))
+
+
+def within(largest: float) -> Bounds:
+    """Numbers of either sign."""
+    return Bounds(-largest, largest)
+
+
+METRES, PIXELS = within(LARGEST_METRES), within(LARGEST_PIXELS)
+RADIANS = within(math.radians(LARGEST_DEGREES))
+CONCENTRATION, LIKELIHOOD = Bounds(0.0, LARGEST_CONCENTRATION), Bounds(0.0, LARGEST_LIKELIHOOD)
+FINITE = within(sys.float_info.max)
+
+FIELDS: Mapping[str, Bounds] = {
+    "t": within(LARGEST_SECONDS),
+    "position": METRES,
+    "position_std": Bounds(SMALLEST, LARGEST_METRES),
+    "pixel": PIXELS,
+    "body": RADIANS,
+    "body_kappa": CONCENTRATION,
+    "head": RADIANS,
+    "head_kappa": CONCENTRATION,
+    "body_likelihood": LIKELIHOOD,
+    "head_likelihood": LIKELIHOOD,
+    "velocity": METRES,
+    "covariance": FINITE,
+    "aligned_p": FINITE,
+    "gait_offset": RADIANS,
+    "true_position": METRES,
+    "true_body": RADIANS,
+    "true_head": RADIANS,
+}
+"""Bounds of a `Track`'s attributes, in its units; of what engines alone make it must be finite."""

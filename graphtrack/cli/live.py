@@ -1,0 +1,166 @@
+"""`graphtrack track -`: rows on standard input, an answer to each on standard output, at once."""
+
+from __future__ import annotations
+
+import gc
+import io
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from graphtrack.cli.console import console, counted, progress_bar
+from graphtrack.cli.saving import Saving, settings_of
+from graphtrack.cli.state_file import StateFile
+from graphtrack.cli.stream import LONGEST_LINE, People
+from graphtrack.cli.warm import warm_up
+from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference.incremental import Engine, OnlineSmoother, online_engine
+from graphtrack.model import Model
+
+
+def track_stream(
+    model: Model,
+    *,
+    engine: Engine,
+    lag: float,
+    fps: float | None,
+    camera: GroundCamera | None,
+    state: Path | None,
+    save_every: float,
+) -> tuple[int, int]:
+    """Answer every row of standard input.
+
+    Parameters
+    ----------
+    model, engine, lag, camera : as in `OnlineSmoother`
+    fps : frames a second, for rows without a time
+    state : the file to go on from and to keep what going on takes; None: there is none
+    save_every : seconds between flushings of it to the disk
+
+    Returns
+    -------
+    (int, int)
+        The rows that were answered, and how many of them could not be used.
+
+    Raises
+    ------
+    InputError
+        If standard input or output is closed, or the state cannot be used or kept.
+    """
+    stream = open_streams()
+
+    def make() -> OnlineSmoother:
+        return OnlineSmoother(model, engine=engine, lag=lag, camera=camera)
+
+    chosen = online_engine(model, engine)
+    people = People(make, fps, lambda note: console.print(f"note: {note}", markup=False))
+    if state is None:
+        warm_up(model, chosen)
+        return _answer(stream, people, None)
+
+    def restore(saved: Any) -> OnlineSmoother:
+        return OnlineSmoother.from_state(saved, model, engine=engine, lag=lag, camera=camera)
+
+    with closing(StateFile(state, save_every)) as file:
+        # GTSAM does not give away what iSAM2 knows: it has to see every row again.
+        saving = Saving(
+            file,
+            people,
+            settings_of(model, chosen, lag, fps, camera),
+            None if chosen == "isam2" else save_every,
+        )
+        warm_up(model, chosen)
+        if file.entries:
+            _go_on(saving, people, restore, state, len(file.entries))
+        else:
+            saving.begin()
+        answered = _answer(stream, people, saving)
+        saving.finish()
+    return answered
+
+
+def _go_on(
+    saving: Saving, people: People, restore: Callable[[Any], OnlineSmoother], state: Path, entries: int
+) -> None:
+    """Bring people to where the last run ended, say where that is, and answer what it may not have."""
+    with progress_bar(entries, "rows") as advance:
+        again = saving.resume(restore, advance)
+    lines = "" if people.line == people.rows else f" (the last is line {people.line})"
+    last = "" if again is None else f"; the answer to row {people.rows} is given again"
+    console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
+    if again is not None:
+        give(again)
+
+
+def _answer(stream: IO[bytes], people: People, saving: Saving | None) -> tuple[int, int]:
+    before, wrong = people.rows, 0
+    # What there is by now stays: the collector need not look at it again while rows wait.
+    gc.collect()
+    gc.freeze()
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is told in the answer
+            for number, line in lines_of(stream, people.line + 1):
+                if saving is not None:
+                    saving.take(number, line)
+                answer = people.answer(number, line)
+                wrong += "error" in answer
+                give(answer)
+                if saving is not None:
+                    saving.tend()
+    finally:
+        gc.unfreeze()
+    return people.rows - before, wrong
+
+
+def lines_of(stream: IO[bytes], first: int) -> Iterator[tuple[int, bytes]]:
+    """The lines of a stream that are not blank, with their numbers; the next one has the number ``first``."""
+    number = first - 1
+    while line := stream.readline(LONGEST_LINE + 1):
+        number += 1
+        rest = line
+        while len(rest) > LONGEST_LINE and not rest.endswith(b"\n"):
+            rest = stream.readline(LONGEST_LINE + 1)
+        if line.strip():
+            yield number, line
+
+
+def open_streams() -> IO[bytes]:
+    """Where rows come from, when there is somewhere for the answers to go too.
+
+    Raises
+    ------
+    InputError
+        If standard input or output was closed before the program began.
+    """
+    if sys.stdin is None:
+        raise InputError("a closed standard input", "rows to read")
+    if sys.stdout is None:
+        raise InputError("a closed standard output", "a place for the answers")
+    stream = getattr(sys.stdin, "buffer", None)
+    # What stands in for it in a test or a notebook may have no bytes.
+    return io.BytesIO(sys.stdin.read().encode()) if stream is None else stream
+
+
+def give(answer: dict[str, Any]) -> None:
+    """Write an answer to standard output, as a line and at once.
+
+    Raises
+    ------
+    InputError
+        If nobody reads it any more, or it cannot be written.
+    """
+    try:
+        print(json.dumps(answer, allow_nan=False), flush=True)
+    except OSError as error:
+        # Or else the interpreter would try the same again, and complain, at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        gone = isinstance(error, BrokenPipeError)
+        found = "that its reader went away" if gone else error.strerror or str(error)
+        raise InputError(found, "a place for the answers", path="standard output") from error

@@ -1,0 +1,213 @@
+"""How a stream of rows can be gone on with: what is kept of it in a state file, and how it comes back."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from graphtrack.cli.state_file import StateFile, seal
+from graphtrack.cli.stream import People
+from graphtrack.errors import InputError
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference.incremental import OnlineSmoother
+from graphtrack.model import Model
+
+_VERSION = 1
+
+
+class Saving:
+    """Keeps a stream in a state file: all people now and then, and each row as it comes.
+
+    A row is in the file before it is answered, so that a run that goes on knows every row that was answered.
+    All people are written as they were at one row, but one at a time while rows go on: a person who is about
+    to change is written first.
+
+    Parameters
+    ----------
+    file : the state file
+    people : the people of the stream
+    settings : what the answers depend on; see `settings_of`
+    every : seconds between two writings of all people; None: only rows are kept, and going on means to take
+        in every row again
+    clock : seconds
+
+    Raises
+    ------
+    InputError
+        If the file holds a state of other settings or of another version.
+    """
+
+    def __init__(
+        self,
+        file: StateFile,
+        people: People,
+        settings: dict[str, Any],
+        every: float | None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._file, self._people, self._settings = file, people, settings
+        self._every, self._clock, self._last = every, clock, clock()
+        self._changed: set[int] = set()
+        self._sealed: dict[int, bytes] = {}
+        self._left: dict[int, None] | None = None
+        people.before_change = self._before_change
+        if file.entries:
+            with self._told_of_the_file():
+                header = file.entries[0]
+                if header.get("graphtrack state") != _VERSION:
+                    raise InputError("a state of another version", f"version {_VERSION}")
+                _check_settings(header["settings"], settings)
+
+    def begin(self) -> None:
+        """Make the file of a stream that has no rows yet."""
+        self._write_all()
+
+    def resume(
+        self, restore: Callable[[Any], OnlineSmoother], advance: Callable[[int], None] = lambda rows: None
+    ) -> dict[str, Any] | None:
+        """Bring the people to where the file ends.
+
+        Parameters
+        ----------
+        restore : a smoother from its state
+        advance : is told of rows that were taken in again
+
+        Returns
+        -------
+        dict, optional
+            The answer to the last row, if it is not certain that it was given.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged.
+        """
+        people, entries, answer = self._people, self._file.entries, None
+        with self._told_of_the_file():
+            header = entries[0]
+            people.rows, people.line = header["rows"], header["line"]
+            first_row = 1 + header["people"]
+            for entry in entries[1:first_row]:
+                people.smoothers[entry["track_id"]] = restore(entry["state"])
+                self._sealed[entry["track_id"]] = seal(entry)
+            for entry in entries[first_row:]:
+                if isinstance(entry, dict):  # all rows so far were answered
+                    answer = None
+                    continue
+                number, text = entry
+                answer = people.answer(number, text.encode("utf-8", "surrogateescape"))
+                advance(1)
+        entries.clear()
+        return answer
+
+    def take(self, number: int, line: bytes) -> None:
+        """Keep a row, before it is answered."""
+        self._file.append([number, line.decode("utf-8", "surrogateescape")])
+
+    def tend(self) -> None:
+        """What is due after an answer: one more person, or the next writing of all."""
+        if self._left is not None:
+            if self._left:
+                self._seal(next(iter(self._left)))
+            else:
+                self._hand_over()
+        elif self._is_due() and not self._file.is_replacing:
+            self._begin()
+
+    def finish(self) -> None:
+        """Everything has been answered: nothing needs to be said again by who goes on."""
+        if self._every is None:
+            self._file.append({"answered": self._people.rows})
+        else:
+            self._write_all()
+
+    def _write_all(self) -> None:
+        self._file.wait()
+        self._begin()
+        for track_id in list(self._left or ()):
+            self._seal(track_id)
+        self._hand_over()
+        self._file.wait()
+
+    @contextmanager
+    def _told_of_the_file(self) -> Iterator[None]:
+        """Whatever is wrong with a state is told with the name of its file."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(error.found, error.expected, path=self._file.path) from error
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            found = f"a damaged state ({error!r})"
+            raise InputError(found, "what 'graphtrack track -' wrote", path=self._file.path) from error
+
+    def _is_due(self) -> bool:
+        return self._every is not None and self._clock() - self._last >= self._every
+
+    def _begin(self) -> None:
+        people = self._people
+        self._last = self._clock()
+        changed = self._changed | set(self._left or ())
+        self._left = {track_id: None for track_id in people.smoothers if track_id in changed}
+        self._changed.clear()
+        self._members = list(people.smoothers)
+        self._header = seal(
+            {
+                "graphtrack state": _VERSION,
+                "settings": self._settings,
+                "rows": people.rows,
+                "line": people.line,
+                "people": len(self._members),
+            }
+        )
+        self._file.mark()
+
+    def _seal(self, track_id: int) -> None:
+        assert self._left is not None
+        del self._left[track_id]
+        state = self._people.smoothers[track_id].state()
+        self._sealed[track_id] = seal({"track_id": track_id, "state": state})
+
+    def _hand_over(self) -> None:
+        self._left = None
+        self._file.replace([self._header, *(self._sealed[track_id] for track_id in self._members)])
+
+    def _before_change(self, track_id: int) -> None:
+        if self._left is not None and track_id in self._left:
+            self._seal(track_id)
+        self._changed.add(track_id)
+
+
+def settings_of(
+    model: Model, engine: str, lag: float, fps: float | None, camera: GroundCamera | None
+) -> dict[str, Any]:
+    """What the answers to rows depend on, as a flat dictionary of JSON-able values.
+
+    Parameters
+    ----------
+    engine : as `online_engine` gives it
+    """
+    flat: dict[str, Any] = {"engine": engine, "lag": lag, "fps": fps}
+    flat["homography"] = None if camera is None else camera.homography.tolist()
+    for name, value in model.to_dict().items():
+        if isinstance(value, dict):
+            flat |= {f"model.{name}.{key}": one for key, one in value.items()}
+        else:
+            flat[f"model.{name}"] = value
+    result: dict[str, Any] = json.loads(json.dumps(flat))
+    return result
+
+
+def _check_settings(saved: dict[str, Any], settings: dict[str, Any]) -> None:
+    differing = [name for name in {**saved, **settings} if saved.get(name) != settings.get(name)]
+    if not differing:
+        return
+    if "model.preset" in differing:  # then its parameters differ as well
+        differing = [name for name in differing if name == "model.preset" or "model." not in name]
+
+    def told(of: dict[str, Any]) -> str:
+        return ", ".join(f"{name} = {json.dumps(of.get(name))}" for name in differing)
+
+    raise InputError(f"a state with {told(saved)}", f"one with {told(settings)}")

@@ -1,0 +1,103 @@
+"""Machine code before it is needed: everything that smoothing and tracking with a model call."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from graphtrack.geometry import GroundCamera
+from graphtrack.inference.chain import finish, is_chain, solve_packed
+from graphtrack.inference.chain_kernels import minimise
+from graphtrack.inference.chain_window import ChainWindow
+from graphtrack.inference.gait_kernels import renew_couplings, renew_tracks
+from graphtrack.inference.initial import pack
+from graphtrack.inference.initial_kernels import initialise
+from graphtrack.inference.restart_kernels import solve_tracks
+from graphtrack.inference.solution import Engine
+from graphtrack.inference.window_kernels import let_go, solve_window
+from graphtrack.model import Model, Step
+from graphtrack.model.steps import observations, seconds_between
+from graphtrack.readiness import Costs, Rehearsal, make_ready
+from graphtrack.tracks import Track
+
+SOLVER = "the solver"
+"""What is compiled here, in words."""
+
+# Seconds that compiling takes on a core, about.
+_START: Costs = {initialise: 8.0, finish: 1.0}
+_STEPS: Costs = {solve_tracks: 22.0}
+_DESCENT: Costs = {minimise: 18.0}
+_MODES: Costs = {renew_tracks: 2.0}
+_COUPLINGS: Costs = {renew_couplings: 9.0}
+_WINDOW: Costs = {solve_window: 10.0, let_go: 7.0}
+
+_STEP = 0.1
+TRACK = Track(0, np.arange(4), np.linspace(0.0, 3 * _STEP, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
+"""Somebody made up, for whom compiled functions are called the first time."""
+
+
+def warm_up(
+    model: Model | str | Path | None = None,
+    engine: Literal["auto", "chain", "gtsam", "fixed-lag", "isam2"] = "auto",
+) -> None:
+    """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
+
+    Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about a
+    minute for compiling. Then the log ("graphtrack") says so before and after, as a warning, which Python
+    shows where logging is not set up.
+
+    Parameters
+    ----------
+    model, engine : as in `solve` and `OnlineSmoother`
+    """
+    model = Model.named(model, engine)
+    if engine in ("auto", "chain") and is_chain(model):
+        make_ready(SOLVER, offline_rehearsal(model), online_rehearsal(model))
+    else:
+        make_ready(SOLVER, start_rehearsal())
+
+
+def solver_rehearsal(model: Model, engine: Engine, camera: GroundCamera | None = None) -> Rehearsal:
+    """What an engine calls for whole tracks."""
+    return start_rehearsal() if engine == "gtsam" else offline_rehearsal(model, camera)
+
+
+def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps: bool = False) -> Rehearsal:
+    """What the chain engine calls for whole tracks; Newton's ``steps`` even where the model is linear."""
+    is_linear = model.is_linear and model.parameters.likelihood.robust == "none" and camera is None
+    if is_linear and not steps:
+        return start_rehearsal()
+    called, inlined = {**_START, **_STEPS}, _DESCENT
+    if model.has_modes:
+        called, inlined = {**called, **_MODES}, {**inlined, **_COUPLINGS}
+    return Rehearsal(lambda: _solve(_like(model)), called, inlined)
+
+
+def start_rehearsal() -> Rehearsal:
+    """The linear solution, which is where GTSAM starts, too."""
+    return Rehearsal(lambda: _solve(Model("position")), _START)
+
+
+def online_rehearsal(model: Model) -> Rehearsal:
+    """What the compiled window calls."""
+    called = {**_WINDOW, **_COUPLINGS} if model.has_modes else _WINDOW
+    return Rehearsal(lambda: _slide(ChainWindow(_like(model), 1.5 * _STEP, 1e-8, 5)), called, _DESCENT)
+
+
+def _like(model: Model) -> Model:
+    """A preset that calls the same functions, whatever terms of its own the model has."""
+    return Model("full" if model.has_modes else "joint")
+
+
+def _solve(model: Model) -> None:
+    solve_packed(pack([TRACK], model), model)
+
+
+def _slide(window: ChainWindow) -> None:
+    previous = None
+    for k, observation in enumerate(observations(TRACK)):
+        step = Step(k, observation, previous, seconds_between(previous, observation), previous is None)
+        window.extend(step, (*TRACK.position[k].tolist(), 0.0, 0.0, 0.0, 0.0))
+        previous = step.alone()

@@ -1,0 +1,69 @@
+"""What stands for tracks wherever tracks are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.io.reading import read
+from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    Scene: TypeAlias = (
+        TrackSet | Sequence[Track] | str | Path | Sequence[str | Path] | pd.DataFrame | Mapping[str, Any]
+    )
+    Given: TypeAlias = Track | Scene
+
+
+def tracks_of(given: Given) -> TrackSet:
+    """Tracks, a track, several of them, the path of a file or of several, or a table, as a set of tracks.
+
+    Raises
+    ------
+    InputError
+        For anything else, and for a file or table that cannot be read.
+    """
+    if isinstance(given, TrackSet):
+        return given
+    if isinstance(given, Track):
+        return TrackSet((given,))
+    if isinstance(given, str | Path):
+        return read(given)
+    if isinstance(given, Mapping) or hasattr(given, "columns"):
+        return TrackSet.from_table(given)  # type: ignore[arg-type]
+    if isinstance(given, list | tuple) and given:
+        if all(isinstance(one, Track) for one in given):
+            return TrackSet(tuple(given))
+        if all(isinstance(one, str | Path) for one in given):
+            return read(given)
+    raise InputError(_described(given), f"a TrackSet, a Track, a table or the path of a file{_hint(given)}")
+
+
+def _described(given: object) -> str:
+    shape = _shape(given)
+    return f"a {type(given).__name__}" + (f" of shape {shape}" if shape else "")
+
+
+def _hint(given: object) -> str:
+    """How an array of positions becomes a track."""
+    shape = _shape(given)
+    if len(shape) != 2 or shape[1] != 2:
+        return ""
+    n = shape[0]
+    return (
+        "; positions have no times of their own: "
+        f"Track(0, frame=np.arange({n}), t=np.arange({n}) / fps, position=positions)"
+    )
+
+
+def _shape(given: Any) -> tuple[int, ...]:
+    try:
+        return np.shape(given)
+    except ValueError:  # rows of different lengths
+        return ()

@@ -1,0 +1,305 @@
+"""The native table as NDJSON: a JSON object a line, its keys the columns; null, or no key, is an empty cell.
+
+`graphtrack track -` reads the lines of a stream by the same functions as a file is read.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+import math
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.io import schema
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.registry import Format
+from graphtrack.io.source import Source, mostly
+from graphtrack.io.table import from_columns, to_columns
+from graphtrack.tracks import TrackSet
+
+Pairs = tuple[tuple[str, Any], ...]
+"""Keys and values of a JSON object in their order; a key may stand there twice."""
+
+_LONGEST = 40
+"""Characters of a value that a message repeats."""
+
+# -- a line --------------------------------------------------------------------------------------------------
+
+
+class _Literal(str):
+    """A number that is none for us, as it was written: NaN, 1e999, or of thousands of digits."""
+
+
+def _integer(text: str) -> int | _Literal:
+    return int(text) if len(text) < 400 else _Literal(text)
+
+
+def _float(text: str) -> float | _Literal:
+    value = float(text)
+    return value if math.isfinite(value) else _Literal(text)
+
+
+_DECODER = json.JSONDecoder(object_pairs_hook=tuple, parse_constant=_Literal)
+_CAREFUL = json.JSONDecoder(
+    object_pairs_hook=tuple, parse_int=_integer, parse_float=_float, parse_constant=_Literal
+)
+_HUGE = re.compile(r"[eE]\+?\d{3}|\d{300}")
+"""Where a number may be too large: the careful decoder takes half as long again."""
+
+
+def parse_line(text: str) -> Pairs:
+    """The keys and values of one line.
+
+    Raises
+    ------
+    InputError
+        If it is not a JSON object, with the key at which it ceases to be one.
+    """
+    try:
+        pairs = (_CAREFUL if _HUGE.search(text) else _DECODER).decode(text)
+    except json.JSONDecodeError as error:
+        raise _no_json(text, error.pos) from error
+    except RecursionError as error:
+        raise InputError("brackets within brackets without end", _EXPECTED) from error
+    if not isinstance(pairs, tuple):
+        raise InputError(_shown(pairs), _EXPECTED)
+    return pairs
+
+
+def _no_json(text: str, place: int) -> InputError:
+    """What stands at a place where the decoder could not go on, and under which key."""
+    if place >= len(text.rstrip()):
+        return InputError("the end of the line", _EXPECTED)
+    begin = place - len(_WORD_BEFORE.search(text[:place])[0])  # type: ignore[index]  # it always matches
+    word = _WORD.match(text, begin)[0]  # type: ignore[index]
+    key = _KEY_BEFORE.search(text[:begin])
+    found = f"{_cut(repr(word or text[begin]))} at character {begin + 1}"
+    return InputError(found, _EXPECTED, column=key and key[1])
+
+
+_EXPECTED = "one JSON object a line"
+_WORD, _WORD_BEFORE = re.compile(r"[^\s,:\[\]{}]*"), re.compile(r"[^\s,:\[\]{}]*$")
+_KEY_BEFORE = re.compile(r'"([^"\\]{1,40})"\s*:\s*$')
+
+
+def read_cells(pairs: Pairs) -> dict[str, Any]:
+    """Column of the native table → its value, checked; cells that are empty are left out.
+
+    Identity and frame are int, the label is text, all others are float, in the units of the table.
+
+    Raises
+    ------
+    InputError
+        Naming the column: one that stands there twice or is missing, or a value of another type or outside
+        its bounds.
+    """
+    given = dict(pairs)
+    if len(given) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"the key {_cut(repr(twice))} twice", "each key once")
+    cells: dict[str, Any] = {name: _whole(name, given.get(name)) for name in schema.INTEGERS}
+    for name, value in pairs:
+        if value is None:
+            continue
+        column = schema.BY_NAME.get(name)
+        if column is not None:
+            within = type(value) is float and column.bounds.low < value < column.bounds.high
+            cells[name] = value if within else _number(column, value)
+        elif name == "label":
+            if not isinstance(value, str) or isinstance(value, _Literal):
+                raise InputError(_shown(value), "text or null", column=name)
+            cells[name] = value
+    for group in schema.TOGETHER:
+        if not cells.keys().isdisjoint(group):
+            _check_group(group, cells)
+    return cells
+
+
+def identity(pairs: Pairs) -> dict[str, int | None]:
+    """Track and frame of a line that cannot be used, as far as they can be read."""
+    found: dict[str, int | None] = {}
+    for name in schema.INTEGERS:
+        values = [value for key, value in pairs if key == name]
+        try:
+            found[name] = _whole(name, values[0]) if len(values) == 1 else None
+        except InputError:
+            found[name] = None
+    return found
+
+
+def _whole(name: str, value: Any) -> int:
+    highest = schema.INTEGERS[name]
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if type(value) is not int or abs(value) > highest:
+        found = "nothing" if value is None else _shown(value)
+        raise InputError(found, schema.expected_integer(highest), column=name)
+    return value
+
+
+def _number(column: schema.Column, value: Any) -> float:
+    if type(value) not in (float, int):
+        raise InputError(_shown(value), "a finite number or null", column=column.name)
+    if not column.bounds.low <= value <= column.bounds.high:
+        raise InputError(_shown(value), column.bounds.expected, column=column.name)
+    return float(value)
+
+
+def _check_group(group: tuple[str, ...], cells: dict[str, Any]) -> None:
+    missing = [name for name in group if name not in cells]
+    if missing and len(missing) < len(group):
+        raise InputError("an empty cell", schema.expected_group(group), column=missing[0])
+    if not missing and group[0].endswith("_p0") and not any(cells[name] for name in group):
+        raise InputError(*schema.NO_CLASS, column=group[0])
+
+
+def _shown(value: Any) -> str:
+    """A JSON value in a message."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, tuple):
+        return "an object"
+    if isinstance(value, list):
+        return "a list"
+    return "null" if value is None else _cut(repr(value))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+
+
+# -- a file --------------------------------------------------------------------------------------------------
+
+
+class _Row(NamedTuple):
+    line: int
+    cells: dict[str, Any]
+    status: Any  # what `graphtrack track -` says of its estimate; None in a file of observations
+
+    @property
+    def place(self) -> tuple[int, int]:
+        return self.cells["track_id"], self.cells["frame"]
+
+
+NOT_USED = "rows that 'track -' could not use"
+REPLACED = "estimates that a later row of the same frame replaces"
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Whether most lines begin as an object does."""
+    return mostly(head, lambda line: line.startswith("{"))
+
+
+def read(source: Source, options: ReadOptions) -> TrackSet:
+    """Read the native table from NDJSON, such as the answers of ``graphtrack track -``.
+
+    Of answers to one frame, as late and repeated rows bring them, the last one stands; rows with an ``error``
+    are left out. The summary counts both.
+
+    Raises
+    ------
+    InputError
+        With line and column of the first cell that cannot be used.
+    """
+    rows: list[_Row] = []
+    keys: dict[str, None] = {}
+    errors = 0
+    for number, text in enumerate(source.lines, 1):
+        if not text.strip():
+            continue
+        try:
+            pairs = parse_line(text)
+            given = dict(pairs)
+            if "error" in given:
+                errors += 1
+                continue
+            rows.append(_Row(number, read_cells(pairs), given.get("status")))
+            if not given.keys() <= keys.keys():
+                keys |= dict.fromkeys(given)
+        except InputError as error:
+            raise InputError(
+                error.found, error.expected, path=source.path, line=number, column=error.column
+            ) from error
+    kept = _last_answers(rows)
+    refused = {NOT_USED: errors, REPLACED: len(rows) - len(kept)}
+    refused = {reason: count for reason, count in refused.items() if count}
+    if not kept:
+        found = f"no rows but {errors} {NOT_USED}" if errors else "no rows"
+        raise InputError(found, "at least one row", path=source.path)
+    tracks = from_columns(
+        _columns(kept, keys),
+        path=source.path,
+        format="ndjson",
+        options=options,
+        line_of=lambda i: kept[i].line,
+        ignored=schema.unknown(keys),
+    )
+    summary = tracks.summary
+    read_in_all = summary.rows_read + sum(refused.values())
+    return replace(
+        tracks, summary=replace(summary, rows_read=read_in_all, refused={**summary.refused, **refused})
+    )
+
+
+def _last_answers(rows: list[_Row]) -> list[_Row]:
+    """Without the estimates that a later row of the same person and frame replaces.
+
+    An estimate is replaced by one after a row that was not "new", or by itself, said again.
+    """
+    kept: dict[int, _Row] = {}
+    newest: dict[tuple[int, int], _Row] = {}
+    for row in rows:
+        before = newest.get(row.place)
+        if before is not None and row.status is not None and before.status is not None:
+            said_again = row.status == before.status and row.cells == before.cells
+            if row.status != "new" or said_again:
+                del kept[before.line]
+        newest[row.place] = kept[row.line] = row
+    return list(kept.values())
+
+
+def _columns(rows: list[_Row], keys: Iterable[str]) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {}
+    for name in keys:
+        if name in schema.INTEGERS:
+            columns[name] = np.array([row.cells[name] for row in rows], dtype=np.int64)
+        elif name == "label":
+            columns[name] = np.array([row.cells.get(name) for row in rows], dtype=object)
+        elif name in schema.BY_NAME:
+            columns[name] = np.array([row.cells.get(name, np.nan) for row in rows], dtype=float)
+    return columns
+
+
+def write(tracks: TrackSet, path: Path) -> None:
+    """Write the native table; numbers have the digits that read back to the same double."""
+    columns = {name: _values(cells) for name, cells in to_columns(tracks).items()}
+    opened: Callable[..., Any] = gzip.open if path.name.lower().endswith(".gz") else open
+    with opened(path, "wt", encoding="ascii", newline="\n") as stream:
+        for row in zip(*columns.values(), strict=True):
+            stream.write(json.dumps(dict(zip(columns, row, strict=True)), allow_nan=False) + "\n")
+
+
+def _values(cells: NDArray[Any]) -> list[Any]:
+    """A column as JSON has it: null where a number is NaN or a label empty."""
+    return [None if value != value or value == "" else value for value in cells.tolist()]
+
+
+FORMAT = Format(
+    name="ndjson",
+    description="native table as NDJSON: a JSON object a line (also gzipped)",
+    suffixes=(".ndjson", ".jsonl", ".ndjson.gz", ".jsonl.gz"),
+    looks_like=looks_like,
+    read=read,
+    write=write,
+)

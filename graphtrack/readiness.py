@@ -1,0 +1,89 @@
+"""Machine code before it is needed: which compiled functions lack it, and what is said while they get it."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+logger = logging.getLogger("graphtrack")
+
+Kernel = Any
+"""A function that `compiled`, or numba, has made."""
+
+Costs = Mapping[Kernel, float]
+"""Function → seconds that compiling takes on a core, about."""
+
+
+def is_loaded(kernel: Kernel) -> bool:
+    """Whether a compiled function has machine code in this process."""
+    # Where numba is told not to compile, functions stay what they are.
+    return bool(getattr(kernel, "signatures", True))
+
+
+def is_cold(kernel: Kernel) -> bool:
+    """Whether a compiled function has no machine code yet, neither in this process nor on disk."""
+    if is_loaded(kernel):
+        return False
+    folder, code = kernel.stats.cache_path, kernel.py_func.__code__
+    if folder is None:
+        return True
+    # What else the code depends on is in the folder's name.
+    version = f"py{sys.version_info.major}{sys.version_info.minor}"
+    return not any(Path(folder).glob(f"*.{code.co_name}-{code.co_firstlineno}.{version}*.nbc"))
+
+
+UNNOTICED = 3.0
+"""Seconds of compiling up to which nothing is said."""
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """Something made up that calls compiled functions, so that nobody waits for them later.
+
+    Attributes
+    ----------
+    run : calls them
+    called : those that Python calls, and what only they call
+    inlined : what they share with others
+    """
+
+    run: Callable[[], object]
+    called: Costs
+    inlined: Costs = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> dict[Kernel, float]:
+        """What is still to be compiled."""
+        if not any(map(is_cold, self.called)):
+            return {}
+        return {kernel: s for kernel, s in {**self.called, **self.inlined}.items() if is_cold(kernel)}
+
+
+def make_ready(what: str, *rehearsals: Rehearsal) -> None:
+    """Run those whose functions are not loaded; the log says so before and after if that takes long.
+
+    Parameters
+    ----------
+    what : it is that is compiled, in words
+    """
+    waiting = [one for one in rehearsals if not all(map(is_loaded, one.called))]
+    cold: dict[Kernel, float] = {}
+    for one in waiting:
+        cold |= one.seconds
+    if sum(cold.values()) < UNNOTICED:
+        cold = {}
+    if cold:
+        kept = all(kernel.stats.cache_path is not None for kernel in cold)
+        when = "once on this machine" if kept else "in every process: it can be kept in no folder"
+        about = 5 * max(1, round(sum(cold.values()) / 5))
+        logger.warning("compiling %s, %s: about %d s …", what, when, about)
+    start = time.perf_counter()
+    for one in waiting:
+        one.run()
+    if cold:
+        logger.warning("compiled in %.0f s", time.perf_counter() - start)

@@ -1,0 +1,150 @@
+// Drawing body and head of one person over time on a canvas: bands, observations, estimate and truth.
+
+const CHART = { left: 52, right: 10, top: 8, bottom: 34, gap: 16 };
+const BANDS = [[1.96, 0.18], [1, 0.28]];  // 95 % and ±1σ, and how dark
+
+// The angle without jumps of a turn; what is not known stays so.
+function unwrapped(angles) {
+  let last = NaN;
+  return angles.map((angle) => {
+    if (!Number.isFinite(angle)) return NaN;
+    last = Number.isFinite(last) ? last + arc(last, angle) : angle;
+    return last;
+  });
+}
+
+// [first, last] of each run of samples that are known and have no hole between them.
+function knownRuns(t, values, hole) {
+  const runs = [];
+  values.forEach((value, i) => {
+    if (!Number.isFinite(value)) return;
+    const run = runs[runs.length - 1];
+    if (run && run[1] === i - 1 && t[i] - t[i - 1] <= hole) run[1] = i; else runs.push([i, i]);
+  });
+  return runs;
+}
+
+// By how many turns a run from `low` to `high` must be moved to be seen between -π and π.
+function turnsInSight(low, high) {
+  const turns = [];
+  for (let k = Math.ceil((-Math.PI - high) / TURN); k <= Math.floor((Math.PI - low) / TURN); k++) turns.push(k);
+  return turns;
+}
+
+function angleNames(person) {
+  return ["body", "head"].filter((name) => person[name].some(Number.isFinite) || person["seen_" + name].some(Number.isFinite));
+}
+
+function panelsOf(names, width, height) {
+  const tall = (height - CHART.top - CHART.bottom - CHART.gap * (names.length - 1)) / Math.max(names.length, 1);
+  return names.map((name, i) => ({ name, left: CHART.left, right: width - CHART.right, top: CHART.top + i * (tall + CHART.gap), bottom: CHART.top + i * (tall + CHART.gap) + tall }));
+}
+
+function timeToScreen(range, width, t) { return CHART.left + (t - range[0]) / (range[1] - range[0]) * (width - CHART.left - CHART.right); }
+
+function screenToTime(range, width, sx) { return range[0] + (sx - CHART.left) / (width - CHART.left - CHART.right) * (range[1] - range[0]); }
+
+function drawAxes(ctx, panels, range, width, theme) {
+  ctx.font = "12px system-ui, sans-serif"; ctx.lineWidth = 1;
+  const bottom = panels[panels.length - 1].bottom, step = niceStep(90 * (range[1] - range[0]) / (width - CHART.left - CHART.right));
+  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  panels.forEach((panel) => {
+    ctx.strokeStyle = theme.grid; ctx.fillStyle = theme.muted; ctx.textAlign = "right"; ctx.textBaseline = "middle";
+    ctx.beginPath();
+    [-180, -90, 0, 90, 180].forEach((degrees) => {
+      const sy = Math.round(angleToScreen(panel, degrees / 360 * TURN)) + 0.5;
+      ctx.moveTo(panel.left, sy); ctx.lineTo(panel.right, sy);
+      ctx.fillText(String(degrees).replace("-", "−"), panel.left - 6, sy);
+    });
+    for (let k = Math.ceil(range[0] / step); k * step <= range[1]; k++) {
+      const sx = Math.round(timeToScreen(range, width, k * step)) + 0.5;
+      ctx.moveTo(sx, panel.top); ctx.lineTo(sx, panel.bottom);
+    }
+    ctx.stroke();
+    ctx.save(); ctx.translate(11, (panel.top + panel.bottom) / 2); ctx.rotate(-TURN / 4);
+    ctx.fillStyle = theme.ink; ctx.textAlign = "center"; ctx.fillText(panel.name + " (°)", 0, 0); ctx.restore();
+  });
+  ctx.fillStyle = theme.muted; ctx.textAlign = "center"; ctx.textBaseline = "top";
+  for (let k = Math.ceil(range[0] / step); k * step <= range[1]; k++) ctx.fillText((k * step).toFixed(digits).replace("-", "−"), timeToScreen(range, width, k * step), bottom + 5);
+  ctx.fillStyle = theme.ink; ctx.fillText("time (s)", (CHART.left + width) / 2, bottom + 19);
+  ctx.textAlign = "left"; ctx.textBaseline = "alphabetic";
+}
+
+function angleToScreen(panel, angle) { return (panel.top + panel.bottom) / 2 - angle / TURN * (panel.bottom - panel.top); }
+
+function drawPanel(ctx, panel, person, range, width, theme) {
+  const { name } = panel, colour = theme[name], angle = unwrapped(person[name]), std = person[name + "_std"];
+  const at = (i) => timeToScreen(range, width, person.t[i]);
+  ctx.save();
+  ctx.beginPath(); ctx.rect(panel.left, panel.top, panel.right - panel.left, panel.bottom - panel.top); ctx.clip();
+  const runs = knownRuns(person.t, angle, person.hole);
+  BANDS.forEach(([scale, alpha]) => {
+    if (!std.length) return;
+    const half = angle.map((_, i) => (Number.isFinite(std[i]) ? Math.min(scale * std[i], Math.PI) : 0));
+    ctx.fillStyle = colour; ctx.globalAlpha = alpha;
+    runs.forEach(([first, last]) => {
+      let low = Infinity, high = -Infinity;
+      for (let i = first; i <= last; i++) { low = Math.min(low, angle[i] - half[i]); high = Math.max(high, angle[i] + half[i]); }
+      turnsInSight(low, high).forEach((k) => {
+        ctx.beginPath();
+        for (let i = first; i <= last; i++) ctx.lineTo(at(i), angleToScreen(panel, angle[i] + half[i] + k * TURN));
+        for (let i = last; i >= first; i--) ctx.lineTo(at(i), angleToScreen(panel, angle[i] - half[i] + k * TURN));
+        ctx.fill();
+      });
+    });
+  });
+  ctx.globalAlpha = 0.65; ctx.fillStyle = colour;
+  person["seen_" + name].forEach((value, i) => {
+    if (!Number.isFinite(value)) return;
+    ctx.beginPath(); ctx.arc(at(i), angleToScreen(panel, value), 2.2, 0, TURN); ctx.fill();
+  });
+  ctx.globalAlpha = 1;
+  drawCurve(ctx, panel, person, angle, runs, at, colour, 2, []);
+  const truth = unwrapped(person["true_" + name]);
+  drawCurve(ctx, panel, person, truth, knownRuns(person.t, truth, person.hole), at, theme.ink, 1.2, [5, 3]);
+  ctx.restore();
+}
+
+function drawCurve(ctx, panel, person, angle, runs, at, colour, width, dash) {
+  ctx.strokeStyle = ctx.fillStyle = colour; ctx.lineWidth = width; ctx.lineJoin = "round"; ctx.setLineDash(dash);
+  runs.forEach(([first, last]) => {
+    let low = Infinity, high = -Infinity;
+    for (let i = first; i <= last; i++) { low = Math.min(low, angle[i]); high = Math.max(high, angle[i]); }
+    turnsInSight(low, high).forEach((k) => {
+      ctx.beginPath();
+      for (let i = first; i <= last; i++) ctx.lineTo(at(i), angleToScreen(panel, angle[i] + k * TURN));
+      ctx.stroke();
+      // A line needs two points: what is known at one sample alone would be invisible.
+      if (first === last) { ctx.beginPath(); ctx.arc(at(first), angleToScreen(panel, angle[first] + k * TURN), 3, 0, TURN); ctx.fill(); }
+    });
+  });
+  ctx.setLineDash([]);
+}
+
+function drawAngles(ctx, width, height, person, range, theme) {
+  ctx.clearRect(0, 0, width, height);
+  const panels = panelsOf(angleNames(person), width, height);
+  if (!panels.length) return;
+  drawAxes(ctx, panels, range, width, theme);
+  panels.forEach((panel) => drawPanel(ctx, panel, person, range, width, theme));
+}
+
+function drawTimeMark(ctx, width, height, range, t, colour) {
+  if (!(t >= range[0] && t <= range[1])) return;
+  const sx = timeToScreen(range, width, t);
+  ctx.strokeStyle = colour; ctx.lineWidth = 1;
+  ctx.beginPath(); ctx.moveTo(sx, CHART.top); ctx.lineTo(sx, height - CHART.bottom); ctx.stroke();
+}
+
+// What the chart says at a time, in words.
+function anglesInWords(person, t) {
+  const state = stateAt(person, t), degrees = (angle) => Math.round(angle / TURN * 360).toString().replace("-", "−") + "°";
+  if (!state) return t.toFixed(2) + " s: not there (" + person.t[0].toFixed(1) + " to " + person.t[person.t.length - 1].toFixed(1) + " s)";
+  const parts = angleNames(person).map((name) => {
+    const std = state[name + "_std"], seen = state["seen_" + name], truth = state["true_" + name];
+    const extra = [Number.isFinite(seen) ? "observed " + degrees(seen) : "", Number.isFinite(truth) ? "truth " + degrees(truth) : ""].filter(Boolean);
+    const value = Number.isFinite(state[name]) ? degrees(state[name]) + (Number.isFinite(std) ? " ± " + degrees(std) : "") : "–";
+    return name + " " + value + (extra.length ? " (" + extra.join(", ") + ")" : "");
+  });
+  return t.toFixed(2) + " s: " + (parts.join(" · ") || "neither body nor head is known");
+}

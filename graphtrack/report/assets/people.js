@@ -1,0 +1,48 @@
+// Who is shown and who is chosen: one state for the replay, the list, the charts and the tables. Nothing here touches the page.
+
+function createCrowd(people) {
+  const listeners = [];
+  const tell = () => listeners.forEach((listener) => listener());
+  const crowd = {
+    people,
+    chosen: -1,
+    hovered: -1,
+    onChange(listener) { listeners.push(listener); },
+    show(indices, on) { indices.forEach((i) => { people[i].shown = on; }); tell(); },
+    showOnly(indices) {
+      const kept = new Set(indices);
+      people.forEach((p, i) => { p.shown = kept.has(i); });
+      tell();
+    },
+    // Who is chosen is shown, else nothing could be seen of them; -1 is nobody.
+    choose(i) {
+      crowd.chosen = i;
+      if (i >= 0) people[i].shown = true;
+      tell();
+    },
+    indexOf(id) { return people.findIndex((p) => p.id === id); },
+  };
+  return crowd;
+}
+
+// Indices of those whose id is, or whose label has, what was typed; several with commas. Nothing typed: everybody.
+function findPeople(people, words) {
+  const terms = words.toLowerCase().split(",").map((term) => term.trim()).filter(Boolean);
+  const all = people.map((_, i) => i);
+  if (!terms.length) return all;
+  const found = new Set();
+  terms.forEach((term) => {
+    const exact = all.filter((i) => people[i].id === term || people[i].name.toLowerCase() === term);
+    const near = () => all.filter((i) => people[i].id.startsWith(term) || people[i].label.toLowerCase().includes(term));
+    (exact.length ? exact : near()).forEach((i) => found.add(i));
+  });
+  return all.filter((i) => found.has(i));
+}
+
+// The page nearest to the wanted one, of things of which `size` stand on each: from and to as in slice.
+function pageOf(count, size, wanted) {
+  const pages = Math.max(Math.ceil(count / size), 1), page = Math.min(Math.max(wanted, 0), pages - 1);
+  return { page, pages, from: page * size, to: Math.min((page + 1) * size, count) };
+}
+
+function countOf(n, word, words) { return n + " " + (n === 1 ? word : words); }

@@ -1,0 +1,226 @@
+"""Folders of rendered clips and crops, with what belongs to them: boxes, camera, labels, and the truth."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import cv2
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.io import atomic_path, write
+from graphtrack.io.cameras import write_calibration
+from graphtrack.tracks import Track, TrackSet
+from perception.boxes import PersonBox, write_boxes
+from perception.drawing.output import pictures
+from perception.synthetic.ceiling import KINDS as CEILING_KINDS
+from perception.synthetic.ceiling import CeilingSequence, ceiling_sequence
+from perception.synthetic.clips import draw_walks
+from perception.synthetic.head_clips import HeadClipParameters, head_clip
+from perception.synthetic.heads import HeadVariation, make_heads
+from perception.synthetic.pedestrians import make_pedestrians
+from perception.synthetic.sensor import Image
+
+VIDEO, IMAGES, BOXES, TRUTH, LABELS = "video.mp4", "images", "boxes.txt", "truth.csv", "labels.csv"
+HOMOGRAPHY, CALIBRATION = "homography.txt", "camera.ci"
+
+Advance = Callable[[int], None]
+_BATCH = 20
+_UNTIL_THERE = 30
+_ALL_WAYS = HeadVariation(tilt_deviation=None)
+"""Heads that look up and down often enough that every class of pan and tilt has some."""
+
+
+def write_street(
+    folder: Path,
+    rng: np.random.Generator,
+    advance: Advance,
+    *,
+    people: int = 3,
+    frames: int = 25,
+    fps: float = 5.0,
+    images: bool = False,
+) -> list[PersonBox]:
+    """People who walk before a camera: frames, boxes that are off as a detector's, camera and truth.
+
+    As all of `KINDS` it makes the folder, whole or not at all, and returns the boxes, if there are any.
+
+    Parameters
+    ----------
+    advance : is told how many more frames or crops are done
+    images : whether the frames are images in a folder, named by their numbers, in place of a video
+    """
+    walks = draw_walks(rng, people=people, steps=frames, fps=fps)
+    camera = walks.scene.camera
+    with atomic_path(folder, directory=True) as made:
+        boxes = _write_frames(made, walks.frames(rng), fps, images, advance)
+        np.savetxt(made / HOMOGRAPHY, camera.ground_camera().homography)
+        write_calibration(
+            made / CALIBRATION,
+            camera.rotation,
+            -camera.rotation @ np.asarray(camera.position),
+            camera.intrinsics,
+        )
+        write(walks.truth, made / TRUTH)
+    return boxes
+
+
+def write_ceiling(
+    folder: Path,
+    rng: np.random.Generator,
+    advance: Advance,
+    *,
+    frames: int = 150,
+    fps: float = 12.5,
+    images: bool = False,
+) -> list[PersonBox]:
+    """Somebody who comes into a room under a fisheye camera: frames, exact boxes and truth.
+
+    Raises
+    ------
+    InputError
+        For less frames than until they come in.
+    """
+    if frames < _UNTIL_THERE:
+        raise InputError(
+            f"{frames} frames", f"at least {_UNTIL_THERE}, since somebody comes in after a while"
+        )
+    sequence = ceiling_sequence(CEILING_KINDS["person moving 1"], rng, frames=frames, fps=fps)
+    with atomic_path(folder, directory=True) as made:
+        boxes = _write_frames(made, _labelled(sequence), fps, images, advance)
+        write(_walk_of(sequence), made / TRUTH)
+    return boxes
+
+
+def write_head(
+    folder: Path,
+    rng: np.random.Generator,
+    advance: Advance,
+    *,
+    frames: int = 75,
+    fps: float = 25.0,
+    images: bool = False,
+) -> list[PersonBox]:
+    """A head that moves and turns before some clutter: frames, exact boxes of the head, and its angles."""
+    clip = head_clip(rng, HeadClipParameters(frames=frames, fps=fps, clutter=0.3), advance=advance)
+    of_frame = [
+        PersonBox(k, 1, (float(left), float(top), float(width), float(height)))
+        for k, (left, top, width, height) in enumerate(clip.boxes)
+    ]
+    with atomic_path(folder, directory=True) as made:
+        shown = ((image, [box]) for image, box in zip(clip.images, of_frame, strict=True))
+        boxes = _write_frames(made, shown, fps, images)
+        angles = {"pan_deg": np.rad2deg(clip.pan), "tilt_deg": np.rad2deg(clip.tilt)}
+        _write_table(made / TRUTH, {"frame": range(frames), **angles, "visible": clip.visible})
+    return boxes
+
+
+def write_heads(
+    folder: Path, rng: np.random.Generator, advance: Advance, *, count: int = 400
+) -> list[PersonBox]:
+    """Crops of heads with the labels that `perception train` takes for head pose."""
+    with atomic_path(folder, directory=True) as made:
+        columns: dict[str, list[Any]] = {"image": [], "pan_deg": [], "tilt_deg": []}
+        for size in _batches(count):
+            heads = make_heads(size, rng, _ALL_WAYS)
+            columns["image"] += _write_crops(made, heads.images, len(columns["image"]))
+            columns["pan_deg"] += np.rad2deg(heads.pan).tolist()
+            columns["tilt_deg"] += np.rad2deg(heads.tilt).tolist()
+            advance(size)
+        _write_table(made / LABELS, columns)
+    return []
+
+
+def write_people(
+    folder: Path, rng: np.random.Generator, advance: Advance, *, count: int = 400
+) -> list[PersonBox]:
+    """Crops of people with the labels that `perception train` takes for body pose and heads in them."""
+    names = ("left", "top", "width", "height")
+    with atomic_path(folder, directory=True) as made:
+        columns: dict[str, list[Any]] = {name: [] for name in ("image", "body_deg", *names)}
+        for size in _batches(count):
+            people = make_pedestrians(size, rng)
+            columns["image"] += _write_crops(made, people.images, len(columns["image"]))
+            columns["body_deg"] += np.rad2deg(people.body).tolist()
+            for name, values in zip(names, people.head_box.T, strict=True):
+                columns[name] += values.tolist()
+            advance(size)
+        _write_table(made / LABELS, columns)
+    return []
+
+
+KINDS: Mapping[str, Callable[..., list[PersonBox]]] = MappingProxyType(
+    {
+        "street": write_street,
+        "ceiling": write_ceiling,
+        "head": write_head,
+        "heads": write_heads,
+        "people": write_people,
+    }
+)
+"""What can be rendered into a folder; the keywords are the options of each."""
+
+
+def _write_frames(
+    folder: Path,
+    shown: Iterable[tuple[Image, Sequence[PersonBox]]],
+    fps: float,
+    images: bool,
+    advance: Advance = lambda count: None,
+) -> list[PersonBox]:
+    """Write frames and boxes while they are made; all boxes."""
+    boxes: list[PersonBox] = []
+    with pictures(folder / (IMAGES if images else VIDEO), fps) as write_picture:
+        for k, (image, of_frame) in enumerate(shown):
+            write_picture(k, image)
+            boxes += of_frame
+            advance(1)
+    write_boxes(boxes, folder / BOXES)
+    return boxes
+
+
+def _labelled(sequence: CeilingSequence) -> Iterator[tuple[Image, list[PersonBox]]]:
+    for k, frame in enumerate(sequence):
+        box = None if frame.target is None else frame.target.body_box
+        yield frame.image, [] if box is None else [PersonBox(k, 1, box)]
+
+
+def _walk_of(sequence: CeilingSequence) -> TrackSet:
+    """The truth of the person in a room."""
+    walk = sequence.walks[0]
+    frame = np.flatnonzero(walk.there)
+    position, body = walk.position[frame], walk.body[frame]
+    track = Track(
+        1,
+        frame,
+        frame / sequence.fps,
+        position,
+        true_position=position,
+        true_body=body,
+        true_head=body,
+    )
+    return TrackSet((track,))
+
+
+def _batches(count: int) -> Iterator[int]:
+    for first in range(0, count, _BATCH):
+        yield min(_BATCH, count - first)
+
+
+def _write_crops(folder: Path, images: Sequence[Image], first: int) -> list[str]:
+    """Write crops under numbers from ``first`` on; their names."""
+    names = [f"{first + k:05d}.png" for k in range(len(images))]
+    for name, image in zip(names, images, strict=True):
+        (folder / name).write_bytes(cv2.imencode(".png", image)[1].tobytes())
+    return names
+
+
+def _write_table(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
+    with path.open("w", encoding="ascii", newline="") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(columns)
+        table.writerows(zip(*columns.values(), strict=True))

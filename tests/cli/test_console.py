@@ -1,0 +1,66 @@
+"""What files and their names say reaches the terminal as text, and does not steer it."""
+
+from __future__ import annotations
+
+import sys
+import unicodedata
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import graphtrack as gt
+from graphtrack.cli import main
+from graphtrack.cli.console import printable
+
+LABEL = "\x1b[31mred\x1b[0m\x07 [bold]b[/x] :smile: \x1b]0;title\x9c"
+SHOWN = "red [bold]b[/x] :smile: ]0;title"
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return int(ended.value.code or 0)
+
+
+@given(st.text(st.characters(exclude_categories=())))
+def test_no_control_character_is_printable_and_all_else_is(text: str) -> None:
+    shown = printable(text)
+    assert all(c == "\n" or unicodedata.category(c) not in ("Cc", "Cs") for c in shown)
+    assert printable(shown) == shown
+    assert len(printable(text, one_line=True).splitlines()) <= 1
+
+
+@pytest.fixture
+def named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    name = "a\x1b[2J\nerror: b.csv"
+    rows = "".join(f'1,{k},{k / 10},0,0,"{LABEL}"\n' for k in range(3))
+    Path(name).write_text("track_id,frame,t,x,y,label\n" + rows)
+    return name
+
+
+def test_labels_and_file_names_are_shown_without_escape_sequences(
+    named: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "info", named) == 0
+    told = capsys.readouterr()
+    assert SHOWN in told.out
+    assert told.err.startswith("a error: b.csv: csv, rows read 3")
+    assert not {"\x1b", "\x07", "\x9c"} & set(told.out + told.err)
+
+
+def test_errors_are_one_line_whatever_the_names(
+    named: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "info", named, "--format", "mot") == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: a error: b.csv, line 1: found 6 columns") and said.count("\n") == 1
+    assert "\x1b" not in said
+
+
+def test_what_is_written_keeps_the_label(named: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run(monkeypatch, "add-noise", named, "-o", "out.csv", "--position-noise", "0.1") == 0
+    assert gt.read("out.csv")[1].label == LABEL

@@ -1,0 +1,245 @@
+"""`graphtrack track -` as a user runs it: its state file, its ends, and what it says."""
+
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from streams import COMMAND, going_on
+
+from graphtrack.cli import live, main
+from graphtrack.cli.state_file import StateFile, seal
+from graphtrack.errors import InputError
+from graphtrack.model import Model
+
+
+def scene(n_frames, people=3, seed=0):
+    """Rows as a camera sends them: interleaved, with gaps, late, repeated and bad ones, and blank lines."""
+    rng = np.random.default_rng(seed)
+    lines = []
+    for k in range(n_frames):
+        for i in range(people):
+            row = {"track_id": i, "frame": k, "t": round(0.04 * k, 6)}
+            if rng.random() < 0.9:
+                x, y = rng.normal([0.05 * k, i], 0.1).tolist()
+                row |= {"x": round(x, 4), "y": round(y, 4)}
+            if rng.random() < 0.7:
+                row |= {"body_deg": round(rng.normal(0.0, 30.0), 2), "head_deg": round(3.0 * k - 180.0, 2)}
+            lines.append(json.dumps(row).encode() + b"\n")
+    for k in range(0, len(lines) - 5, 17):
+        lines[k], lines[k + 4] = lines[k + 4], lines[k]
+    for k in range(10, len(lines), 7):
+        lines.insert(k, (lines[k - 1], b"junk \xff\n", b"\n", b'{"track_id": 0, "frame": 1e300}\n')[k % 4])
+    return lines
+
+
+@pytest.fixture
+def track(monkeypatch, capsys):
+    """Runs the command on some lines: its status, answers and messages."""
+
+    def run(lines, *options):
+        stdin = None if lines is None else io.TextIOWrapper(io.BytesIO(b"".join(lines)))
+        monkeypatch.setattr(sys, "stdin", stdin)
+        monkeypatch.setattr(sys, "argv", ["graphtrack", "track", "-", *map(str, options)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        said = capsys.readouterr()
+        assert "Traceback" not in said.err
+        lines = [line for line in said.err.splitlines(keepends=True) if not line.startswith("compiling")]
+        return ended.value.code, said.out.splitlines(), "".join(lines)
+
+    return run
+
+
+# -- going on ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
+def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine):
+    lines, state = scene(60 if engine == "chain" else 20, people=2), tmp_path / "state"
+    half = len(lines) // 2
+    _, whole, _ = track(lines, "--engine", engine)
+    first, found, _ = track(lines[:half], "--engine", engine, "--state", state)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["state"]
+    second, more, said = track(lines[half:], "--engine", engine, "--state", state)
+    assert found + more == whole
+    assert (first, second) == (2, 2)  # there are bad rows in both parts
+    assert going_on(said)[1] == len(found)
+
+
+class Killed(BaseException):
+    """Stands in for a kill: what the file holds at that moment is what the next run finds."""
+
+
+@pytest.mark.parametrize(("engine", "n_frames"), [("chain", 150), ("isam2", 12)])
+def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path, engine, n_frames):
+    lines, state, rng = scene(n_frames, people=2), tmp_path / "state", np.random.default_rng(1)
+    answers, left, kills, resumed = [], 0, 0, False
+
+    def rows(stream, first):
+        return ((n, lines[n - 1]) for n in range(first, len(lines) + 1) if lines[n - 1].strip())
+
+    def give(answer):
+        nonlocal left, resumed
+        if resumed:
+            _, kept = going_on(capsys.readouterr().err)
+            assert len(answers) - 1 <= kept <= len(answers)
+            del answers[kept:]
+            resumed = False
+        left -= 1
+        if left > 0 or rng.random() < 0.5:
+            answers.append(json.dumps(answer))
+        if left <= 0:
+            shutil.copy(state, tmp_path / "left")
+            raise Killed
+
+    def track_all():
+        options = {"engine": engine, "lag": 0.5, "fps": None, "camera": None}
+        live.track_stream(Model("joint"), **options, state=state, save_every=0.02)
+
+    monkeypatch.setattr(live, "lines_of", rows)
+    monkeypatch.setattr(live, "open_streams", lambda: None)
+    monkeypatch.setattr(live, "give", lambda answer: answers.append(json.dumps(answer)))
+    track_all()
+    whole, answers = answers, []
+    state.unlink()
+    monkeypatch.setattr(live, "give", give)
+    while True:
+        left = int(rng.integers(1, len(lines) // 4))
+        try:
+            track_all()
+            break
+        except Killed:
+            data = (tmp_path / "left").read_bytes()
+            if rng.random() < 0.3:  # the kill came while a row was added, which then has no answer
+                data += seal([10**6, "a row"])[: int(rng.integers(20))]
+            state.write_bytes(data)
+            kills, resumed = kills + 1, True
+    assert kills > 5
+    assert answers == whole
+
+
+def test_a_program_that_is_killed_or_loses_its_reader_goes_on(tmp_path):
+    lines, state = scene(40), tmp_path / "state"
+    (tmp_path / "rows").write_bytes(b"".join(lines))
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    with (tmp_path / "rows").open("rb") as rows:
+        undisturbed = subprocess.Popen(COMMAND, stdin=rows, stdout=pipes["stdout"], stderr=pipes["stderr"])
+
+    with subprocess.Popen([*COMMAND, "--state", str(state)], **pipes) as one:
+        one.stdin.write(b"".join(lines[:70]))
+        one.stdin.flush()
+        answers = [one.stdout.readline() for _ in range(50)]
+        with pytest.raises(InputError, match="another process"):
+            StateFile(state, 1.0)
+        one.kill()
+        answers += one.stdout.readlines()
+    (tmp_path / "state.new").write_bytes(b"half of a snap")  # as a kill may leave it
+
+    with subprocess.Popen([*COMMAND, "--state", str(state)], **pipes) as two:
+        line, kept = going_on(two.stderr.readline().decode())
+        answers[kept:] = [two.stdout.readline()]
+        two.stdout.close()
+        _, said = two.communicate(b"".join(lines[line:]))
+    assert two.returncode == 2
+    assert said.decode().startswith("error: standard output: ") and said.count(b"\n") == 1
+
+    with subprocess.Popen([*COMMAND, "--state", str(state)], **pipes) as three:
+        line, kept = going_on(three.stderr.readline().decode())
+        more, _ = three.communicate(b"".join(lines[line:]))
+    assert b"".join(answers[:kept]) + more == undisturbed.communicate(timeout=120)[0]
+    assert {entry.name for entry in tmp_path.iterdir()} == {"rows", "state"}
+
+
+# -- states that cannot be used ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def state(track, tmp_path):
+    """A state of some rows, and one row that came after the last snapshot."""
+    track(scene(4), "--model", "joint", "--fps", "25", "--lag", "1", "--state", tmp_path / "state")
+    file = StateFile(tmp_path / "state", 60.0)
+    file.append([99, scene(1)[0].decode()])
+    file.close()
+    return tmp_path / "state"
+
+
+SAME = {"--model": "joint", "--fps": "25", "--lag": "1"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"--fps": "10"}, "fps = 25.0, expected one with fps = 10.0"),
+        ({"--lag": "2"}, "lag = 1.0, expected one with lag = 2.0"),
+        ({"--model": "full"}, 'model.preset = "joint", expected one with model.preset = "full"'),
+        ({"--engine": "fixed-lag"}, 'engine = "chain", expected one with engine = "fixed-lag"'),
+        ({"--homography": "plane.txt"}, "homography = null, expected one with homography = [[0.01"),
+    ],
+)
+def test_a_state_of_other_options_is_refused_by_name(track, state, tmp_path, monkeypatch, changed, told):
+    monkeypatch.chdir(tmp_path)
+    Path("plane.txt").write_text("0.01 0 0\n0 0.01 0\n0 0 1\n")
+    before = state.read_bytes()
+    options = [word for pair in (SAME | changed).items() for word in pair]
+    status, answers, said = track([], *options, "--state", "state")
+    assert (status, answers) == (2, [])
+    assert said.startswith("error: state: found a state with ") and told in said
+    assert state.read_bytes() == before
+
+
+def test_a_damaged_state_is_one_error_and_stays_as_it_is(track, state):
+    data = bytearray(state.read_bytes())
+    data[len(data) // 2] ^= 1
+    state.write_bytes(data)
+    status, answers, said = track([], *(word for pair in SAME.items() for word in pair), "--state", state)
+    assert (status, answers, said.count("\n")) == (2, [], 1)
+    assert re.match(r"error: .*state, line \d+: found a damaged line", said)
+    assert state.read_bytes() == data
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\n", b"{}\n", b'{"version": 2, "rows": 1}', b"\x00\xff\n", b"0" * 40]
+)
+def test_a_file_that_is_no_state_is_refused_and_left_alone(track, tmp_path, content):
+    (tmp_path / "state").write_bytes(content)
+    status, answers, said = track(scene(1), "--state", tmp_path / "state")
+    assert (status, answers, said.count("\n")) == (2, [], 1)
+    assert "no saved state" in said
+    assert (tmp_path / "state").read_bytes() == content
+
+
+def test_a_state_where_no_file_can_be(track, tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    for path in (tmp_path, tmp_path / "missing" / "state", tmp_path / "fifo"):
+        status, answers, said = track(scene(1), "--state", path)
+        assert (status, answers) == (2, [])
+        assert said.startswith("error: ")
+
+
+# -- ends ----------------------------------------------------------------------------------------------------
+
+
+def test_closed_streams_are_one_error(track, monkeypatch):
+    status, _, said = track(None)
+    assert (status, said.count("\n")) == (2, 1)
+    assert "closed standard input" in said
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdin", sys.__stdin__)
+        patch.setattr(sys, "stdout", None)
+        with pytest.raises(InputError, match="closed standard output"):
+            live.open_streams()
+
+
+def test_unknown_keys_and_bad_rows_are_told(track):
+    lines = [b'{"track_id": 1, "frame": 0, "x": 0, "y": 0, "mood": 1}\n', b"\n", b"junk\n"] * 2
+    status, answers, said = track(lines, "--fps", 10)
+    assert status == 2
+    assert [json.loads(one).get("line") for one in answers] == [None, 3, None, 6]
+    assert said == "note: ignored key 'mood'\nerror: 2 of 4 rows could not be used\n"

@@ -1,0 +1,156 @@
+"""No output takes the place of an input or of another output, whatever the paths look like."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from walks import walk
+
+import graphtrack as gt
+import graphtrack.cli
+import perception.cli
+from graphtrack.errors import InputError
+from graphtrack.io import places
+from graphtrack.scale import smooth_dataset
+
+ROWS = "track_id,frame,t,x,y\n" + "".join(f"1,{k},{k / 10},{k / 10},0\n" for k in range(20))
+
+PROGRAMS = {"graphtrack": graphtrack.cli.main, "perception": perception.cli.main}
+COINCIDING = {
+    # arguments → the names of both
+    "smooth a.csv -o x.csv --report x.csv": ("--output", "--report"),
+    "smooth a.csv -o x.csv --report a.csv": ("--report", "the input"),
+    "smooth a.csv -o a.csv": ("--output", "the input"),
+    "smooth b.csv a.csv -o ./full/../a.csv": ("--output", "the input"),
+    "smooth a.csv -o link.csv": ("--output", "the input"),
+    "smooth link.csv -o hard.csv": ("--output", "the input"),
+    "smooth a.csv -o to-x.csv --report x.csv": ("--output", "--report"),
+    "smooth a.csv -o H.txt --homography H.txt": ("--output", "--homography"),
+    "smooth a.csv -o H.txt --point-pairs H.txt": ("--output", "--point-pairs"),
+    "smooth a.csv -o x.csv --report m.toml --model m.toml": ("--report", "--model"),
+    "smooth a.vsp -o H.txt": ("--output", "a file beside the input"),
+    "smooth parts -o parts/x.parquet": ("--output", "the input"),
+    "smooth parts -o parts/a=1/x.parquet": ("--output", "the input"),
+    "smooth one.parquet -o one.parquet --stream": ("--output", "the input"),
+    "track a.csv -o a.csv": ("--output", "the input"),
+    "track - --state m.toml --model m.toml": ("--state", "--model"),
+    "track - --state H.txt --homography H.txt": ("--state", "--homography"),
+    "compare a.csv --methods kf --position-noise 0.1 --json a.csv": ("--json", "the input"),
+    "compare a.csv --methods kf --position-noise 0.1 --figures full": ("--figures", "the input"),
+    "compare a.csv --methods kf --position-noise 0.1 --figures empty --json empty/nees.png": (
+        "--figures",
+        "--json",
+    ),
+    "simulate -o to-m.csv --model m.toml": ("--output", "--model"),
+    "add-noise a.csv -o a.csv --position-noise 0.1": ("--output", "the input"),
+    "info a.csv --json a.csv": ("--json", "the input"),
+    "info a.csv --calibration H.txt --json H.txt": ("--json", "--calibration"),
+    "fit a.csv -o m.toml --model m.toml": ("--output", "--model"),
+    "fit a.csv -o new.toml --report x --json x": ("--report", "--json"),
+    "fit a.csv -o new.toml --report new.toml.progress": ("the progress file of --output", "--report"),
+    "reproduce baxter-statistics --out . --json baxter-statistics.json": ("--json", "--out"),
+    "reproduce chen-joint --out full --data data --json data/salsa/features.txt": ("--json", "--data"),
+    "demo --out full --model m.toml": ("--out", "--model"),
+    "perception observe frames -o a.csv --boxes a.csv": ("--output", "--boxes"),
+    "perception observe frames -o x.csv --write-boxes x.csv": ("--output", "--write-boxes"),
+    "perception observe frames -o x.csv --write-boxes x.csv.journal": ("the journals", "--write-boxes"),
+    "perception observe frames -o x.csv --write-boxes frames/1.png": ("--write-boxes", "the input"),
+    "perception observe frames/1.png -o x.csv --render film.avi": ("--render", "the input"),
+    "perception observe frames -o empty/x.csv --render empty": ("--output", "--render"),
+    "perception follow frames/1.png -o x.csv --render film.avi": ("--render", "the input"),
+    "perception follow frames -o H.csv --homography H.txt": ("--output", "--homography"),
+    "perception follow frames -o empty/x.csv --render empty": ("--output", "--render"),
+    "perception train templates -o a.csv --images frames --labels a.csv": ("--output", "--labels"),
+}
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    for folder in ("full", "empty", "frames", "data/salsa", "parts/a=1"):
+        Path(folder).mkdir(parents=True)
+    for name in ("a.csv", "b.csv"):
+        Path(name).write_text(ROWS)
+    Path("H.txt").write_text("1 0 0\n0 1 0\n0 0 1\n")
+    Path("a.vsp").write_text("1 - the number of splines\n1 - Num of control points\n0 0 0 0\n")
+    Path("m.toml").write_text('preset = "position"\n')
+    for name in ("data/salsa/features.txt", "frames/1.png", "parts/a.parquet", "one.parquet"):
+        Path(name).write_text("something")
+    os.link("a.csv", "hard.csv")
+    links = {
+        "link.csv": "a.csv",
+        "to-x.csv": "x.csv",
+        "to-m.csv": "m.toml",
+        "H.csv": "H.txt",
+        "film.avi": "frames/1.png",
+        "full/errors.png": "../a.csv",
+        "full/tracks.png": "../m.toml",
+    }
+    for link, target in links.items():
+        Path(link).symlink_to(target)
+    return tmp_path
+
+
+def run(monkeypatch: pytest.MonkeyPatch, arguments: str) -> int:
+    words = arguments.split()
+    if words[0] != "perception":
+        words.insert(0, "graphtrack")
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as ended:
+        PROGRAMS[words[0]]()
+    return int(ended.value.code or 0)
+
+
+@pytest.mark.parametrize("arguments", COINCIDING)
+def test_outputs_that_coincide_are_refused_before_anything_is_read(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: str
+) -> None:
+    before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
+    # Whoever reads in spite of it, is caught.
+    monkeypatch.setattr("graphtrack.io.source.Source.open", lambda path: pytest.fail(f"{path} was read"))
+    assert run(monkeypatch, arguments) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert all(name in said[0] for name in COINCIDING[arguments])
+    assert {path: path.read_bytes() for path in here.rglob("*") if path.is_file()} == before
+
+
+def test_files_beside_each_other_are_written(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "add-noise a.csv -o to-x.csv --position-noise 0.1") == 0
+    assert run(monkeypatch, "info a.csv --json full/a.csv") == 0
+    assert Path("a.csv").read_text() == ROWS
+    assert Path("to-x.csv").is_symlink() and gt.read("x.csv").n_frames == 20
+
+
+def test_names_that_differ_in_case_are_one_place_where_the_file_system_has_it_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outputs = {"--output": tmp_path / "x.csv", "--report": tmp_path / "X.CSV"}
+    (tmp_path / "abc").touch()
+    places.check_distinct(outputs, {})
+    # As if it were: the other spelling of a name that is there is the same file.
+    (tmp_path / "ABC").symlink_to("abc")
+    with pytest.raises(InputError, match="--report and --output"):
+        places.check_distinct(outputs, {})
+
+
+def test_a_data_set_is_not_written_into_by_a_program_either(tmp_path: Path) -> None:
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    people = gt.TrackSet((walk(20, seed=1, track_id=1),))
+    gt.write(people, tmp_path / "linked.parquet")
+    gt.write(people, folder / "one.parquet")
+    for output in (folder / "out.parquet", folder / "one.parquet"):
+        with pytest.raises(InputError, match="the data set"):
+            smooth_dataset(folder, output, "position")
+    (folder / "two.parquet").symlink_to(tmp_path / "linked.parquet")
+    (folder / "one.parquet").unlink()
+    with pytest.raises(InputError, match="the data set"):
+        smooth_dataset(folder, tmp_path / "linked.parquet", "position")
+    np.testing.assert_array_equal(gt.read(tmp_path / "linked.parquet")[1].position, people[1].position)

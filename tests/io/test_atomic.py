@@ -1,0 +1,139 @@
+"""Writing whole or not at all: through links, beside others who write, and after runs that were killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from graphtrack.errors import InputError
+from graphtrack.io import atomic_path
+
+KILLED = """
+import os, signal, sys
+from graphtrack.io.atomic import atomic_path
+with atomic_path(sys.argv[1], directory=len(sys.argv) > 2) as temporary:
+    (temporary / "a" if len(sys.argv) > 2 else temporary).write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def write(path: Path, text: str) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(text)
+
+
+def killed(path: Path, *directory: str) -> None:
+    """Somebody who is killed while they write."""
+    done = subprocess.run([sys.executable, "-c", KILLED, str(path), *directory], check=False)
+    assert done.returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_link_stays_and_its_target_is_written(tmp_path: Path, there: bool) -> None:
+    (tmp_path / "far").mkdir()
+    target, link, outer = tmp_path / "far" / "a.csv", tmp_path / "link.csv", tmp_path / "outer.csv"
+    if there:
+        target.write_text("old")
+    link.symlink_to(Path("far", "a.csv"))
+    outer.symlink_to(link)
+    write(outer, "new")
+    assert target.read_text() == "new" and not target.is_symlink()
+    assert link.is_symlink() and outer.is_symlink()
+    assert {entry.name for entry in tmp_path.rglob("*")} == {"far", "a.csv", "link.csv", "outer.csv"}
+
+
+def test_a_link_to_an_empty_folder_is_filled(tmp_path: Path) -> None:
+    (tmp_path / "far").mkdir()
+    (tmp_path / "link").symlink_to("far")
+    with atomic_path(tmp_path / "link", directory=True) as folder:
+        (folder / "a").write_text("new")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "far" / "a").read_text() == "new"
+
+
+def test_links_that_lead_back_to_themselves_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    with pytest.raises(InputError, match="leads back to itself"):
+        write(tmp_path / "a", "new")
+    assert (tmp_path / "a").is_symlink() and len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_link_into_a_folder_that_is_not_there_names_it(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to("missing/a")
+    with pytest.raises(InputError, match=r"no folder .*missing"):
+        write(tmp_path / "a", "new")
+
+
+def test_a_device_is_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="a device"):
+        write(tmp_path / "pipe", "new")
+    assert (tmp_path / "pipe").is_fifo()
+
+
+def test_a_file_keeps_its_permissions(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.touch(0o600)
+    write(path, "new")
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_what_killed_runs_left_goes_with_the_next_writing_to_the_same_place(tmp_path: Path) -> None:
+    killed(tmp_path / "a.csv")
+    killed(tmp_path / "shown", "directory")
+    killed(tmp_path / "b.csv")
+    mine = tmp_path / ".a.csv.backup.unfinished"
+    mine.mkdir()
+    assert len(list(tmp_path.iterdir())) == 4
+    write(tmp_path / "a.csv", "whole")
+    with atomic_path(tmp_path / "shown", directory=True):
+        pass
+    left = {entry.name for entry in tmp_path.iterdir()} - {"a.csv", "shown", mine.name}
+    # What was left of another place waits for a writing to that one.
+    assert len(left) == 1 and left.pop().startswith(".b.csv.")
+
+
+def test_those_who_still_write_are_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    with atomic_path(path) as first:
+        first.write_text("first")
+        write(path, "second")
+        assert path.read_text() == "second"
+    assert path.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_who_is_taken_for_a_leftover_before_the_lock_begins_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import fcntl
+
+    lock, removed = fcntl.flock, []
+
+    def late(descriptor: int, how: int) -> None:
+        if not removed:
+            removed.extend(tmp_path.iterdir())
+            removed[0].rmdir()
+        lock(descriptor, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    write(tmp_path / "a.csv", "whole")
+    assert len(removed) == 1 and (tmp_path / "a.csv").read_text() == "whole"
+
+
+def test_without_locks_files_are_written_and_nothing_is_cleaned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(descriptor: int, how: int) -> None:
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr("fcntl.flock", none)
+    left = tmp_path / ".a.csv.abcdefgh.unfinished"
+    left.mkdir()
+    write(tmp_path / "a.csv", "whole")
+    assert (tmp_path / "a.csv").read_text() == "whole" and left.is_dir()

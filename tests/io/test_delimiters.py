@@ -1,0 +1,93 @@
+"""Tables with other marks than commas between their cells: told in one line, with what converts them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from format_samples import eth, mot
+
+from graphtrack import io
+from graphtrack.errors import InputError
+
+TABLE = "track_id,frame,t,x,y\n" + "".join(f"7,{k},{k / 10},{1.5 + k / 8},-0.25\n" for k in range(4))
+NAMES = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
+
+
+def refused(path: Path, **options: object) -> InputError:
+    with pytest.raises(InputError) as caught:
+        io.read(path, **options)
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+def converted(error: InputError) -> Path:
+    """What the message says to do, done."""
+    call = re.search(r"pandas\.(read_csv\(.*\))\.to_csv\((.*)\) converts it", error.expected)
+    assert call is not None
+    eval(f"pandas.{call[1]}.to_csv({call[2]})", {"pandas": pd})
+    return Path(eval(f"({call[2].split(', index')[0]})"))
+
+
+@pytest.mark.parametrize("name", ["table.csv", "table.txt", "table"])
+@pytest.mark.parametrize("before", ["", "sep={mark}\r\n", "\n"], ids=["", "sep", "empty"])
+@pytest.mark.parametrize(("mark", "decimal"), [(";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", ".")])
+def test_a_native_table_is_diagnosed(mark: str, decimal: str, before: str, name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    table = TABLE.replace(",", mark).replace(".", decimal)
+    path.write_text(before.format(mark=mark) + table)
+    error = refused(path)
+    assert NAMES[mark] in error.found and ("decimal commas" in error.found) == (decimal == ",")
+    assert str(refused(path, format="csv")) == str(error)
+    track = io.read(converted(error))[7]
+    np.testing.assert_allclose(track.position[:, 0], 1.5 + np.arange(4) / 8)
+
+
+@pytest.mark.parametrize("mark", NAMES)
+def test_a_header_alone_is_enough(mark: str, tmp_path: Path) -> None:
+    path = tmp_path / "header.csv"
+    path.write_text(TABLE.splitlines()[0].replace(",", mark) + "\n")
+    assert f"{NAMES[mark]} between the cells" in refused(path).found
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+@pytest.mark.parametrize("format", [None, "mot"])
+def test_numbers_without_a_header_are_diagnosed(format: str | None, mark: str, tmp_path: Path) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_bytes(mot())
+    expected = io.read(path)
+    path.write_bytes(mot().replace(b",", mark.encode()))
+    error = refused(path, format=format)
+    assert NAMES[mark] in error.found
+    found = io.read(converted(error))
+    np.testing.assert_array_equal(found[1].pixel, expected[1].pixel)
+
+
+def test_numbers_between_tabs_are_what_a_format_of_white_space_expects(tmp_path: Path) -> None:
+    path = tmp_path / "obsmat.txt"
+    path.write_bytes(eth().replace(b" ", b"\t"))
+    assert io.read(path).summary.format == "eth"
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("name", ["table.csv", "table.txt"])
+def test_utf_16_is_told_with_what_converts_it(encoding: str, name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(TABLE.encode(encoding))
+    error = refused(path)
+    named = re.search(r"iconv -f (\S+) -t UTF-8", error.expected)
+    assert error.found == "UTF-16 text" and named is not None
+    path.write_text(path.read_bytes().decode(named[1]))
+    assert io.read(path).n_frames == 4
+
+
+def test_a_line_before_the_header_and_a_decimal_comma_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("sep=,\n" + TABLE)
+    assert refused(path).found == "the line 'sep=,'"
+    path.write_text('track_id,frame,t,x,y\n7,0,"0,5",1,2\n')
+    error = refused(path)
+    assert "decimal point" in error.expected and (error.line, error.column) == (2, "t")

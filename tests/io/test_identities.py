@@ -1,0 +1,125 @@
+"""Two identities are never taken for one: a double cannot tell all integers beyond 2⁵³ − 1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from format_samples import SAMPLES, made_tracks
+
+import graphtrack as gt
+from graphtrack import io
+from graphtrack.bounds import LARGEST_ID
+from graphtrack.errors import InputError
+from graphtrack.io.ndjson import parse_line, read_cells
+from graphtrack.scale import smooth_dataset
+from graphtrack.tracks import Track
+
+TOO_LARGE = [2**53, 2**53 + 1, -(2**53), -(2**53) - 1, 2**62, 2**63 + 2**53]
+
+
+def rows(identity: int, n: int = 3) -> pd.DataFrame:
+    k = np.arange(n)
+    return pd.DataFrame({"track_id": identity, "frame": k, "t": k / 10, "x": 0.1 * k, "y": 0.0})
+
+
+def csv(identity: int, folder: Path, n: int = 3) -> gt.TrackSet:
+    text = rows(0, n).to_csv(index=False).replace("\n0,", f"\n{identity},")
+    (folder / "a.csv").write_text(text)
+    return io.read(folder / "a.csv")
+
+
+def long_csv(identity: int, folder: Path) -> gt.TrackSet:
+    """A file that pyarrow reads."""
+    return csv(identity, folder, 10_000)
+
+
+def parquet(identity: int, folder: Path) -> gt.TrackSet:
+    rows(identity).to_parquet(folder / "a.parquet")
+    return io.read(folder / "a.parquet")
+
+
+def table(identity: int, folder: Path) -> gt.TrackSet:
+    return gt.TrackSet.from_table(rows(identity))
+
+
+def other(format: str, before: str, after: str) -> Callable[[int, Path], gt.TrackSet]:
+    """A sample of a format with the id of its first rows in place of 1."""
+
+    def read(identity: int, folder: Path) -> gt.TrackSet:
+        sample = next(one for one in SAMPLES if one.format == format)
+        path = sample.write(folder)
+        path.write_text(path.read_text().replace(before, after.format(identity), 1))
+        return io.read(path)
+
+    return read
+
+
+READERS = {
+    "csv": csv,
+    "long csv": long_csv,
+    "parquet": parquet,
+    "table": table,
+    "mot": other("mot", "1,1,", "1,{},"),
+    "eth": other("eth", "1.0000000e+00 1.0000000e+00", "1.0000000e+00 {}"),
+    "towncentre": other("towncentre", "0,1,", "0,{},"),
+    "kitti": other("kitti", "0 1 Ped", "0 {} Ped"),
+    "caviar": other("caviar", 'object id="0"', 'object id="{}"'),
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_the_largest_identity_is_itself(reader: str, tmp_path: Path) -> None:
+    assert LARGEST_ID in {track.track_id for track in READERS[reader](LARGEST_ID, tmp_path)}
+
+
+@pytest.mark.parametrize("identity", TOO_LARGE)
+@pytest.mark.parametrize("reader", READERS)
+def test_larger_ones_are_refused(reader: str, identity: int, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="id") as caught:
+        READERS[reader](identity, tmp_path)
+    assert caught.value.line is not None
+
+
+def test_a_stream_refuses_them_too() -> None:
+    text = '{"track_id": %d, "frame": 1, "t": 0.1, "x": 0, "y": 0}'
+    assert read_cells(parse_line(text % LARGEST_ID))["track_id"] == LARGEST_ID
+    for identity in TOO_LARGE:
+        with pytest.raises(InputError, match=f"column track_id: found {identity}"):
+            read_cells(parse_line(text % identity))
+
+
+def test_a_data_set_refuses_them_too(tmp_path: Path) -> None:
+    for identity in (2**53, 2**53 + 1):
+        (tmp_path / "parts" / f"track_id={identity}").mkdir(parents=True)
+        rows(0).drop(columns="track_id").to_parquet(tmp_path / "parts" / f"track_id={identity}" / "a.parquet")
+    with pytest.raises(InputError, match="column track_id"):
+        smooth_dataset(tmp_path / "parts", tmp_path / "out.parquet", "position")
+
+
+def test_a_track_has_no_other_identity() -> None:
+    for identity in (*TOO_LARGE, 1.5):
+        with pytest.raises(InputError, match="track_id"):
+            Track(identity, np.arange(2), np.arange(2.0), np.zeros((2, 2)))
+
+
+def test_files_with_the_largest_identities_are_merged_into_one_that_can_be_read(tmp_path: Path) -> None:
+    for name in ("a.csv", "b.csv"):
+        pd.concat([rows(0), rows(LARGEST_ID)]).to_csv(tmp_path / name, index=False)
+    merged = io.read([tmp_path / "a.csv", tmp_path / "b.csv"])
+    assert len({track.track_id for track in merged}) == 4
+    io.write(merged, tmp_path / "merged.csv")
+    assert {track.track_id for track in io.read(tmp_path / "merged.csv")} == {t.track_id for t in merged}
+
+
+def test_a_file_name_that_is_no_text_still_names_its_tracks(tmp_path: Path) -> None:
+    io.write(made_tracks(), tmp_path / "a.csv")
+    odd = tmp_path / "caf\udce9.csv"
+    rows(1).to_csv(tmp_path / "plain.csv", index=False)
+    (tmp_path / "plain.csv").rename(odd)
+    merged = io.read([tmp_path / "a.csv", odd])
+    io.write(merged, tmp_path / "merged.csv")
+    assert "caf\ufffd" in {track.label for track in io.read(tmp_path / "merged.csv")}

@@ -1,0 +1,127 @@
+"""NDJSON as a file: the table, bounds and words of CSV; and what a stream answered, read as a file."""
+
+import json
+
+import numpy as np
+import pytest
+from format_samples import made_tracks
+
+from graphtrack import io
+from graphtrack.errors import InputError
+from graphtrack.io import schema
+
+ROW = {"track_id": 1, "frame": 0, "t": 0.0, "x": 1.0, "y": 2.0}
+
+
+def write(path, rows):
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return path
+
+
+def refused(path):
+    with pytest.raises(InputError) as caught:
+        io.read(path)
+    return caught.value
+
+
+def outside(column):
+    """A value beyond each bound of a column, and 0 where it must be above."""
+    low, high = column.bounds.low, column.bounds.high
+    return [low - 1e-3 * abs(low) - 1, high * 1.01, *([0.0] if low > 0.0 else [])]
+
+
+BAD = [(column.name, value) for column in schema.COLUMNS for value in outside(column)]
+BAD += [(name, value) for name, highest in schema.INTEGERS.items() for value in (2 * highest, 0.5)]
+
+
+@pytest.mark.parametrize(("name", "value"), BAD)
+def test_what_csv_refuses_is_refused_in_the_same_words(name, value, tmp_path):
+    group = next((group for group in schema.TOGETHER if name in group), ())
+    row = ROW | dict.fromkeys(group, 0.5) | {name: value}
+    (tmp_path / "a.csv").write_text(f"{','.join(row)}\n{','.join(map(repr, row.values()))}\n")
+    found, expected = (
+        refused(write(tmp_path / "a.ndjson", [ROW | {"frame": -1, "t": -1.0}, row])),
+        refused(tmp_path / "a.csv"),
+    )
+    assert (found.line, found.column) == (2, expected.column) == (2, name)
+    assert found.expected == expected.expected
+    assert float(found.found) == pytest.approx(float(expected.found), rel=1e-5)
+
+
+def test_null_and_no_key_are_empty_cells_and_unknown_keys_a_note(tmp_path):
+    rows = [ROW | {"body_deg": 90, "mood": [1, {"a": None}]}, ROW | {"frame": 1, "t": 1, "body_deg": None}]
+    rows += [{"track_id": 1, "frame": 2, "t": 2}]
+    tracks = io.read(write(tmp_path / "a.jsonl", rows))
+    np.testing.assert_array_equal(tracks[1].body, [np.pi / 2, np.nan, np.nan])
+    np.testing.assert_array_equal(tracks[1].position, [[1, 2], [1, 2], [np.nan, np.nan]])
+    assert tracks.summary.notes == ("ignored columns mood",)
+
+
+@pytest.mark.parametrize(
+    ("line", "column"),
+    [
+        ('{"track_id": 1, "frame": 1, "t": 1, "x": 0, "y": 0, "x": 1}', None),
+        ('{"track_id": 1, "frame": 1, "t": 1, "x": 0}', "y"),
+        ('{"track_id": 1, "frame": 1, "x": 0, "y": 0}', "t"),
+        ('{"track_id": 1, "frame": 1, "t": 1, "x": "a", "y": 0}', "x"),
+        ('{"track_id": 1, "frame": 1, "t": -1, "x": 0, "y": 0}', "t"),
+        ('{"track_id": 1, "frame": 0, "t": 1, "x": 0, "y": 0}', None),
+        ("[]", None),
+    ],
+)
+def test_bad_rows_are_placed(line, column, tmp_path):
+    path = tmp_path / "a.ndjson"
+    path.write_text("\n" + json.dumps(ROW) + "\n\n" + line + "\n")
+    error = refused(path)
+    assert (error.path, error.line, error.column) == (str(path), 4, column)
+
+
+def test_identities_are_exact(tmp_path):
+    ids = [2**53 - 2, 2**53 - 1, -(2**53) + 1]
+    tracks = io.read(write(tmp_path / "a.ndjson", [ROW | {"track_id": one} for one in ids]))
+    assert sorted(track.track_id for track in tracks) == sorted(ids)
+    for one in (2**53 + 1, 10**30):
+        assert str(one) in refused(write(tmp_path / "a.ndjson", [ROW | {"track_id": one}])).found
+
+
+def test_written_rows_are_objects_with_null_where_nothing_is_known(tmp_path):
+    io.write(made_tracks(), tmp_path / "a.ndjson")
+    rows = [json.loads(line) for line in (tmp_path / "a.ndjson").read_text().splitlines()]
+    assert rows[2]["x"] is None and rows[0]["label"] == "person 3, made"
+    assert type(rows[0]["track_id"]) is type(rows[0]["frame"]) is int
+
+
+def answers():
+    """As `graphtrack track -` gives them: of a late and a repeated row the frame is the newest one again."""
+    answer = ROW | {"vx": 0.0, "vy": 0.0, "x_std": 0.1, "y_std": 0.1, "body_deg": None, "status": "new"}
+    return [
+        answer | {"x": None, "y": None, "status": "waiting"},
+        answer | {"x": None, "y": None, "status": "waiting"},
+        answer | {"frame": 1, "t": 1.0},
+        answer | {"frame": 3, "t": 3.0},
+        answer | {"frame": 3, "t": 3.0, "x": 5.0, "status": "late"},
+        answer | {"frame": 3, "t": 3.0, "x": 5.0, "status": "failed", "reason": "no"},
+        {"track_id": 1, "frame": None, "line": 9, "error": "line 9: found junk"},
+        answer | {"frame": 4, "t": 4.0},
+        answer | {"frame": 4, "t": 4.0},  # said again by a run that went on
+    ]
+
+
+def test_the_answers_of_a_stream_are_read(tmp_path):
+    tracks = io.read(write(tmp_path / "a.ndjson", answers()))
+    np.testing.assert_array_equal(tracks[1].frame, [0, 1, 3, 4])
+    np.testing.assert_array_equal(tracks[1].position[:, 0], [np.nan, 1, 5, 1])
+    assert tracks[1].velocity is not None and tracks[1].body is None
+    summary = tracks.summary
+    assert (summary.rows_read, summary.rows_used, sum(summary.refused.values())) == (9, 4, 5)
+    assert not summary.notes
+
+
+def test_two_different_rows_of_a_frame_are_still_an_error(tmp_path):
+    rows = [answers()[2], answers()[2] | {"x": 9.0}]
+    assert refused(write(tmp_path / "a.ndjson", rows)).line == 2
+    assert refused(write(tmp_path / "a.ndjson", [ROW, ROW])).line == 2
+
+
+def test_answers_that_are_all_errors_are_no_tracks(tmp_path):
+    assert "no rows but 1" in refused(write(tmp_path / "a.ndjson", [answers()[6]])).found

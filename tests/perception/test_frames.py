@@ -1,0 +1,145 @@
+"""Frames of videos and folders: what is taken, told of and refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from graphtrack.errors import InputError
+from perception.frames import FrameSource
+
+RNG = np.random.default_rng(0)
+IMAGE = RNG.integers(0, 256, (48, 64, 3)).astype(np.uint8)
+
+
+def written(path: Path, count: int = 5) -> Path:
+    """A video of so many frames."""
+    code = cv2.VideoWriter.fourcc(*("MJPG" if path.suffix == ".avi" else "mp4v"))
+    writer = cv2.VideoWriter(str(path), code, 10.0, (64, 48))
+    assert writer.isOpened()
+    for k in range(count):
+        writer.write(np.roll(IMAGE, k, axis=0))
+    writer.release()
+    return path
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(InputError) as found:
+        FrameSource.open(path)
+    return str(found.value)
+
+
+def test_frames_of_a_folder_have_the_numbers_of_their_names(tmp_path: Path) -> None:
+    for name, image in (
+        ("0010.png", np.zeros((4, 5), np.uint8)),
+        ("0007.png", np.zeros((4, 5, 3), np.uint16)),
+    ):
+        cv2.imwrite(str(tmp_path / name), image)
+    (tmp_path / "0008.png").write_bytes(b"no picture")
+    frames = list(FrameSource.open(tmp_path))
+    assert [frame.number for frame in frames] == [7, 8, 10]
+    assert [frame.image is None for frame in frames] == [False, True, False]
+    assert frames[0].image.dtype == np.uint8 and frames[2].image.shape == (4, 5, 3)
+    assert "0008.png" in frames[1].reason
+
+
+def test_a_video_that_ends_early_is_told_of(tmp_path: Path) -> None:
+    path = tmp_path / "video.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (64, 48))
+    assert writer.isOpened()
+    for k in range(20):
+        writer.write(np.random.default_rng(k).integers(0, 256, (48, 64, 3)).astype(np.uint8))
+    writer.release()
+    source = FrameSource.open(path)
+    assert source.count == 20 and source.fps == pytest.approx(10.0)
+    assert sum(frame.image is not None for frame in source) == 20
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) * 3 // 4])
+    frames = list(FrameSource.open(path))
+    good = [frame.number for frame in frames if frame.image is not None]
+    assert 0 < len(good) < 20
+    assert good == list(range(len(good)))
+
+
+def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.avi").write_text("hello")
+    (tmp_path / "empty").mkdir()
+    for name in ("text.avi", "empty", "absent"):
+        with pytest.raises(InputError):
+            FrameSource.open(tmp_path / name)
+
+
+TEXT = {
+    "notes.txt": b"hello world\n" * 99,
+    "begins as a film.txt": b"The free lunch\n" * 99,
+    "begins as a picture.txt": b"BMW\n" * 99,
+    "colours.ans": b"\x1b[31mhello\x1b[0m\r\n" * 99,
+    "sixteen.txt": "hello".encode("utf-16"),
+    "subtitles.srt": b"1\n00:00:01,000 --> 00:00:02,000\nhello\n",
+    "playlist.m3u8": b"#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:10,\nother.mp4\n#EXT-X-ENDLIST\n",
+    "list.mp4": b"ffconcat version 1.0\nfile other.mp4\n",
+}
+
+
+@pytest.mark.parametrize("name", TEXT)
+def test_text_is_no_video_whatever_opencv_makes_of_it(tmp_path: Path, name: str) -> None:
+    written(tmp_path / "other.mp4")  # which the playlists name
+    (tmp_path / name).write_bytes(TEXT[name])
+    assert "found text, expected a video" in refused(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["noise.bin", "noise.mp4", "playlist.m3u8"])
+def test_other_bytes_are_no_video(tmp_path: Path, name: str) -> None:
+    written(tmp_path / "other.mp4")
+    playlist = TEXT["playlist.m3u8"] + b"\0"
+    (tmp_path / name).write_bytes(playlist if name.endswith("m3u8") else RNG.bytes(40_000))
+    assert "found something else, expected a video" in refused(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".webp", ".tif", ".ppm"])
+def test_a_picture_is_no_video(tmp_path: Path, suffix: str) -> None:
+    for k in (1, 2):
+        assert cv2.imwrite(str(tmp_path / f"000{k}{suffix}"), IMAGE)
+    assert "a single picture" in refused(tmp_path / f"0001{suffix}")
+
+
+def test_videos_of_many_kinds_are_taken(tmp_path: Path) -> None:
+    paths = [written(tmp_path / name) for name in ("a.avi", "b.mp4", "c.mkv", "d.mov", "e.mpg", "f.ts")]
+    raw = tmp_path / "g.y4m"  # its grey levels are letters
+    raw.write_bytes(b"YUV4MPEG2 W64 H48 F25:1 C420jpeg\n" + 5 * (b"FRAME\n" + b"A" * (64 * 48 * 3 // 2)))
+    jpegs = tmp_path / "h.mjpeg"
+    jpegs.write_bytes(b"".join(cv2.imencode(".jpg", np.roll(IMAGE, k, 0))[1].tobytes() for k in range(5)))
+    for path in (*paths, raw, jpegs):
+        assert sum(frame.image is not None for frame in FrameSource.open(path)) == 5, path
+
+
+def test_a_name_with_a_colon_is_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(tmp_path / "a.mp4").rename(tmp_path / "concat:a.mp4")
+    monkeypatch.chdir(tmp_path)
+    assert sum(frame.image is not None for frame in FrameSource.open("concat:a.mp4")) == 5
+
+
+def test_numbered_images_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for k in (10, 9, 8):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), IMAGE)
+    assert [frame.number for frame in FrameSource.open(tmp_path)] == [8, 9, 10]
+
+
+def test_the_stamp_changes_with_the_images_and_with_nothing_else(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "1.png"), IMAGE)
+    frames = FrameSource.open(tmp_path)
+    before = frames.stamp()
+    (tmp_path / "out.csv.journal").write_text("x")
+    assert frames.stamp() == before
+    cv2.imwrite(str(tmp_path / "1.png"), IMAGE[:40])
+    assert frames.stamp() != before
+
+
+@pytest.mark.parametrize("names", [("1.png", "01.png"), ("0001.png", "thumbs.png"), ("99999999999.png",)])
+def test_images_whose_frames_are_in_doubt_are_refused(tmp_path: Path, names: tuple[str, ...]) -> None:
+    for name in names:
+        cv2.imwrite(str(tmp_path / name), IMAGE)
+    assert names[0] in refused(tmp_path)

@@ -1,0 +1,65 @@
+"""The journal: what is taken up again, and what is not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from perception.heads import HeadCandidates
+from perception.journal import Journal
+from perception.pipeline import Seen, seen_in
+
+
+def seen(frame: int, left: float) -> Seen:
+    heads = HeadCandidates(np.array([[5.0, 2.0, 10.0, 14.0]]), np.array([0.4]))
+    return Seen(frame, 1, (left, 2.0, 30.0, 80.0), np.zeros(8), heads, np.zeros((1, 12)))
+
+
+def opened(path: Path, key: str = "a") -> Journal[Seen]:
+    journal = Journal(path, key, Seen.to_record, Seen.from_record)
+    journal.open()
+    return journal
+
+
+def test_a_journal_goes_on_after_the_last_whole_frame(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    journal = opened(path)
+    journal.add(0, [seen(0, 1.0)])
+    journal.add(1, [])
+    journal.close(remove=False)
+    with path.open("a") as stream:
+        stream.write('{"frame": 2, "records": [{"frame": 2, "tr')  # broken off
+    again = opened(path)
+    assert set(again.frames) == {0, 1} and [item.frame for item in seen_in(again)] == [0]
+    again.add(2, [seen(2, 3.0)])
+    again.close(remove=False)
+    third = opened(path)
+    assert set(third.frames) == {0, 1, 2} and [item.frame for item in seen_in(third)] == [0, 2]
+    assert seen_in(third)[1].box == (3.0, 2.0, 30.0, 80.0)
+    third.close(remove=False)
+    other = opened(path, "another run")
+    assert not other.frames
+    other.close(remove=True)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    "record",
+    [{}, [], 7, None, {"frame": 1}, {**seen(1, 0.0).to_record(), "pan": [[0.0], [0.0]]}],
+    ids=repr,
+)
+def test_records_that_nothing_can_be_made_of_are_looked_at_again(tmp_path: Path, record: object) -> None:
+    path = tmp_path / "journal"
+    journal = opened(path)
+    journal.add(0, [seen(0, 1.0)])
+    journal.close(remove=False)
+    with path.open("a") as stream:
+        stream.write(json.dumps({"frame": 1, "records": [record]}) + "\n")
+    again = opened(path)
+    assert set(again.frames) == {0}
+    again.add(1, [])
+    again.close(remove=False)
+    assert set(opened(path).frames) == {0, 1}

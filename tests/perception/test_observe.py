@@ -1,0 +1,253 @@
+"""`perception observe`: what it writes, leaves out, says and draws, and how it goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from command import run
+
+from graphtrack import io
+from perception.boxes import PersonBox, read_boxes, write_boxes
+from perception.classes import PoseClasses
+from perception.frames import FrameSource
+from perception.people import PeopleDetector
+from perception.pipeline import Seen, observe_frame
+from perception.synthetic import Camera, Person, Scene, render_frame
+from perception.synthetic.appearance import random_appearance
+from perception.synthetic.person import Posture
+from perception.synthetic.raycast import Ground, Light
+from perception.synthetic.sensor import Sensor
+
+STREET = Camera((0.0, -9.0, 3.0), np.pi / 2, -0.2, 500.0, (320, 240))
+EIGHT = PoseClasses.circle(8)
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with 6 frames of a person who walks, MOT boxes and the homography."""
+    folder = tmp_path_factory.mktemp("clip")
+    (folder / "frames").mkdir()
+    rng = np.random.default_rng(0)
+    look = random_appearance(rng)
+    light = Light((0.3, -0.5, 0.8), (0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
+    scene = Scene(STREET, light, Ground((0.6, 0.6, 0.6)))
+    boxes = []
+    for k in range(6):
+        posture = Posture((-1.0 + 0.25 * k, 0.0), 0.0, 0.0, phase=0.9 * k, stride=0.8)
+        frame = render_frame(scene, [Person(look, posture)], Sensor(noise=1.0), rng)
+        cv2.imwrite(str(folder / "frames" / f"{k:04d}.png"), frame.image)
+        boxes.append(PersonBox(k, 7, frame.labels[0].body_box))
+    write_boxes(boxes, folder / "boxes.txt")
+    np.savetxt(folder / "homography.txt", STREET.ground_camera().homography)
+    return folder
+
+
+def test_observe_writes_what_smooth_reads(clip: Path, tmp_path: Path) -> None:
+    out = tmp_path / "observations.csv"
+    options = ["--boxes", clip / "boxes.txt", "--homography", clip / "homography.txt", "--fps", 5]
+    done = run("observe", clip / "frames", *options, "-o", out)
+    assert done.returncode == 0, done.stderr
+    assert "6 person-frames in 1 track" in done.stderr
+    assert not list(tmp_path.glob("*.journal"))
+    track = io.read(out)[7]
+    np.testing.assert_allclose(np.diff(track.t), 0.2)
+    # The box's lower edge is the toe, not the middle of the person.
+    np.testing.assert_allclose(track.position[:, 0], -1.0 + 0.25 * np.arange(6), atol=0.25)
+    np.testing.assert_allclose(track.body_likelihood.sum(axis=1), 1.0, atol=1e-3)
+    np.testing.assert_allclose(track.head_likelihood.sum(axis=1), 1.0, atol=1e-3)
+    body = EIGHT.mean_pan(np.log(track.body_likelihood + 1e-9))
+    assert np.abs(body).mean() < np.deg2rad(60.0)  # they walk to the right; by chance: 90°
+
+
+def test_detection_that_was_broken_off_goes_on(
+    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[int] = []
+    boxes = read_boxes(clip / "boxes.txt")
+
+    def detect(self: PeopleDetector, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        looked.append(len(looked))
+        if len(looked) == 4:
+            raise KeyboardInterrupt
+        return np.array([boxes[min(len(looked), 6) - 1].box]), np.ones(1)
+
+    monkeypatch.setattr(PeopleDetector, "detect", detect)
+    arguments = "observe", clip / "frames", "--homography", clip / "homography.txt", "-o", tmp_path / "o.csv"
+    assert run(*arguments).returncode != 0
+    assert (tmp_path / "o.csv.detections").exists() and not (tmp_path / "o.csv").exists()
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert "going on after 3 frames" in done.stderr and "looked for people in 3 frames" in done.stderr
+    assert len(looked) == 4 + 3
+    assert [path.name for path in tmp_path.iterdir()] == ["o.csv"]
+
+
+def test_frames_and_boxes_that_cannot_be_used_are_told_of(clip: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for path in (clip / "frames").iterdir():
+        (folder / path.name).write_bytes(path.read_bytes() if path.stem != "0003" else b"broken")
+    boxes = (clip / "boxes.txt").read_text() + "2,9,5000,0,30,80,1,-1,-1,-1\n77,9,0,0,30,80,1,-1,-1,-1\n"
+    (tmp_path / "boxes.txt").write_text(boxes)
+    done = run("observe", folder, "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
+    assert done.returncode == 0, done.stderr
+    for text in (
+        "0003.png cannot be decoded",
+        "inside the image",
+        "1 boxes of frames that did not come, such as 77: frames 0 to 5 came",
+        "no camera",
+    ):
+        assert text in done.stderr
+    assert sorted(pd.read_csv(tmp_path / "out.csv")["frame"]) == [0, 1, 2, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("2,-1,10,10,30,80,1,-1,-1,-1", "line 7, column id"),
+        ("2,7,10,10,30,80,1,-1,-1,-1", "line 7: found track 7 again in frame 2"),
+        ("2,9,-1e6,-1e6,3e6,3e6,1,-1,-1,-1", "line 7, column width"),
+    ],
+)
+def test_boxes_of_nobody_in_particular_are_one_line(clip: Path, tmp_path: Path, line: str, told: str) -> None:
+    (tmp_path / "boxes.txt").write_text((clip / "boxes.txt").read_text() + line + "\n")
+    done = run("observe", clip / "frames", "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
+    assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["boxes.txt"]
+
+
+def test_two_cameras_are_one_too_many(clip: Path, tmp_path: Path) -> None:
+    both = ["--homography", clip / "homography.txt", "--calibration", clip / "homography.txt"]
+    done = run("observe", clip / "frames", "--boxes", clip / "boxes.txt", *both, "-o", tmp_path / "o.csv")
+    assert done.returncode == 2 and "--homography and --calibration" in done.stderr
+
+
+def test_what_is_left_out_is_told(clip: Path, tmp_path: Path) -> None:
+    ignored, large = "2,9,10,10,30,80,0,-1,-1,-1\n", "3,8,-60000,-60000,120000,120000,1,-1,-1,-1\n"
+    beyond = "4,6,10,-70,30,80,1,-1,-1,-1\n"
+    (tmp_path / "boxes.txt").write_text((clip / "boxes.txt").read_text() + ignored + large + beyond)
+    options = ["--boxes", tmp_path / "boxes.txt", "--homography", clip / "homography.txt"]
+    done = run("observe", clip / "frames", *options, "-o", tmp_path / "out.csv")
+    assert done.returncode == 0 and "6 person-frames in 1 track" in done.stderr
+    for told in ("1 marked to be ignored", "frame 3, track 8: found a box", "refused 1: at or beyond"):
+        assert told in done.stderr
+
+
+def test_detections_of_no_track_are_told(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    boxes = [item.box for item in read_boxes(clip / "boxes.txt")]
+    once = iter([(280.0, 10.0, 30.0, 80.0)])
+
+    def detect(self: PeopleDetector, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = np.array([boxes.pop(0), *once])
+        return found, np.ones(len(found))
+
+    monkeypatch.setattr(PeopleDetector, "detect", detect)
+    done = run("observe", clip / "frames", "--homography", clip / "homography.txt", "-o", tmp_path / "o.csv")
+    assert done.returncode == 0 and "1 of 7 detected boxes, in tracks of less than 3" in done.stderr
+
+
+@pytest.mark.parametrize("where", ["observing", "writing"])
+def test_an_error_leaves_nothing_that_the_next_run_trips_over(
+    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    arguments = "observe", clip / "frames", "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv"
+    looked: list[int] = []
+
+    def look(image: np.ndarray, frame: int, *rest: object) -> list[Seen]:
+        looked.append(frame)
+        if where == "observing" and len(looked) == 4:
+            raise MemoryError
+        return observe_frame(image, frame, *rest)
+
+    def full(*rest: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("perception.pipeline.observe_frame", look)
+    with monkeypatch.context() as patch:
+        if where == "writing":
+            patch.setattr("graphtrack.io.write", full)
+            assert run(*arguments).returncode == 2
+        else:
+            with pytest.raises(MemoryError):
+                run(*arguments)
+    journal = tmp_path / "o.csv.journal"
+    with journal.open("a") as stream:
+        stream.write('{"frame": 77, "records": [{"frame": 77}]}\n')
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert looked == ([0, 1, 2, 3, 3, 4, 5] if where == "observing" else [0, 1, 2, 3, 4, 5])
+    assert [path.name for path in tmp_path.iterdir()] == ["o.csv"]
+
+
+# -- drawn -------------------------------------------------------------------------------------------------
+
+
+def drawn(folder: Path) -> dict[int, np.ndarray]:
+    return {int(path.stem): cv2.imread(str(path)) for path in folder.iterdir()}
+
+
+def test_a_run_that_was_broken_off_is_drawn_whole(
+    clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[int] = []
+
+    def look(image: np.ndarray, frame: int, *rest: object) -> list[Seen]:
+        looked.append(frame)
+        if len(looked) == 4:
+            raise KeyboardInterrupt
+        return observe_frame(image, frame, *rest)
+
+    monkeypatch.setattr("perception.pipeline.observe_frame", look)
+    outside = "0,9,5000,0,30,80,1,-1,-1,-1\n"
+    (tmp_path / "boxes.txt").write_text(outside + (clip / "boxes.txt").read_text())
+    options = ["--boxes", tmp_path / "boxes.txt", "--homography", clip / "homography.txt"]
+    arguments = "observe", clip / "frames", *options, "-o", tmp_path / "o.csv", "--render", tmp_path / "shown"
+    assert run(*arguments).returncode == 130 and not (tmp_path / "shown").exists()
+    done = run(*arguments)
+    assert done.returncode == 0 and "going on after 3 frames" in done.stderr, done.stderr
+    assert "frame 0, track 9: found a box" in done.stderr  # of which the first run could not tell
+    whole = drawn(tmp_path / "shown")
+    assert sorted(whole) == list(range(6))
+    plain = FrameSource.open(clip / "frames")
+    for frame, item in zip(plain, read_boxes(clip / "boxes.txt"), strict=True):
+        changed = (cv2.resize(frame.image, None, fx=2, fy=2) != whole[frame.number]).any(axis=2)
+        left, top, width, _ = (round(2 * value) for value in item.box)
+        assert changed[top, left : left + width].mean() > 0.9  # small images are drawn twice as large
+    out = tmp_path / "again.mp4"
+    done = run("observe", clip / "frames", *options, "-o", tmp_path / "again.csv", "--render", out)
+    assert done.returncode == 0 and f"and {out}" in done.stderr
+    assert FrameSource.open(out).count == 6
+
+
+def test_a_video_of_images_of_two_sizes_is_refused_at_the_first(clip: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for k, path in enumerate(sorted((clip / "frames").iterdir())):
+        image = cv2.imread(str(path))
+        cv2.imwrite(str(folder / path.name), image if k < 4 else image[:200])
+    arguments = "observe", folder, "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv", "--render"
+    done = run(*arguments, tmp_path / "shown.mp4")
+    assert done.returncode == 2 and "frame 4 of 320 × 200 pixels, expected 320 × 240" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["frames"]
+    assert run(*arguments, tmp_path / "shown").returncode == 0
+    assert len(drawn(tmp_path / "shown")) == 6
+
+
+@pytest.mark.parametrize("name", ["film.mkv", "no/such/folder/film.mp4", "boxes.txt/film"])
+def test_where_no_pictures_can_be_is_told_before_the_work(clip: Path, tmp_path: Path, name: str) -> None:
+    arguments = "observe", clip / "frames", "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv"
+    done = run(*arguments, "--render", tmp_path / name)
+    assert done.returncode == 2 and done.stderr.count("error:") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_without_people_is_one_line(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "0001.png"), np.full((200, 200, 3), 90, np.uint8))
+    done = run("observe", tmp_path, "-o", tmp_path / "out.csv")
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines()[-1].startswith("error: found a video without people")
+    assert not (tmp_path / "out.csv").exists()

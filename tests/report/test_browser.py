@@ -1,0 +1,81 @@
+"""The page of many people in a browser: one visit, from which the tests look at what was there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_up import observed, walker
+from page_scripts import in_browser
+
+from graphtrack.report.build import tracking_report
+from graphtrack.report.html import render_report
+from graphtrack.tracks import TrackSet
+
+PEOPLE = 60
+
+VISIT = (Path(__file__).parent / "visit.js").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    n, hz = 30, 2.5
+    t = np.arange(n) / hz
+
+    def person(i):
+        # All on parallel lines but the first, whose path crosses the middle of the scene.
+        y = np.full(n, float(i)) if i else np.linspace(PEOPLE / 2 - 0.6, PEOPLE / 2 - 0.4, n)
+        x = np.linspace(0.0, 20.0, n) if i else np.linspace(9.0, 11.0, n)
+        return walker(i, n=n, t=t, position=np.stack([x, y], axis=1), label=f"walker {i}<b>")
+
+    tracks = tuple(person(i) for i in range(PEOPLE))
+    report = tracking_report(TrackSet(tracks), TrackSet(tuple(observed(track) for track in tracks)))
+    return in_browser(render_report(report), VISIT, tmp_path_factory.mktemp("browser"))
+
+
+def test_people_stand_on_pages_and_are_found(seen):
+    assert seen["names"] == [f"{i} walker {i}<b>" for i in range(24)]
+    assert seen["page"] == "1–24 of 60" and seen["tally"] == "60 of 60 shown"
+    assert seen["second"] == [f"{i} walker {i}<b>" for i in range(24, 48)]
+    assert seen["found"] == ["7 walker 7<b>", "31 walker 31<b>"]
+    assert seen["foundTally"] == "2 found, 60 of 60 shown"
+
+
+def test_all_none_or_only_some_are_shown(seen):
+    assert seen["only"] == "2 found, 2 of 60 shown"
+    assert seen["none"] == "2 found, 0 of 60 shown" and seen["empty"].endswith("0 people")
+    assert seen["all"] == "2 found, 60 of 60 shown"
+
+
+def test_keys_and_buttons_step_by_frames(seen):
+    assert [seen[name] for name in ("on", "ten", "back", "button")] == pytest.approx([0.4, 4.4, 4.0, 4.4])
+
+
+def test_replay_and_chart_are_drawn(seen):
+    assert seen["drawn"] == [True, True]
+
+
+def test_tables_page_search_and_sort(seen):
+    assert seen["rows"] == [str(i) for i in range(20)]
+    assert seen["rowsFound"] == ["5", *(str(i) for i in range(50, 60))]
+    assert seen["sorted"] == [str(i) for i in range(59, 39, -1)] and seen["aria"] == "descending"
+
+
+def test_one_choice_leads_the_replay_the_chart_the_table_and_the_address(seen):
+    assert seen["visited"]["name"] == "Person 59 walker 59<b>"
+    assert seen["visited"]["chart"] == "59 walker 59<b>"
+    assert seen["visited"]["row"] == "59"
+    assert seen["visited"]["hash"] == "#t=4.40&person=59"
+    assert "59 walker 59<b>" in seen["visited"]["label"] and seen["visited"]["reading"].startswith(
+        "4.40 s: body"
+    )
+    assert seen["typed"] == "Person 33 walker 33<b>" and seen["after"] == "34 walker 34<b>"
+    assert seen["escaped"]
+
+
+def test_the_pointer_names_and_a_click_chooses(seen):
+    assert seen["tip"].startswith("0 walker 0<b>")
+    assert seen["clicked"] == "Person 0 walker 0<b>"
+
+
+def test_every_control_has_a_name(seen):
+    assert seen["unnamed"] == []

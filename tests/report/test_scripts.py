@@ -1,0 +1,202 @@
+"""The page's scripts that touch no page, run in node."""
+
+import json
+
+import numpy as np
+import pytest
+from made_up import observed, scene, walker
+from page_scripts import in_node
+
+from graphtrack.angles import wrap
+from graphtrack.report.html import packed
+from graphtrack.report.pairing import pair_tracks
+from graphtrack.report.replay import replay_data
+from graphtrack.tracks import TrackSet
+
+
+def data_of(*tracks, **options):
+    return replay_data(pair_tracks(TrackSet(tracks)), **options)
+
+
+def decoded(data):
+    """JavaScript that makes the people."""
+    return (
+        f"const data = {json.dumps(data)};"
+        "const people = data.people.map((coded) => decodePerson(coded, data.steps));"
+    )
+
+
+def test_the_page_unpacks_what_python_packed():
+    data = replay_data(pair_tracks(*scene(people=3)))
+    assert in_node(("replay_data.js",), f"return unpack({packed(data)!r});") == json.loads(json.dumps(data))
+
+
+def steps(data, count, start=0.0):
+    """The times that `count` steps on and as many back lead to."""
+    code = f"""{decoded(data)}
+    const times = sampleTimes(people), on = [{start}], back = [];
+    for (let k = 0; k < {count}; k++) on.push(stepTime(times, data.frame, on[on.length - 1], 1));
+    back.push(on[on.length - 1]);
+    for (let k = 0; k < {count}; k++) back.push(stepTime(times, data.frame, back[back.length - 1], -1));
+    return [on, back];"""
+    on, back = in_node(("replay_data.js",), code)
+    return np.array(on), np.array(back)
+
+
+@pytest.mark.parametrize("hz", [1 / 3, 2.5, 10.0, 25.0])
+def test_a_step_of_the_replay_is_a_frame_of_the_data(hz):
+    on, back = steps(data_of(walker(hz=hz, n=30)), 12)
+    assert on == pytest.approx(np.arange(13) / hz, abs=1e-3)
+    assert back == pytest.approx(on[::-1])
+
+
+def test_a_step_stops_at_the_ends_and_goes_to_a_frame_from_in_between():
+    data = data_of(walker(hz=2.5, n=3))
+    on, back = steps(data, 5)
+    assert on == pytest.approx([0, 0.4, 0.8, 0.8, 0.8, 0.8], abs=1e-3)
+    assert back == pytest.approx([0.8, 0.4, 0, 0, 0, 0], abs=1e-3)
+    assert steps(data, 1, start=0.3)[0] == pytest.approx([0.3, 0.4], abs=1e-3)
+
+
+def test_with_mixed_rates_a_step_is_the_next_frame_of_anybody():
+    quick, slow = walker(1, hz=25.0, n=11), walker(2, hz=2.5, n=4)
+    on, back = steps(data_of(quick, slow), 12)
+    assert on == pytest.approx([*np.arange(11) * 0.04, 0.8, 1.2], abs=1e-3)
+    assert back == pytest.approx(on[::-1])
+
+
+def test_cameras_a_few_milliseconds_apart_take_a_frame_together():
+    first = walker(1, hz=10.0, n=20)
+    later = walker(2, hz=10.0, n=20, t=first.t + 0.004)
+    on, _ = steps(data_of(first, later), 10)
+    assert np.diff(on) == pytest.approx(np.full(10, 0.1), abs=0.005)
+
+
+def test_steps_of_thinned_data_are_even():
+    data = data_of(walker(hz=25.0, n=100), max_samples=34)
+    on, _ = steps(data, 10)
+    assert data["frame"] == pytest.approx(0.12)
+    assert on == pytest.approx(np.arange(11) * 0.12, abs=1e-3)
+
+
+PEOPLE = [
+    {"id": "1", "label": "Anna"},
+    {"id": "2", "label": ""},
+    {"id": "12", "label": "left Hall"},
+    {"id": "120", "label": "right hall"},
+]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("", [0, 1, 2, 3]),
+        ("  ,", [0, 1, 2, 3]),
+        ("12", [2]),
+        ("1, 2", [0, 1]),
+        ("HALL", [2, 3]),
+        ("anna, 120", [0, 3]),
+        ("12 left hall", [2]),
+        ("nobody", []),
+    ],
+)
+def test_people_are_found_by_whole_ids_and_parts_of_labels(words, found):
+    code = f"""const people = {json.dumps(PEOPLE)};
+    people.forEach((p) => {{ p.name = p.id + (p.label ? " " + p.label : ""); }});
+    return findPeople(people, {json.dumps(words)});"""
+    assert in_node(("people.js",), code) == found
+
+
+def test_an_id_that_nobody_has_finds_those_that_begin_with_it():
+    code = f"return findPeople({json.dumps([{**p, 'name': p['id']} for p in PEOPLE[2:]])}, '1');"
+    assert in_node(("people.js",), code) == [0, 1]
+
+
+def test_pages_hold_everything_once():
+    code = """return [0, 1, 24, 25, 300].map((count) => {
+      const first = pageOf(count, 24, 0), seen = [];
+      for (let page = 0; page < first.pages; page++) {
+        const p = pageOf(count, 24, page);
+        for (let i = p.from; i < p.to; i++) seen.push(i);
+      }
+      const whole = seen.length === count && seen.every((x, i) => x === i);
+      return [whole, pageOf(count, 24, 99).page === first.pages - 1];
+    });"""
+    assert in_node(("people.js",), code) == [[True, True]] * 5
+
+
+def test_who_is_chosen_is_shown_and_everybody_hears_of_it():
+    code = """const crowd = createCrowd([{ id: "7", shown: true }, { id: "8", shown: true }]);
+    let heard = 0; crowd.onChange(() => { heard += 1; });
+    crowd.showOnly([0]); const hidden = crowd.people[1].shown;
+    crowd.choose(crowd.indexOf("8"));
+    return [hidden, crowd.people[1].shown, crowd.chosen, heard, crowd.indexOf("9")];"""
+    assert in_node(("people.js",), code) == [False, True, 1, 2, -1]
+
+
+def test_the_pointer_finds_people_then_paths():
+    t = np.arange(11) / 10.0
+
+    def line(track_id, y, later=0.0):
+        return walker(track_id, n=11, t=t + later, position=np.stack([t, np.full(11, y)], axis=1))
+
+    code = f"""{decoded(data_of(line(1, 0.0), line(2, 1.0, later=5.0), line(3, 2.0)))}
+    people[2].shown = false;
+    const at = (x, y, everything) => pickPerson(people, x, y, 0.6, 0.3, everything, 0.01);
+    return [at(0.62, 0.05, false), at(0.4, 0.03, false), at(0.1, 0, false), at(0.1, 0, true),
+            at(0.5, 1.02, false), at(0.5, 1.02, true), at(0.6, 2, true), at(0.6, 0.5, true)];"""
+    person, trail, behind, whole, absent, path, hidden, nowhere = in_node(
+        ("replay_data.js", "replay_pick.js"), code
+    )
+    assert person == {"index": 0, "time": 0.6}
+    assert trail == {"index": 0, "time": pytest.approx(0.4)}
+    assert behind is None and whole == {"index": 0, "time": pytest.approx(0.1)}
+    assert absent is None and path == {"index": 1, "time": pytest.approx(5.5)}
+    assert hidden is None and nowhere is None
+
+
+ROWS = [["10", "b"], ["9", "–"], ["–", "a"], ["-1.5", "b"]]
+
+
+@pytest.mark.parametrize(
+    ("column", "way", "order"), [(0, 1, [3, 1, 0, 2]), (0, -1, [0, 1, 3, 2]), (1, 1, [2, 0, 3, 1])]
+)
+def test_tables_sort_numbers_as_numbers_with_dashes_last(column, way, order):
+    code = f"return sortedRows({json.dumps(ROWS)}, {column}, {way});"
+    assert in_node(("tables.js",), code) == order
+
+
+@pytest.mark.parametrize(
+    ("words", "found"), [("", [0, 1, 2, 3]), (" B", [0, 3]), ("1", []), ("9, a", [1, 2])]
+)
+def test_tables_find_whole_numbers_and_parts_of_words(words, found):
+    assert in_node(("tables.js",), f"return filteredRows({json.dumps(ROWS)}, {words!r});") == found
+
+
+def test_the_chart_draws_angles_without_jumps_and_once_in_every_turn():
+    rng = np.random.default_rng(0)
+    angle = wrap(np.cumsum(rng.normal(0.4, 0.5, 60)))
+    values = [None if 20 <= i < 25 else float(a) for i, a in enumerate(angle)]
+    code = f"""const angle = {json.dumps(values)}.map((x) => (x === null ? NaN : x));
+    const t = angle.map((_, i) => i / 10 + (i >= 40 ? 9 : 0));
+    const path = unwrapped(Float64Array.from(angle)), runs = knownRuns(t, path, 0.5);
+    const low = Math.min(...path.filter(Number.isFinite)), high = Math.max(...path.filter(Number.isFinite));
+    return [Array.from(path), runs, low, high, turnsInSight(low, high)];"""
+    path, runs, low, high, turns = in_node(("replay_data.js", "angles_draw.js"), code)
+    assert runs == [[0, 19], [25, 39], [40, 59]]  # what is not known, and a hole, end a run
+    known = np.array([x for x in path if x is not None])
+    assert known == pytest.approx(np.unwrap([a for a in values if a is not None]))
+    for k in range(-20, 21):
+        assert (k in turns) == (high + 2 * np.pi * k >= -np.pi and low + 2 * np.pi * k <= np.pi)
+
+
+def test_what_the_chart_says_in_words():
+    person = walker(4, n=30, hz=10.0)
+    data = replay_data(pair_tracks(TrackSet((person,)), TrackSet((observed(person, slice(0, 5)),))))
+    code = f"{decoded(data)} return [0, 1, 99].map((t) => anglesInWords(people[0], t));"
+    unseen, seen, later = in_node(("replay_data.js", "angles_draw.js"), code)
+    body, head = np.degrees(person.body[10]), np.degrees(person.head[10])
+    assert f"body {body:.0f}° ± 8° (observed" in seen.replace("−", "-")
+    assert f"head {head:.0f}° ± 10° (truth {head:.0f}°)" in seen.replace("−", "-")
+    assert "observed" not in unseen
+    assert later == "99.00 s: not there (0.0 to 2.9 s)"

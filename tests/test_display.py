@@ -1,0 +1,147 @@
+"""What objects say of themselves: one short line, and a small table, in which labels are text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import graphtrack as gt
+from graphtrack.evaluation import Comparison
+from graphtrack.model import LikelihoodParameters, MotionParameters
+from graphtrack.tracks import Track, TrackSet
+
+NASTY = "<script>alert('&')</script>" * 10
+CHANGED = gt.Parameters(MotionParameters(0.2, 0.3, 0.4), likelihood=LikelihoodParameters(robust="huber"))
+SAID_OF_CHANGED = (
+    "Model('joint', motion.acceleration_density=0.2, motion.initial_speed_std=0.3, motion.head_rate=0.4, "
+    "likelihood.robust='huber')"
+)
+
+
+class Nasty(gt.Term):
+    """<script>alert()</script>"""
+
+    factors = cost = None  # type: ignore[assignment]
+
+
+@cache
+def people() -> TrackSet:
+    return gt.simulate("joint", n_tracks=3, n_steps=200, rng=np.random.default_rng(0))
+
+
+@cache
+def solution() -> gt.Solution:
+    (found,) = gt.solve(TrackSet((people()[0][:20],)), "joint")
+    assert isinstance(found, gt.Solution)
+    return found
+
+
+@cache
+def comparison() -> Comparison:
+    return gt.compare(people(), ["kf", "rts"], model="joint")
+
+
+def online(count: int) -> gt.OnlineSmoother:
+    made = gt.OnlineSmoother("joint", lag=1.0)
+    for k in range(count):
+        made.update(gt.Observation(0.5 * k, frame=k, position=(k, 2.0), head=0.5))
+    return made
+
+
+def estimate(**seen: object) -> gt.Estimate:
+    return online(2).update(gt.Observation(1.0, frame=2, **seen))  # type: ignore[arg-type]
+
+
+def labelled() -> TrackSet:
+    return TrackSet(tuple(replace(people()[0][:5], track_id=i, label=NASTY) for i in range(500)))
+
+
+SHORT: dict[str, tuple[Callable[[], object], str]] = {
+    "tracks": (people, "TrackSet(3 tracks, 600 person-frames, 0.0–19.9 s, body, head; truth)"),
+    "no tracks": (lambda: people().with_tracks([]), "TrackSet(0 tracks)"),
+    "track": (lambda: people()[0], "Track(0, 'simulated 0', 200 frames, 0.0–19.9 s, body, head; truth)"),
+    "positions": (
+        lambda: Track(7, np.arange(1), np.ones(1), np.ones((1, 2))),
+        "Track(7, 1 frame, 1.0–1.0 s)",
+    ),
+    "estimates": (
+        lambda: replace(solution().track, label="", true_position=None),
+        "Track(0, 20 frames, 0.0–1.9 s, body, head; estimates)",
+    ),
+    "model": (lambda: gt.Model("joint"), "Model('joint')"),
+    "model with a term": (lambda: gt.Model("full", terms=[Nasty]), "Model('full', Nasty)"),
+    "model with parameters": (lambda: gt.Model("joint", CHANGED), SAID_OF_CHANGED),
+    "nobody yet": (
+        lambda: online(0),
+        "OnlineSmoother(model Model('joint'), engine chain, lag 1 s, window empty)",
+    ),
+    "online": (
+        lambda: online(4),
+        "OnlineSmoother(model Model('joint'), engine chain, lag 1 s, window 0.5–1.5 s)",
+    ),
+    "waiting": (
+        lambda: online(0).update(gt.Observation(0.0, head=1.0)),
+        "Estimate(t=0 s, frame 0, 'waiting')",
+    ),
+    "comparison": (comparison, "Comparison(kf, rts; 3 tracks, 0 failed, 0 left out)"),
+}
+
+
+@pytest.mark.parametrize(("make", "said"), SHORT.values(), ids=SHORT)
+def test_a_line_says_what_it_is(make: Callable[[], object], said: str) -> None:
+    assert repr(make()) == said
+
+
+def test_results_say_how_they_came_out() -> None:
+    assert repr(solution()).startswith("Solution(track 0, 20 frames, cost ")
+    assert repr(solution()).endswith(" steps, converged, chain)")
+    said = repr(estimate(position=(2.0, 2.0)))
+    assert said.startswith("Estimate(t=1 s, frame 2, 'new', position (") and "m/s, body " in said
+    assert comparison()._repr_html_().count("<tr>") == 3
+
+
+class Cells(HTMLParser):
+    """The tags of a page, and the text between them."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.text = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.tags.add(tag)
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+THINGS: dict[str, Callable[[], object]] = {
+    **{name: make for name, (make, _) in SHORT.items()},
+    "solution": solution,
+    "estimate": lambda: estimate(position=(2.0, 2.0)),
+    "failed": lambda: replace(estimate(), reason=NASTY[:200]),
+    "nasty tracks": labelled,
+    "a nasty track": lambda: labelled()[3],
+    "a nasty solution": lambda: replace(solution(), track=labelled()[3]),
+}
+
+
+@pytest.mark.parametrize("make", THINGS.values(), ids=THINGS)
+def test_it_is_short_and_a_table_of_text(make: Callable[[], object]) -> None:
+    thing = make()
+    assert len(repr(thing)) < 450 and "\n" not in repr(thing)
+    page = thing._repr_html_()  # type: ignore[attr-defined]
+    assert len(page) < 5000
+    assert {"table"} <= Cells(page).tags <= {"table", "caption", "tr", "th", "td"}
+
+
+def test_of_many_tracks_the_first_are_shown_and_their_labels_as_they_are() -> None:
+    text = Cells(labelled()._repr_html_()).text
+    assert "and 490 more" in text
+    assert "<script>alert(" in text

@@ -1,0 +1,202 @@
+"""What users hand over in their first hour: it works, or one error says what was expected."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import graphtrack as gt
+from graphtrack.learning import fit
+from graphtrack.tracks import Track, TrackSet
+
+PEOPLE = gt.simulate("separate", n_tracks=3, n_steps=12, rng=np.random.default_rng(0))
+PERSON = PEOPLE[1]
+TABLE = PEOPLE.to_table()
+COLUMNS = {name: TABLE[name].tolist() for name in TABLE}
+
+
+def refused(call, *arguments, **options) -> str:
+    with pytest.raises(gt.InputError) as caught:
+        call(*arguments, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("given") / "tracks.csv"
+    gt.write(PEOPLE, path)
+    return path
+
+
+FORMS = {
+    "a path": lambda path: path,
+    "a path as text": str,
+    "paths": lambda path: [path],
+    "a table": lambda path: TABLE,
+    "columns": lambda path: COLUMNS,
+    "tracks": lambda path: list(PEOPLE),
+}
+
+
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+def test_whatever_holds_tracks_is_smoothed_as_they_are(form, path) -> None:
+    expected = gt.smooth(PEOPLE, "position")
+    found = gt.smooth(form(path), "position")
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one.position, other.position, atol=1e-9)
+
+
+def test_every_entry_takes_the_same(path) -> None:
+    assert [s.track.track_id for s in gt.solve(str(path), "position")] == [0, 1, 2]
+    assert gt.compare(path, ["kf"], model="position").rows
+    assert len(gt.add_noise(path, position_std=0.1, rng=np.random.default_rng(0))) == 3
+    online = gt.track_online(path, "position")
+    np.testing.assert_allclose(online[1].position, gt.track_online(PERSON, "position").position, atol=1e-9)
+
+
+def test_a_track_gives_a_track(tmp_path) -> None:
+    for function in (gt.smooth, gt.track_online):
+        assert type(function(PERSON, "position")) is Track
+        assert type(function(TrackSet((PERSON,)), "position")) is TrackSet
+    (solution,) = gt.solve(PERSON, "position")
+    assert solution.track.track_id == 1
+    gt.write(PERSON, tmp_path / "one.csv")
+    assert len(gt.read(tmp_path / "one.csv")) == 1
+
+
+ENTRIES = [gt.smooth, gt.solve, gt.track_online, gt.compare, fit]
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.__name__)
+def test_positions_alone_are_told_how_to_become_a_track(entry) -> None:
+    for positions in (np.zeros((4, 2)), [[0.0, 1.0]] * 4):
+        said = refused(entry, positions)
+        assert "of shape (4, 2)" in said and "Track(0, frame=np.arange(4), t=np.arange(4) / fps" in said
+    for nonsense in (np.zeros((4, 3)), 7, None, [], [1, [2]], b"tracks.csv"):
+        assert "expected a TrackSet, a Track, a table or the path of a file" in refused(entry, nonsense)
+    assert "no/such.csv" in refused(entry, "no/such.csv")
+
+
+def test_a_quantity_that_is_none_is_told_the_known_ones() -> None:
+    for track in (PERSON, gt.smooth(PERSON, "position")):
+        assert "one of x, y, vx, vy, body, head" in refused(track.std, "z")
+
+
+def test_a_missing_id_is_told_those_that_are_there() -> None:
+    for key in (7, "1"):
+        with pytest.raises(KeyError) as caught:
+            PEOPLE[key]
+        assert str(caught.value) == f"found no track {key!r}, expected one of the ids 0, 1, 2"
+        assert isinstance(caught.value, gt.InputError)
+        assert type(pickle.loads(pickle.dumps(caught.value))) is type(caught.value)
+    many = TrackSet(tuple(replace(PERSON, track_id=i) for i in range(300)))
+    with pytest.raises(KeyError, match="and 290 more"):
+        many[1000]
+
+
+def test_a_slice_is_of_places() -> None:
+    people = PEOPLE.with_tracks(reversed(PEOPLE.tracks))
+    assert [track.track_id for track in people[0:2]] == [2, 1]
+    assert isinstance(people[:0], TrackSet) and not len(people[:0])
+
+
+def test_columns_that_are_none_are_named() -> None:
+    assert "x (3)" in refused(TrackSet.from_table, COLUMNS | {"x": [1.0, 2.0, 3.0]})
+    assert "column x: found an array of shape (36, 2)" in refused(
+        TrackSet.from_table, COLUMNS | {"x": np.zeros((36, 2))}
+    )
+    assert "column y" in refused(TrackSet.from_table, COLUMNS | {"y": 0.0})
+    assert "found a list, expected a DataFrame, or a dict of columns" in refused(TrackSet.from_table, [1])
+
+
+@pytest.mark.parametrize("zone", [None, "Europe/Zurich"])
+def test_dates_and_times_become_seconds_and_a_note_says_so(zone) -> None:
+    begin = pd.Timestamp("2024-02-29 12:00:00.25", tz=zone)
+    seconds = np.tile(np.arange(12) / 10, 3)
+    for t, first in (
+        (begin + pd.to_timedelta(seconds, unit="s"), begin.timestamp()),
+        (pd.to_timedelta(seconds, unit="s"), 0.0),
+    ):
+        found = TrackSet.from_table(TABLE.assign(t=t))
+        np.testing.assert_allclose(found[2].t, first + np.arange(12) / 10, atol=1e-6)
+        assert any("since 1970" in note for note in found.summary.notes)
+    assert "column x: found dates or times" in refused(
+        TrackSet.from_table, TABLE.assign(x=pd.to_timedelta(seconds, unit="s"))
+    )
+    gap = TABLE.assign(t=begin + pd.to_timedelta(np.where(seconds == 0.5, np.nan, seconds), unit="s"))
+    assert "column t: found an empty cell" in refused(TrackSet.from_table, gap)
+
+
+TOO_LARGE = {
+    "position": 2e8,
+    "position_std": 2e8,
+    "pixel": -2e6,
+    "body": 1e5,
+    "body_kappa": 1e10,
+    "head_likelihood": 1e13,
+    "true_position": -1e300,
+    "velocity": np.inf,
+    "covariance": np.inf,
+}
+SMALL = {"position_std": 0.0, "body_kappa": -1.0, "head_likelihood": -0.1}
+
+
+@pytest.mark.parametrize(("name", "value"), [*TOO_LARGE.items(), *SMALL.items()])
+def test_a_number_out_of_bounds_is_named_with_its_frame(name: str, value: float) -> None:
+    tails = {"position": (2,), "pixel": (2,), "true_position": (2,), "velocity": (2,), "covariance": (6, 6)}
+    values = np.ones((12, *tails.get(name, (12,) if "likelihood" in name else ())))
+    values[0] = np.nan
+    assert getattr(replace(PERSON, **{name: values}), name) is not None
+    values[5] = value
+    said = refused(replace, PERSON, **{name: values})
+    assert f"{name} = {value:g} in frame 5 of track 1" in said and "expected a number " in said
+
+
+def test_arrays_of_another_shape_are_told_the_right_one() -> None:
+    said = refused(replace, PERSON, position=np.zeros((12, 3)))
+    assert "position of shape (12, 3)" in said and "shape (12, 2): x and y in metres" in said
+    assert "body" in refused(replace, PERSON, body=["north"] * 12)
+    assert "track_id 1.5" in refused(replace, PERSON, track_id=1.5)
+    assert "frame 3000000000" in refused(replace, PERSON, frame=np.arange(12) + 3_000_000_000 - 11)
+
+
+SEEN = {
+    "position": [(1e300, 3.0), (1.0, 2.0, 3.0), (1.0,), 4.0, "ab", (None, 1.0), (np.nan, 0.0)],
+    "pixel": [(2e6, 0.0)],
+    "position_std": [0.0, 1e9, (1.0, 1.0), "x"],
+    "head": [1e5, np.inf, [0.1]],
+    "head_kappa": [-1.0, 1e10],
+    "head_likelihood": [(1.0,) * 8, (-1.0,) * 12, (1e13,) * 12],
+    "t": [1e12, np.nan, None, "now"],
+}
+
+
+@pytest.mark.parametrize("engine", ["chain", "fixed-lag"])
+def test_an_observation_that_no_engine_could_use_names_its_channel(engine) -> None:
+    smoother = gt.OnlineSmoother("separate", engine=engine)
+    good = {"t": 0.0, "position": (0.0, 0.0)}
+    for name, values in SEEN.items():
+        for value in values:
+            said = refused(smoother.update, gt.Observation(**good | {name: value}))
+            assert said.startswith(f"found {name} = ") and "number" in said
+    assert smoother.update(gt.Observation(0.0, position=(0.0, 0.0))).status == "new"
+
+
+def test_an_observation_may_have_arrays_and_lists() -> None:
+    for position in (PERSON.position[0], PERSON.position[0].tolist()):
+        estimate = gt.OnlineSmoother("separate").update(gt.Observation(0.0, position=position))
+        np.testing.assert_allclose(estimate.position, PERSON.position[0])
+
+
+def test_nothing_of_it_warns() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        TrackSet.from_table(COLUMNS)
+        refused(replace, PERSON, position=np.full((12, 2), 1e200))

@@ -1,0 +1,68 @@
+"""What is said of compiling: before and after, once, and nothing where the machine code is there."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numba
+import pytest
+
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.readiness import Rehearsal, is_cold, make_ready
+
+
+def kernel():
+    """A compiled function that knows nothing of those made before, as in a new process."""
+
+    @compiled
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    return half
+
+
+def said(caplog: pytest.LogCaptureFixture, half) -> list[str]:
+    """The log of making a function ready, which it is then."""
+    caplog.clear()
+    make_ready("something", Rehearsal(lambda: half(1.0), {half: 12.0}))
+    assert half.signatures and not is_cold(half)
+    assert {record.name for record in caplog.records} <= {"graphtrack"}
+    return [record.getMessage() for record in caplog.records]
+
+
+def test_it_is_said_once_on_a_machine(monkeypatch, tmp_path: Path, caplog) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    caplog.set_level(logging.WARNING, "graphtrack")
+    half = kernel()
+    assert is_cold(half)
+    before, after = said(caplog, half)
+    assert before == "compiling something, once on this machine: about 10 s …"
+    assert after.startswith("compiled in ")
+    assert said(caplog, half) == []
+    again = kernel()
+    assert not is_cold(again)
+    assert said(caplog, again) == []
+
+
+def test_machine_code_of_another_compiler_is_none(monkeypatch, tmp_path: Path, caplog) -> None:
+    from graphtrack.model.kernels import fingerprint
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    said(caplog, kernel())
+    monkeypatch.setattr(fingerprint, "_machine", lambda: "another")
+    fingerprint.fingerprint.cache_clear()
+    assert is_cold(kernel())
+    fingerprint.fingerprint.cache_clear()
+
+
+def test_where_nothing_can_be_kept_it_says_so_every_time(monkeypatch, tmp_path: Path, caplog) -> None:
+    (tmp_path / "taken").write_text("")
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "taken"))
+    for _ in range(2):
+        assert "in every process" in said(caplog, kernel())[0]
+
+
+def test_functions_that_are_not_compiled_at_all_are_ready() -> None:
+    assert not is_cold(len)
+    make_ready("something", Rehearsal(pytest.fail, {len: 1.0}))
