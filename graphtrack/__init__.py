@@ -6,7 +6,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from graphtrack.degrade import add_noise
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.inference import (
@@ -22,7 +21,8 @@ if TYPE_CHECKING:
     )
     from graphtrack.io import ReadOptions, read, write
     from graphtrack.model import Model, Observation, Parameters, Term, presets
-    from graphtrack.simulation import simulate
+    from graphtrack.simulation.degrade import add_noise
+    from graphtrack.simulation.sampling import simulate
     from graphtrack.tracks import ReadSummary, Track, TrackSet
 
     __version__: str
@@ -59,7 +59,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "degrade": ("add_noise",),
+    "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
     "evaluation.compare": ("Comparison", "compare"),
     "inference": (
@@ -75,7 +75,7 @@ _HOMES = {
     ),
     "io": ("ReadOptions", "read", "write"),
     "model": ("Model", "Observation", "Parameters", "Term", "presets"),
-    "simulation": ("simulate",),
+    "simulation.sampling": ("simulate",),
     "tracks": ("ReadSummary", "Track", "TrackSet"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
 
 

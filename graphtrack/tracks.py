@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
 from graphtrack.bounds import FIELDS, LARGEST_FRAME, LARGEST_ID
 from graphtrack.display import html_of_track, html_of_tracks, line_of_track, line_of_tracks, listed
 from graphtrack.errors import InputError, UnknownTrackError
+from graphtrack.geometry.angles import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from graphtrack.geometry import GroundCamera
+    from graphtrack.geometry.camera import GroundCamera
 
 STATE = ("x", "y", "vx", "vy", "body", "head")
 """Order of the state in ``Track.covariance``."""

@@ -10,7 +10,7 @@ import pytest
 
 from graphtrack.errors import InputError
 from graphtrack.learning import journal as learning
-from perception import journal as perception
+from perception.observe import journal as perception
 
 
 @pytest.mark.parametrize("kind", ["learning", "perception"])

@@ -11,7 +11,7 @@ import pytest
 from graphtrack.model import Model, Parameters, coupling, motion, orientation, pose, position, presets
 from graphtrack.model.parameters import range_of
 from graphtrack.model.steps import chain
-from graphtrack.simulation import simulate
+from graphtrack.simulation.sampling import simulate
 
 DOCUMENT = (Path(__file__).resolve().parents[1] / "docs" / "model.md").read_text(encoding="utf-8")
 

@@ -8,7 +8,7 @@ import pytest
 import graphtrack as gt
 import graphtrack.io
 from graphtrack.evaluation.compare import compare
-from graphtrack.simulation import simulate
+from graphtrack.simulation.sampling import simulate
 
 HEAVY = ("gtsam", "matplotlib", "pandas", "scipy")
 
@@ -38,7 +38,7 @@ def test_an_unknown_name_is_an_attribute_error():
 
 
 def test_public_functions_stay_functions_whatever_was_imported_first():
-    code = "import graphtrack.evaluation.compare, graphtrack.simulation, graphtrack as gt\n"
+    code = "import graphtrack.evaluation.compare, graphtrack.simulation.sampling, graphtrack as gt\n"
     code += "assert all(callable(getattr(gt, name)) for name in ('compare', 'simulate', 'smooth', 'read'))"
     assert "gtsam" in modules_after(code)
 

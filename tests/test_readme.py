@@ -8,7 +8,7 @@ from documents import ROOT, blocks, commands, run
 
 import graphtrack as gt
 from graphtrack.cli.main import app as graphtrack_app
-from graphtrack.inference.batch import build_graph
+from graphtrack.inference.graph.batch import build_graph
 from graphtrack.inference.initial import initial_states
 from graphtrack.model.steps import chain
 from perception.cli.main import app as perception_app

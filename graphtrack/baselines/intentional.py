@@ -16,9 +16,9 @@ from typing import Literal
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, direction, unit
 from graphtrack.baselines.isotropic import FilteredStates, Transition, filter_tracks
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, direction, unit
 
 Variant = Literal["printed", "consistent"]
 Displacement = Literal["smoothed", "velocity"]

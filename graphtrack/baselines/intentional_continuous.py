@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, direction, unit
 from graphtrack.baselines.isotropic import FilteredStates, Transition, filter_tracks, full_covariance
 from graphtrack.baselines.kalman import GaussianStates, as_track, position_std
 from graphtrack.errors import InputError, SolveError
+from graphtrack.geometry.angles import FloatArray, direction, unit
 from graphtrack.inference.initial import observed_vectors
 from graphtrack.model.intentional import steered_step
 from graphtrack.model.parameters import Parameters

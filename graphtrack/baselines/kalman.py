@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import SolveError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.motion import process_noise, transition_matrix
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks import Track

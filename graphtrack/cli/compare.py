@@ -59,10 +59,10 @@ def compare(
     """
     import numpy as np
 
-    from graphtrack.degrade import add_noise
     from graphtrack.evaluation.compare import compare as compare_methods
     from graphtrack.io import atomic_path
     from graphtrack.model import presets
+    from graphtrack.simulation.degrade import add_noise
 
     options.check_outputs(
         {"--json": json_path, "--figures": options.files_in(figures, FIGURES)},

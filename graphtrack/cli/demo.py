@@ -30,7 +30,7 @@ def demo(
     from graphtrack.report.build import tracking_report
     from graphtrack.report.html import write_report
     from graphtrack.report.plots import plot_angles, plot_tracks
-    from graphtrack.scenario import scenario
+    from graphtrack.simulation.scenario import scenario
 
     observed = scenario(np.random.default_rng(seed), seconds=seconds)
     angles = {track.track_id: f"angles-{track.track_id}.png" for track in observed}

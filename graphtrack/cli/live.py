@@ -20,8 +20,8 @@ from graphtrack.cli.state_file import StateFile
 from graphtrack.cli.stream import LONGEST_LINE, People
 from graphtrack.cli.warm import warm_up
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
-from graphtrack.inference.incremental import Engine, OnlineSmoother, online_engine
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.online import Engine, OnlineSmoother, online_engine
 from graphtrack.model import Model
 
 

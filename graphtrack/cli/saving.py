@@ -11,8 +11,8 @@ from typing import Any
 from graphtrack.cli.state_file import StateFile, seal
 from graphtrack.cli.stream import People
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
-from graphtrack.inference.incremental import OnlineSmoother
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import Model
 
 _VERSION = 1

@@ -48,8 +48,8 @@ def simulate(
 
     from graphtrack.io import write
     from graphtrack.model import Model
-    from graphtrack.scenario import scenario as scripted
-    from graphtrack.simulation import simulate as sample
+    from graphtrack.simulation.sampling import simulate as sample
+    from graphtrack.simulation.scenario import scenario as scripted
 
     options.check_outputs({"--output": output}, {"--model": options.model_file(model)}, table=output)
     rng = np.random.default_rng(seed)
@@ -80,8 +80,8 @@ def add_noise(
     """Take exact tracks as the truth and write noisy observations of them, the truth beside."""
     import numpy as np
 
-    from graphtrack.degrade import add_noise as noisy
     from graphtrack.io import write
+    from graphtrack.simulation.degrade import add_noise as noisy
 
     if position_noise is None and body_kappa is None and head_kappa is None:
         raise InputError("no noise", "at least one of --position-noise, --body-kappa, --head-kappa")

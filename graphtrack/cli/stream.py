@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.angles import wrap
 from graphtrack.errors import InputError
-from graphtrack.inference.incremental import Estimate, OnlineSmoother
+from graphtrack.geometry.angles import wrap
+from graphtrack.inference.online import Estimate, OnlineSmoother
 from graphtrack.io import schema
-from graphtrack.io.ndjson import Pairs, identity, parse_line, read_cells
+from graphtrack.io.formats.ndjson import Pairs, identity, parse_line, read_cells
 from graphtrack.model import Observation
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, STATE
 

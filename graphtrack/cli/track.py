@@ -73,7 +73,7 @@ def track(
     ] = 10.0,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone."""
-    from graphtrack.inference.incremental import OnlineSmoother, check_lag, online_engine, track_online
+    from graphtrack.inference.online import OnlineSmoother, check_lag, online_engine, track_online
     from graphtrack.io import write
     from graphtrack.model import Model
 
@@ -169,7 +169,7 @@ def _track_stream(
     save_every: float,
 ) -> None:
     from graphtrack.cli.live import track_stream
-    from graphtrack.geometry import GroundCamera
+    from graphtrack.geometry.camera import GroundCamera
     from graphtrack.io.cameras import read_homography
     from graphtrack.io.options import ReadOptions
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from graphtrack.inference.incremental import Engine
+from graphtrack.inference.online import Engine
 from graphtrack.inference.warm import SOLVER, online_rehearsal
 from graphtrack.model import Model
 from graphtrack.readiness import is_cold, make_ready

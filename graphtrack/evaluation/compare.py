@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from graphtrack.degrade import Occlusion, occlude
 from graphtrack.display import counted, html_table, listed
 from graphtrack.errors import InputError
 from graphtrack.evaluation.methods import Method, make_method
 from graphtrack.evaluation.metrics import BoolArray, consistency
 from graphtrack.evaluation.scoring import METRICS, QUANTITIES, TrackScore, score
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
+from graphtrack.simulation.degrade import Occlusion, occlude
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:

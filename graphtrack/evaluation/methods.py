@@ -10,11 +10,11 @@ from typing import Protocol
 
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
-from graphtrack.baselines.particle import particle_filter, particle_smoother
+from graphtrack.baselines.particle.filter import particle_filter, particle_smoother
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
-from graphtrack.inference.incremental import Engine, track_online
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import smooth_track
+from graphtrack.inference.online import Engine, track_online
 from graphtrack.model import Model
 from graphtrack.tracks import Track
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from graphtrack.angles import FloatArray, difference, mean_absolute_error
+from graphtrack.geometry.angles import FloatArray, difference, mean_absolute_error
 from graphtrack.tracks import STATE, Track
 
 Angle = Literal["body", "head"]

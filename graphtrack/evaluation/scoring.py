@@ -18,7 +18,7 @@ from graphtrack.evaluation.metrics import (
     position_rmse,
     velocity_rmse,
 )
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks import Track
 
 METRICS = {

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, circular_mean, difference, direction
-from graphtrack.degrade import MOVING_SPEED
 from graphtrack.errors import InputError, InputWarning
+from graphtrack.geometry.angles import FloatArray, circular_mean, difference, direction
+from graphtrack.simulation.degrade import MOVING_SPEED
 from graphtrack.tracks import Track
 
 WINDOW_FRAMES = 24

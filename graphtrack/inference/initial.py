@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, unit
 from graphtrack.errors import SolveError
-from graphtrack.geometry import GroundCamera
-from graphtrack.inference.initial_kernels import Seen, initialise
-from graphtrack.inference.problem import Problem, Result
+from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.problem import Problem, Result
+from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.model import Model, States
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.pose import class_centres

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
-from graphtrack.angles import wrap
 from graphtrack.errors import InputError, SolveError
-from graphtrack.geometry import GroundCamera
-from graphtrack.inference.batch import smooth_graph
-from graphtrack.inference.chain import is_chain, solve_packed
-from graphtrack.inference.chain_kernels import CONVERGED, NOT_FINITE
+from graphtrack.geometry.angles import wrap
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.engine import is_chain, solve_packed
+from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
+from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.solution import (
     Engine,

@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from graphtrack.angles import UNIFORM_STD, FloatArray
 from graphtrack.display import counted, html_pairs, line_of_track
+from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
 from graphtrack.tracks import Track
 
 Engine = Literal["chain", "gtsam"]

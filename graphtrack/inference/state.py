@@ -11,11 +11,11 @@ from typing import Any, Literal
 import gtsam
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.display import html_pairs
 from graphtrack.errors import GraphtrackError, InputError
-from graphtrack.geometry import GroundCamera
-from graphtrack.inference.marginal import MarginalPrior
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.prior import MarginalPrior
 from graphtrack.model import Model, Observation, Step
 
 STATE_VERSION = 3
@@ -90,7 +90,7 @@ class Window:
     steps : the steps whose variables are still open, oldest first
     values : index of a step → linearisation point x, y, vx, vy, body, head (metres, m/s, radians)
     prior : what remains of the steps before; None if there were none
-    anchor : else the angles (radians) that hold the first orientations; see `batch.anchors`
+    anchor : else the angles (radians) that hold the first orientations; see `graph.batch.anchors`
     modes : probabilities of the couplings' modes before the window; see `WindowModes`
     """
 

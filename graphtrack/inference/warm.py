@@ -7,16 +7,16 @@ from typing import Literal
 
 import numpy as np
 
-from graphtrack.geometry import GroundCamera
-from graphtrack.inference.chain import finish, is_chain, solve_packed
-from graphtrack.inference.chain_kernels import minimise
-from graphtrack.inference.chain_window import ChainWindow
-from graphtrack.inference.gait_kernels import renew_couplings, renew_tracks
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.engine import finish, is_chain, solve_packed
+from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
+from graphtrack.inference.chain.newton import minimise
+from graphtrack.inference.chain.restart import solve_tracks
+from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.chain.window import ChainWindow
+from graphtrack.inference.chain.window_kernels import let_go, solve_window
 from graphtrack.inference.initial import pack
-from graphtrack.inference.initial_kernels import initialise
-from graphtrack.inference.restart_kernels import solve_tracks
 from graphtrack.inference.solution import Engine
-from graphtrack.inference.window_kernels import let_go, solve_window
 from graphtrack.model import Model, Step
 from graphtrack.model.steps import observations, seconds_between
 from graphtrack.readiness import Costs, Rehearsal, make_ready

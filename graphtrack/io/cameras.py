@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
-from graphtrack.homography import check_homography
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.homography import check_homography
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.numbers import read_numbers
 from graphtrack.io.options import ReadOptions

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack import bounds
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.delimiters import other_delimiter
 from graphtrack.io.source import Source
 

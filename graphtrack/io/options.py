@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 
 
 @dataclass(frozen=True, eq=False)

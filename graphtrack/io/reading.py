@@ -8,10 +8,10 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from graphtrack.angles import FloatArray
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import read_homography
 from graphtrack.io.options import ReadOptions

@@ -27,7 +27,7 @@ FORMAT_MODULES = (
     "mot",
     "eth",
 )
-"""Modules of this package with a constant ``FORMAT``, the most distinctive contents first."""
+"""Modules of `graphtrack.io.formats` with a constant ``FORMAT``, the most distinctive contents first."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Format:
 @cache
 def formats() -> tuple[Format, ...]:
     """All formats, in the order in which they are tried."""
-    return tuple(importlib.import_module(f"graphtrack.io.{name}").FORMAT for name in FORMAT_MODULES)
+    return tuple(importlib.import_module(f"graphtrack.io.formats.{name}").FORMAT for name in FORMAT_MODULES)
 
 
 def files_beside(path: Path) -> tuple[Path, ...]:

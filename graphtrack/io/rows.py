@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks import ReadSummary, Track, TrackSet
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputWarning
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import Track, TrackSet
 
 FASTEST = 12.0

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray, wrap
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io import schema
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions

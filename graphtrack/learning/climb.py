@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import optimize
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 
 Blocks = Callable[[FloatArray], FloatArray]
 """x (p,) → a log density for each block of independent data; their sum is climbed."""

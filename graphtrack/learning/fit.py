@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import engine_of
 from graphtrack.io.given import tracks_of
 from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature, definite

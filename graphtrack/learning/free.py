@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Model, Parameters, Term
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.gait import GaitOffsets

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Model
 from graphtrack.model.kernels.frames import BODY, HEAD
 from graphtrack.model.kernels.packing import PackedTracks

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from graphtrack.angles import FloatArray
-from graphtrack.inference.chain_kernels import sweep_forward
-from graphtrack.inference.elimination_kernels import Workspace
-from graphtrack.inference.problem import N, Problem
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.elimination import Workspace
+from graphtrack.inference.chain.newton import sweep_forward
+from graphtrack.inference.chain.problem import N, Problem
 from graphtrack.model.kernels.compiled import compiled
 
 

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray, von_mises_log_density
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray, von_mises_log_density
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.initial import pack
 from graphtrack.learning.hidden import FOLDS, foretold, told
 from graphtrack.learning.kernels import log_determinants

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
-from graphtrack.geometry import GroundCamera
-from graphtrack.inference.chain import solve_packed, solve_terms
-from graphtrack.inference.chain_kernels import NOT_FINITE
-from graphtrack.inference.elimination_kernels import Workspace, workspace
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.elimination import Workspace, workspace
+from graphtrack.inference.chain.engine import solve_packed, solve_terms
+from graphtrack.inference.chain.newton import NOT_FINITE
+from graphtrack.inference.chain.problem import Problem, Result
 from graphtrack.inference.initial import empty_result, pack, problem_of
-from graphtrack.inference.problem import Problem, Result
 from graphtrack.inference.solution import bounded
 from graphtrack.inference.warm import SOLVER, offline_rehearsal
 from graphtrack.model import Model

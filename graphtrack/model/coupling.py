@@ -9,8 +9,8 @@ from typing import ClassVar
 import gtsam
 import numpy as np
 
-from graphtrack.angles import FloatArray, direction
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray, direction
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.custom import custom_factor
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.orientation import von_mises_between

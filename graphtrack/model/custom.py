@@ -13,8 +13,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import GraphtrackError
+from graphtrack.geometry.angles import FloatArray
 
 Residual = Callable[[gtsam.Values], FloatArray]
 Linearised = Callable[[gtsam.Values], tuple[FloatArray, Sequence[FloatArray]]]

@@ -9,8 +9,8 @@ import gtsam
 import numpy as np
 from scipy import special
 
-from graphtrack.angles import FloatArray
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.coupling import coupling_weights
 from graphtrack.model.kernels.gait import BINS, NEAR, Gait, Modes
 from graphtrack.model.kernels.packing import PackedTracks

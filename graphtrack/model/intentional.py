@@ -8,8 +8,8 @@ from typing import ClassVar, NamedTuple
 import gtsam
 import numpy as np
 
-from graphtrack.angles import FloatArray, unit
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.custom import custom_factor
 from graphtrack.model.kernels.motion import SMALL_TURN, STANDSTILL
 from graphtrack.model.kernels.packing import PackedTracks

@@ -13,7 +13,7 @@ import tomli_w
 
 from graphtrack.display import html_table, listed
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.gait import GaitOffsets

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from graphtrack.angles import FloatArray
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.steps import States, Step
 from graphtrack.model.term import Term

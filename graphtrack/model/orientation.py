@@ -9,8 +9,8 @@ import gtsam
 import numpy as np
 from scipy import special
 
-from graphtrack.angles import FloatArray
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.steps import States, Step
 from graphtrack.model.term import Term, Variable

@@ -15,8 +15,8 @@ import gtsam
 import numpy as np
 from scipy import special
 
-from graphtrack.angles import FloatArray, von_mises_log_density
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray, von_mises_log_density
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.custom import custom_factor
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.orientation import von_mises_prior

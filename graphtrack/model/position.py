@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
-from graphtrack.homography import apply_homography, jacobian
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.homography import apply_homography, jacobian
 from graphtrack.model.custom import custom_factor, unit_noise
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.position import CAUCHY, HUBER

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from gtsam.symbol_shorthand import B, H, V, X
 
-from graphtrack.angles import FloatArray
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks import Track
 
 

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 import gtsam
 
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.steps import States, Step

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, mean_absolute_error
+from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.report.content import AngleChart, Card, Note, Picture, Report, Section, Table
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots import plot_angles, plot_errors, plot_nees

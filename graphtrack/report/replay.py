@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.pairing import Pair
 from graphtrack.report.shapes import longest_step, probability_ellipse
 from graphtrack.report.style import person_colour, person_dash

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 
 NORMAL_95 = float(stats.norm.ppf(0.975))
 """Half-width of the central 95 % interval of a normal variable, in standard deviations."""

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, Solution, SolverOptions, solve
 from graphtrack.inference.solution import Engine
 from graphtrack.io.options import ReadOptions

@@ -9,10 +9,10 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.io import schema
-from graphtrack.io.native_parquet import column_values, damage_told
+from graphtrack.io.formats.native_parquet import column_values, damage_told
 from graphtrack.io.numbers import parse_number
 
 BLOCK = 65_536

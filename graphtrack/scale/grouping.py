@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
 from graphtrack.bounds import LARGEST_ID
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.table import check_integers
 from graphtrack.scale.dataset import Dataset
 

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.offline import BATCH, engine_of
 from graphtrack.inference.solution import Engine

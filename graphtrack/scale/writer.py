@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.io import schema
-from graphtrack.io.native_parquet import ROW_GROUP
+from graphtrack.io.formats.native_parquet import ROW_GROUP
 
 
 class ShardWriter:

@@ -10,7 +10,7 @@ from graphtrack.cli.console import console
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from graphtrack.geometry import GroundCamera
+    from graphtrack.geometry.camera import GroundCamera
 
 _SHOWN = 5
 
@@ -23,7 +23,7 @@ def read_camera(homography: Path | None, calibration: Path | None) -> GroundCame
     InputError
         If both are given, or the file cannot be used.
     """
-    from graphtrack.geometry import GroundCamera
+    from graphtrack.geometry.camera import GroundCamera
     from graphtrack.io.cameras import read_calibration, read_homography
 
     if homography is not None and calibration is not None:

@@ -58,11 +58,11 @@ def evaluate(
 
 
 def _pose(count: int, rng: np.random.Generator, plot: Path | None) -> None:
-    from perception.evaluation import PoseScores
-    from perception.evaluation import evaluate as judge
+    from perception.evaluation.measures import PoseScores
+    from perception.evaluation.measures import evaluate as judge
     from perception.models import HEAD_POSE, load_classifier
     from perception.synthetic import make_heads, make_pedestrians
-    from perception.training import FAR, FOUND_AS_WALKING
+    from perception.training.models import FAR, FOUND_AS_WALKING
 
     exact, found = make_heads(count, rng), make_heads(count, rng, FOUND_AS_WALKING)
     near, far = make_pedestrians(count, rng), make_pedestrians(count, rng, FAR)
@@ -103,7 +103,7 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None) -> None:
     )
     if plot is not None:
         from graphtrack.io import atomic_path
-        from perception.plots import reliability_figure
+        from perception.evaluation.plots import reliability_figure
 
         figure = reliability_figure(scores, degrees)
         with atomic_path(plot) as temporary:
@@ -112,11 +112,11 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None) -> None:
 
 
 def _localisation(count: int, train: int, rng: np.random.Generator) -> None:
-    from perception.head_detector import Weak
-    from perception.heads import HeadLocaliser
     from perception.models import load_head_localiser
+    from perception.pose.head_detector import Weak
+    from perception.pose.heads import HeadLocaliser
     from perception.synthetic import make_pedestrians
-    from perception.training import localisation_figures
+    from perception.training.models import localisation_figures
 
     people, judged = make_pedestrians(train, rng), make_pedestrians(count, rng)
     models = {"the package's (differential)": load_head_localiser()}
@@ -138,7 +138,7 @@ def _published(name: str, first: float, best: float, candidates: float) -> dict[
 
 
 def _recognition(rng: np.random.Generator) -> None:
-    from perception.recognition import recognition_table
+    from perception.evaluation.recognition import recognition_table
 
     for title, people, exemplars, repetitions in (
         ("34 people train, 34 test (004 Table 1)", 68, (1, 2), 1),
@@ -169,9 +169,9 @@ def _recognition(rng: np.random.Generator) -> None:
 
 
 def _joint(count: int, head_pose: str, rng: np.random.Generator) -> None:
-    from perception.joint_effect import joint_effect
+    from perception.evaluation.joint_effect import joint_effect
     from perception.models import load_classifier, load_head_localiser
-    from perception.pipeline import Models
+    from perception.observe.pipeline import Models
     from perception.synthetic.clips import walking_clip
 
     models = Models(load_head_localiser(), load_classifier("body_pose"), load_classifier(head_pose))

@@ -17,9 +17,9 @@ from graphtrack.display import counted
 from perception.cli.common import print_skipped, read_camera
 
 if TYPE_CHECKING:
-    from perception.box_camera import BoxCamera
-    from perception.guidance import GraphGuide
-    from perception.images import Image
+    from perception.follow.guidance import GraphGuide
+    from perception.images.pixels import Image
+    from perception.observe.world import BoxCamera
     from perception.trackers.tracker import Box, BoxEstimate
 
 _FILE = {"exists": True, "dir_okay": False}
@@ -93,12 +93,12 @@ def follow(
 ) -> None:
     """Follow one person or head through a video, and write its boxes as observations for graphtrack."""
     from graphtrack.errors import InputError
-    from perception import following
-    from perception.box_camera import PERSON_IN_HEADS, BoxCamera
-    from perception.drawing import check_render, draw, pictures
-    from perception.drawing.output import is_video
-    from perception.frames import FrameSource
-    from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
+    from perception.follow import following
+    from perception.images.drawing import check_render, draw, pictures
+    from perception.images.drawing.output import is_video
+    from perception.images.frames import FrameSource
+    from perception.observe.world import PERSON_IN_HEADS, BoxCamera
+    from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
     from perception.trackers.registry import OF_HEADS, make_tracker
 
     if head_pose not in ("frame", "filtered"):
@@ -135,7 +135,7 @@ def follow(
         return BoxCamera.from_box(first, PERSON_IN_HEADS if of_heads else 1.0, foot_at)
 
     def guide(first: Box) -> GraphGuide:
-        from perception.guidance import GraphGuide
+        from perception.follow.guidance import GraphGuide
 
         return GraphGuide(on_ground(first), follower.pan_classes)
 
@@ -182,7 +182,7 @@ def follow(
 def _start(box: Box | None, tracker: str, image: Image) -> Box | None:
     """The box to begin with; a head is looked for where the tracker needs one, and nothing else."""
     from graphtrack.errors import InputError
-    from perception.following import find_head
+    from perception.follow.following import find_head
 
     if box is not None or tracker == "sigma-pi":
         return box

@@ -16,12 +16,12 @@ from graphtrack.display import counted
 from perception.cli.common import print_skipped, read_camera
 
 if TYPE_CHECKING:
-    from graphtrack.geometry import GroundCamera
+    from graphtrack.geometry.camera import GroundCamera
     from graphtrack.tracks import TrackSet
-    from perception.boxes import PersonBox
-    from perception.frames import FrameSource
-    from perception.journal import Journal
-    from perception.pipeline import Seen
+    from perception.detection.boxes import PersonBox
+    from perception.images.frames import FrameSource
+    from perception.observe.journal import Journal
+    from perception.observe.pipeline import Seen
 
 _FILE = {"exists": True, "dir_okay": False}
 
@@ -72,13 +72,13 @@ def observe(
     """
     from graphtrack.errors import InputError
     from graphtrack.io import write
-    from perception import pipeline
-    from perception.boxes import read_boxes, write_boxes
-    from perception.drawing import check_render
-    from perception.drawing.output import is_video
-    from perception.frames import FrameSource, of_one_size
-    from perception.journal import Journal
+    from perception.detection.boxes import read_boxes, write_boxes
+    from perception.images.drawing import check_render
+    from perception.images.drawing.output import is_video
+    from perception.images.frames import FrameSource, of_one_size
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+    from perception.observe import pipeline
+    from perception.observe.journal import Journal
 
     if head_pose not in HEAD_POSE:
         raise InputError(f"--head-pose {head_pose}", " or ".join(HEAD_POSE))
@@ -189,7 +189,7 @@ def _detect(
     """Detected people as tracks; frames that the journal has are decoded for their colours only."""
     import numpy as np
 
-    from perception.people import PeopleDetector, PeopleTracker
+    from perception.detection.people import PeopleDetector, PeopleTracker
 
     detector, tracker = PeopleDetector(), PeopleTracker(camera)
     journal.open()
@@ -225,7 +225,7 @@ def _detect(
 
 def _render(frames: FrameSource, seen: list[Seen], tracks: TrackSet, path: Path, fps: float) -> None:
     """Decode the frames once more and draw what was seen in them."""
-    from perception.drawing import draw_people, people_by_frame, pictures
+    from perception.images.drawing import draw_people, people_by_frame, pictures
 
     people = people_by_frame(seen, tracks)
     assert tracks.camera is not None

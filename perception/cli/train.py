@@ -48,8 +48,8 @@ def train(
 ) -> None:
     """Train a model on your labelled images, or on rendered ones."""
     from graphtrack.errors import InputError
-    from perception.frames import FrameSource
-    from perception.training import train_on_files, train_on_rendered
+    from perception.images.frames import FrameSource
+    from perception.training.models import train_on_files, train_on_rendered
 
     check_outputs(
         {"--output": output},
@@ -71,7 +71,7 @@ def card(
 ) -> None:
     """Print a model's card: what it was trained on, how good it is, when it fails."""
     from perception.models import NAMES, model_path
-    from perception.storage import load_model
+    from perception.models.storage import load_model
 
     print(printable(load_model(model_path(model) if model in NAMES else model)[0].text()))
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from graphtrack.errors import InputError
-from perception.body_pose import BodyPose
-from perception.classifier import FeatureClassifier
-from perception.head_pose import DeepBelief, Exemplars, Templates
-from perception.heads import HeadLocaliser
-from perception.trackers.head_exemplars import KIND, HeadExemplars
+from perception.pose.body import BodyPose
+from perception.pose.classifier import FeatureClassifier
+from perception.pose.head_pose import DeepBelief, Exemplars, Templates
+from perception.pose.heads import HeadLocaliser
+from perception.trackers.mixed_state.exemplars import KIND, HeadExemplars
 
 CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "templates": Templates,

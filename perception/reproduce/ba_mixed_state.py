@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.evaluation.reproduce.experiment import (
     Cell,
     Experiment,
@@ -16,8 +15,9 @@ from graphtrack.evaluation.reproduce.experiment import (
     Settings,
     Table,
 )
-from perception.head_pose.exemplars import Density
-from perception.recognition import recognition_table
+from graphtrack.geometry.angles import FloatArray
+from perception.evaluation.recognition import recognition_table
+from perception.pose.head_pose.exemplars import Density
 from perception.reproduce.head_runs import (
     AS_PRINTED,
     JOINT,

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, difference
+from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.inference import smooth
 from graphtrack.model import Model
 from graphtrack.tracks import TrackSet
-from perception.box_camera import BoxCamera
-from perception.classes import PoseClasses
-from perception.following import Followed, to_track
-from perception.images import intersection_over_union
+from perception.follow.following import Followed, to_track
+from perception.images.pixels import intersection_over_union
+from perception.observe.world import BoxCamera
+from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate
 
 _HALF = 0.5

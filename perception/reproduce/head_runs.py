@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphtrack.angles import FloatArray, difference
-from perception.box_camera import PERSON_IN_HEADS, BoxCamera
-from perception.classes import PoseClasses
-from perception.following import follow
-from perception.frames import Frame
-from perception.guidance import GraphGuide
+from graphtrack.geometry.angles import FloatArray, difference
+from perception.follow.following import follow
+from perception.follow.guidance import GraphGuide
+from perception.images.frames import Frame
 from perception.models import load_head_exemplars
+from perception.observe.world import PERSON_IN_HEADS, BoxCamera
+from perception.pose.classes import PoseClasses
 from perception.reproduce.graph_on_top import GraphOnTop, graph_on_top, survives
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import ColourTracker
-from perception.trackers.head_exemplars import HeadExemplars
-from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
+from perception.trackers.mixed_state.exemplars import HeadExemplars
+from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import Box, BoxEstimate, Tracker
 
 SEQUENTIAL, JOINT, AS_PRINTED = "colour, then pose", "mixed-state", "mixed-state, as in the paper"

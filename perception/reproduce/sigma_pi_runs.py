@@ -9,12 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from perception.boxes import read_boxes
-from perception.images import Image, as_uint8
+from graphtrack.geometry.angles import FloatArray
+from perception.detection.boxes import read_boxes
+from perception.images.pixels import Image, as_uint8
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
-from perception.trackers.sigma_pi import SigmaPiParameters, SigmaPiTracker
+from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTracker
 from perception.trackers.tracker import Box, BoxEstimate
 
 METHODS: Mapping[str, SigmaPiParameters] = {

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphtrack.angles import FloatArray
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, unit
+from graphtrack.geometry.angles import FloatArray, unit
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.ceiling_walks import INSIDE, ROOM, CeilingKind, Walk, walk

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.angles import FloatArray, direction
+from graphtrack.geometry.angles import FloatArray, direction
 from perception.synthetic.person import Posture
 
 ROOM = np.array([3.3, 2.4])

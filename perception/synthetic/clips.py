@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
-from graphtrack.simulation import simulate
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks import Track, TrackSet
-from perception.boxes import PersonBox
+from perception.detection.boxes import PersonBox
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.pedestrians import jittered_box

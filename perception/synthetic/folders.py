@@ -15,8 +15,8 @@ from graphtrack.errors import InputError
 from graphtrack.io import atomic_path, write
 from graphtrack.io.cameras import write_calibration
 from graphtrack.tracks import Track, TrackSet
-from perception.boxes import PersonBox, write_boxes
-from perception.drawing.output import pictures
+from perception.detection.boxes import PersonBox, write_boxes
+from perception.images.drawing.output import pictures
 from perception.synthetic.ceiling import KINDS as CEILING_KINDS
 from perception.synthetic.ceiling import CeilingSequence, ceiling_sequence
 from perception.synthetic.clips import draw_walks

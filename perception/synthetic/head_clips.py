@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from graphtrack.angles import FloatArray, direction, wrap
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, direction, wrap
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.head_scenery import room, wall

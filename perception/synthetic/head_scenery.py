@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from perception.synthetic.appearance import Appearance
 from perception.synthetic.raycast import Light
 from perception.synthetic.sensor import random_background

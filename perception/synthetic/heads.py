@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.head import CORE, EXTRA, head_solids, neck_and_shoulders

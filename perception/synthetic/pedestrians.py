@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from perception.synthetic.appearance import random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.person import Posture

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.readiness import Rehearsal, make_ready
 from perception.synthetic.raycast_kernels import cast_rays, group_balls
 from perception.synthetic.solids import Solids

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray, direction, wrap
+from graphtrack.geometry.angles import FloatArray, direction, wrap
 from perception.synthetic.appearance import Appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.person import Posture, person_solids

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 
 ELLIPSOID, TUBE, BOX = 0, 1, 2
 """Unit sphere, open unit cylinder along local z (|z| ≤ 1) and cube (|x|, |y|, |z| ≤ 1), mapped by axes."""

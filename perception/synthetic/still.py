@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from perception.synthetic.person import person_solids
 from perception.synthetic.scene import (
     Frame,

@@ -9,14 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.particles import effective_sample_size, generator, normalise, resample
-from perception.classes import PoseClasses
-from perception.features.gabor import SIDE, gabor_features
-from perception.images import Image, enlarged
+from perception.images.pixels import Image, enlarged
+from perception.pose.classes import PoseClasses
+from perception.pose.features.gabor import SIDE, gabor_features
 from perception.trackers.dynamics import BoxDynamics, predict
-from perception.trackers.head_exemplars import HeadExemplars
+from perception.trackers.mixed_state.exemplars import HeadExemplars
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, check_box, check_frame, states_of
 

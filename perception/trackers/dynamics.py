@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from perception.trackers.tracker import Cloud, Proposal
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 
 PATCH_MARGIN = 1.06
 """Size of a head's patch relative to its box, as that of the crops which classifiers are trained with."""

@@ -12,8 +12,8 @@ from graphtrack.errors import InputError
 from perception.trackers.tracker import Tracker
 
 _HOMES = {
-    "mixed-state": ("perception.trackers.mixed_state", "MixedStateTracker", "MixedStateParameters"),
-    "sigma-pi": ("perception.trackers.sigma_pi", "SigmaPiTracker", "SigmaPiParameters"),
+    "mixed-state": ("perception.trackers.mixed_state.tracker", "MixedStateTracker", "MixedStateParameters"),
+    "sigma-pi": ("perception.trackers.sigma_pi.tracker", "SigmaPiTracker", "SigmaPiParameters"),
     "color": ("perception.trackers.color", "ColourTracker", "ColourParameters"),
 }
 TRACKERS = tuple(_HOMES)

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
 from graphtrack.errors import InputError
-from perception.classes import PoseClasses
-from perception.images import Image, box_text, checked_box
+from graphtrack.geometry.angles import FloatArray
+from perception.images.pixels import Image, box_text, checked_box
+from perception.pose.classes import PoseClasses
 
 Box = tuple[float, float, float, float]
 """Left, top, width, height in pixels."""

@@ -9,7 +9,6 @@ import pytest
 from scipy.linalg import expm
 from walks import turned, walk, without
 
-from graphtrack.angles import unit, wrap
 from graphtrack.baselines.intentional import (
     IntentionalParameters,
     bin_deviation,
@@ -24,6 +23,7 @@ from graphtrack.baselines.intentional_continuous import (
 from graphtrack.baselines.isotropic import full_covariance
 from graphtrack.baselines.kalman import kalman_filter
 from graphtrack.errors import InputError, SolveError
+from graphtrack.geometry.angles import unit, wrap
 from graphtrack.model import LikelihoodParameters, MotionParameters, Parameters
 
 PARAMETERS = Parameters(

@@ -13,21 +13,21 @@ from hypothesis import strategies as st
 from scipy import special, stats
 from walks import walk, without
 
-from graphtrack.angles import difference, von_mises_log_density, wrap
 from graphtrack.baselines.kalman import filter_states, rauch_tung_striebel
-from graphtrack.baselines.particle import ParticleOptions, particle_filter, particle_smoother
-from graphtrack.baselines.particle_backward import backward
-from graphtrack.baselines.particle_data import prepare
-from graphtrack.baselines.particle_densities import (
+from graphtrack.baselines.particle.backward import backward
+from graphtrack.baselines.particle.data import prepare
+from graphtrack.baselines.particle.densities import (
     add_pose_log_density,
     add_position_log_density,
     log_i0e,
     sample_von_mises,
 )
-from graphtrack.baselines.particle_kernels import BODY, HEAD, POSITION, draw_angles, draw_motion, summarise
-from graphtrack.baselines.particle_recovery import draw_orientations, recover
+from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
+from graphtrack.baselines.particle.kernels import BODY, HEAD, POSITION, draw_angles, draw_motion, summarise
+from graphtrack.baselines.particle.recovery import draw_orientations, recover
 from graphtrack.errors import InputError, InputWarning, SolveError
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import difference, von_mises_log_density, wrap
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters, States, Step, Term
 from graphtrack.model.pose import VonMisesMixture, class_centres, class_kappa
 from graphtrack.particles import (
@@ -36,7 +36,7 @@ from graphtrack.particles import (
     normalise,
     systematic_ancestors,
 )
-from graphtrack.simulation import von_mises_product
+from graphtrack.simulation.sampling import von_mises_product
 from graphtrack.tracks import Track
 
 PARAMETERS = Parameters(

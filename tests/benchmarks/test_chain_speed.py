@@ -20,7 +20,7 @@ from filterpy.kalman import KalmanFilter
 from walks import walk
 
 from graphtrack.inference import Solution, smooth_track, solve
-from graphtrack.inference.batch import build_graph
+from graphtrack.inference.graph.batch import build_graph
 from graphtrack.inference.initial import initial_states
 from graphtrack.model import Model
 from graphtrack.model.motion import process_noise, transition_matrix

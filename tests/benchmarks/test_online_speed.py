@@ -11,7 +11,7 @@ import pytest
 from walks import walk
 
 from graphtrack.inference import OnlineSmoother
-from graphtrack.inference.batch import variable_keys
+from graphtrack.inference.graph.batch import variable_keys
 from graphtrack.model import Model, Observation
 from graphtrack.model.steps import Step, chain, observations
 

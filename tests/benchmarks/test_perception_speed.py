@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from perception.images import Image
+from perception.images.pixels import Image
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 from perception.synthetic import PedestrianSet, make_heads, make_pedestrians
 
@@ -62,7 +62,7 @@ def test_three_head_pose_likelihoods(people: PedestrianSet, record: Callable[[st
 
 
 def test_body_pose_and_detection(people: PedestrianSet, record: Callable[[str, float], None]) -> None:
-    from perception.people import PeopleDetector
+    from perception.detection.people import PeopleDetector
 
     body, detector = load_classifier("body_pose"), PeopleDetector()
     frame = np.random.default_rng(0).integers(0, 256, (288, 384, 3)).astype(np.uint8)

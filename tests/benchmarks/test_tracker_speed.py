@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from perception.images import Image
+from perception.images.pixels import Image
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
-from perception.trackers.mixed_state import MixedStateTracker
-from perception.trackers.sigma_pi import SigmaPiParameters, SigmaPiTracker
+from perception.trackers.mixed_state.tracker import MixedStateTracker
+from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTracker
 
 pytestmark = pytest.mark.benchmark
 REPEATS, FRAMES = 3, 60

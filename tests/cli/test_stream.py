@@ -6,7 +6,7 @@ import pytest
 
 from graphtrack.cli.live import lines_of
 from graphtrack.cli.stream import LONGEST_LINE, People
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
 
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from graphtrack import InputError, SolveError, Track, TrackSet
-from graphtrack.degrade import add_noise, occlude
 from graphtrack.evaluation import Comparison, Method, compare, make_method, registry
 from graphtrack.evaluation.scoring import scored_frames
 from graphtrack.model import Model
 from graphtrack.report.build import tracking_report
 from graphtrack.report.rows import nees_rows
-from graphtrack.simulation import scenario, simulate
+from graphtrack.simulation.degrade import add_noise, occlude
+from graphtrack.simulation.sampling import scenario, simulate
 
 
 @dataclass(frozen=True)

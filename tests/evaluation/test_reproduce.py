@@ -14,7 +14,6 @@ from walks import walk, without
 from graphtrack.baselines.intentional import IntentionalParameters, intentional_filter
 from graphtrack.baselines.kalman import filter_states, kalman_filter
 from graphtrack.cli.main import app
-from graphtrack.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table, all_experiments
 from graphtrack.evaluation.reproduce.baxter_simulated import squared_error
@@ -26,6 +25,7 @@ from graphtrack.evaluation.reproduce.recordings import evenly, thinned
 from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference, reduction
 from graphtrack.inference import track_online
 from graphtrack.model import Model, MotionParameters, Parameters
+from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.tracks import TrackSet
 
 

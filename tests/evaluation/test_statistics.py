@@ -9,8 +9,6 @@ import pytest
 from walks import walk, without
 
 from graphtrack import io
-from graphtrack.angles import direction, unit, wrap
-from graphtrack.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.evaluation.statistics import (
     HISTOGRAM_EDGES,
@@ -19,6 +17,8 @@ from graphtrack.evaluation.statistics import (
     head_deviation,
     travel_velocity,
 )
+from graphtrack.geometry.angles import direction, unit, wrap
+from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.tracks import Track
 
 

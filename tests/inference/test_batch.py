@@ -9,11 +9,11 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 from walks import rotation, turned, walk, without
 
-from graphtrack.angles import UNIFORM_STD, difference, direction, wrap
 from graphtrack.baselines.kalman import rauch_tung_striebel
 from graphtrack.errors import InputError, SolveError
-from graphtrack.geometry import GroundCamera
-from graphtrack.homography import jacobian
+from graphtrack.geometry.angles import UNIFORM_STD, difference, direction, wrap
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.homography import jacobian
 from graphtrack.inference import Failure, Solution, SolverOptions, smooth, smooth_track, solve
 from graphtrack.inference.initial import initial_states
 from graphtrack.inference.solution import Engine
@@ -151,7 +151,7 @@ def test_the_solver_finds_the_linear_optimum_from_anywhere(monkeypatch: pytest.M
         found = initial_states(track, model)
         return replace(found, position=found.position + 100.0, velocity=found.velocity - 7.0)
 
-    monkeypatch.setattr("graphtrack.inference.batch.initial_states", far_away)
+    monkeypatch.setattr("graphtrack.inference.graph.batch.initial_states", far_away)
     found = smooth_track(track, Model("position"), engine="gtsam")
     assert found.cost < 1e-3 * found.initial_cost
     np.testing.assert_allclose(found.track.position, expected.position, atol=1e-8)

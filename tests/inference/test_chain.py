@@ -11,11 +11,11 @@ from scipy import stats
 from test_batch import cost_around, free, gradient, hessian, states_of
 from walks import walk, without
 
-from graphtrack.angles import difference, direction
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import difference, direction
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track, solve
-from graphtrack.inference.batch import smooth_graph
+from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.offline import engine_of
 from graphtrack.model import LikelihoodParameters, Model, Parameters, States, Term, presets
 from graphtrack.model.kernels.packing import PackedTracks
@@ -44,7 +44,7 @@ def graph_from(
 ) -> Solution:
     """GTSAM's solution when it begins at some states."""
     with monkeypatch.context() as patch:
-        patch.setattr("graphtrack.inference.batch.initial_states", lambda track, model: states)
+        patch.setattr("graphtrack.inference.graph.batch.initial_states", lambda track, model: states)
         return smooth_graph(track, model, camera, EXACTLY)
 
 

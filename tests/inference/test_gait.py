@@ -9,14 +9,13 @@ import pytest
 from scipy import special
 
 import graphtrack as gt
-from graphtrack.angles import difference, direction, mean_absolute_error, unit, wrap
-from graphtrack.degrade import add_noise, withhold
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import difference, direction, mean_absolute_error, unit, wrap
 from graphtrack.inference import smooth_track, solve
-from graphtrack.inference.frame_kernels import add_frame
-from graphtrack.inference.gait_kernels import leading_angles, loosened
-from graphtrack.inference.incremental import OnlineSmoother, track_online
+from graphtrack.inference.chain.frames import add_frame
+from graphtrack.inference.chain.modes import leading_angles, loosened
 from graphtrack.inference.initial import pack, problem_of
+from graphtrack.inference.online import OnlineSmoother, track_online
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.gait import angle_information, class_information, gait_of
 from graphtrack.model.kernels.compiled import compiled
@@ -25,6 +24,7 @@ from graphtrack.model.kernels.gait import BINS, NEAR, ROW, infer_modes, switch, 
 from graphtrack.model.kernels.motion import steer
 from graphtrack.model.pose import class_centres, class_kappa
 from graphtrack.model.steps import observations
+from graphtrack.simulation.degrade import add_noise, withhold
 from graphtrack.tracks import Track, TrackSet
 
 FPS = 30.0

@@ -10,18 +10,18 @@ import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import C
+from hybrid import ALIGNED, ANEW, FREE, MODES, HybridTrack, state_hybrid
+from hybrid_factors import body_coupling, head_coupling, offset_drawn, offset_kept
+from hypotheses import HybridSolution, courses, smooth_by_gtsam, smooth_by_hypotheses
 
-from graphtrack.angles import difference, unit, wrap
-from graphtrack.degrade import add_noise
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import difference, unit, wrap
 from graphtrack.inference import smooth_track
-from graphtrack.inference.hybrid import ALIGNED, ANEW, FREE, MODES, HybridTrack, state_hybrid
-from graphtrack.inference.hybrid_factors import body_coupling, head_coupling, offset_drawn, offset_kept
-from graphtrack.inference.hypotheses import HybridSolution, courses, smooth_by_gtsam, smooth_by_hypotheses
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters, States, Step
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.custom import unit_noise
 from graphtrack.model.steps import Observation
+from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks import Track, TrackSet
 
 DT = 0.4

@@ -12,21 +12,21 @@ from random_tracks import random_parameters, random_track
 from test_batch import cost_around, free, hessian, moved, states_of
 from walks import walk, without
 
-from graphtrack.angles import unit
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
-from graphtrack.degrade import add_noise, occlude, withhold
+from graphtrack.geometry.angles import unit
 from graphtrack.inference import SolverOptions, smooth_track
-from graphtrack.inference.batch import smooth_graph
-from graphtrack.inference.elimination_kernels import clear, workspace
-from graphtrack.inference.incremental import track_online
+from graphtrack.inference.chain.elimination import clear, workspace
+from graphtrack.inference.chain.window_kernels import marginalise
+from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack, problem_of
-from graphtrack.inference.window_kernels import marginalise
+from graphtrack.inference.online import track_online
 from graphtrack.io import read
 from graphtrack.model import Model, MotionParameters, OrientationParameters, Parameters, States
 from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
 from graphtrack.model.kernels.frames import HEAD
 from graphtrack.model.kernels.motion import add_steered_motion
-from graphtrack.simulation import simulate
+from graphtrack.simulation.degrade import add_noise, occlude, withhold
+from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks import Track
 
 EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)

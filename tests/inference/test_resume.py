@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from walks import walk
 
-from graphtrack.angles import wrap
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import wrap
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.model import Observation
 from graphtrack.model.steps import observations

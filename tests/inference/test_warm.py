@@ -9,13 +9,13 @@ import pytest
 from random_tracks import lens_camera, random_track
 from walks import walk
 
-from graphtrack.baselines import particle
+from graphtrack.baselines.particle import filter as particle
 from graphtrack.errors import InputError
 from graphtrack.inference import (
     OnlineSmoother,
     SolverOptions,
-    incremental,
     offline,
+    online,
     smooth,
     smooth_track,
     track_online,
@@ -64,7 +64,7 @@ def test_a_linear_model_needs_the_linear_solution_alone() -> None:
 
 def test_whoever_calls_compiled_code_makes_it_ready_first(monkeypatch) -> None:
     rehearsed: list[str] = []
-    for module in (offline, incremental, solving, particle):
+    for module in (offline, online, solving, particle):
         monkeypatch.setattr(module, "make_ready", lambda what, *_: rehearsed.append(what))
     track, model = walk(5), Model("joint")
     for run in (

@@ -9,10 +9,10 @@ import pytest
 from format_samples import FRAMES, SAMPLES, Sample, name_of, ucy
 
 from graphtrack import io
-from graphtrack.angles import difference
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
-from graphtrack.io.caviar import lobby_camera
+from graphtrack.geometry.angles import difference
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.formats.caviar import lobby_camera
 
 
 def sample_of(format: str, name: str = "") -> Sample:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from graphtrack import io
-from graphtrack.angles import difference, direction
-from graphtrack.io.caviar import LOBBY_HEIGHT, _Reader, lobby_camera
+from graphtrack.geometry.angles import difference, direction
+from graphtrack.io.formats.caviar import LOBBY_HEIGHT, _Reader, lobby_camera
 from graphtrack.io.source import Source
 from graphtrack.tracks import TrackSet
 

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from graphtrack import io
-from graphtrack.angles import wrap
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
-from graphtrack.io.native_csv import _header, _read_fast, _read_slowly
+from graphtrack.geometry.angles import wrap
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.formats.native_csv import _header, _read_fast, _read_slowly
 from graphtrack.io.source import Source
 from graphtrack.tracks import Track, TrackSet
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from graph_sampler import COUPLED, coupling_cost, draw, filtered, sample_graph, with_head_kappa
 
-from graphtrack.angles import difference, direction
+from graphtrack.geometry.angles import difference, direction
 from graphtrack.model import MotionParameters, OrientationParameters, Parameters
 
 TRUE = Parameters(MotionParameters(0.4, 1.2, 1.0), OrientationParameters(0.3, 0.4), COUPLED)

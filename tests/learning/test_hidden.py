@@ -10,9 +10,8 @@ from scipy import integrate, stats
 from simulated import BRISK, TRUE, WITHOUT_TRUTH, unknown
 from walks import walk
 
-from graphtrack.angles import unit, von_mises_log_density, wrap
 from graphtrack.baselines.kalman import smooth_states
-from graphtrack.degrade import add_noise
+from graphtrack.geometry.angles import unit, von_mises_log_density, wrap
 from graphtrack.inference import solve
 from graphtrack.learning import fit
 from graphtrack.learning.free import free_parameters, with_values
@@ -20,6 +19,7 @@ from graphtrack.learning.hidden import FOLDS, blurred, told
 from graphtrack.learning.objective import Objective
 from graphtrack.learning.solving import Solver
 from graphtrack.model import CouplingParameters, GaitParameters, Model
+from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks import Track, TrackSet
 
 

@@ -16,7 +16,7 @@ from scipy import stats
 from scipy.linalg import expm
 from walks import scores, walk
 
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track
 from graphtrack.model import (
     CouplingParameters,

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from graphtrack.angles import unit
+from graphtrack.geometry.angles import unit
 from graphtrack.model.kernels.coupling import add_body_follows_motion, add_head_follows_body
 from graphtrack.model.kernels.frames import BODY, HEAD
 from graphtrack.model.kernels.motion import add_first_velocity, add_motion

@@ -19,7 +19,7 @@ import graphtrack as gt
 from graphtrack.cli import main
 from graphtrack.cli.saving import settings_of
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
 from graphtrack.model import (
     CouplingParameters,

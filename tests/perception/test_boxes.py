@@ -9,7 +9,7 @@ import pytest
 
 from graphtrack import io
 from graphtrack.errors import InputError
-from perception.boxes import PersonBox, foot_point, read_boxes, write_boxes
+from perception.detection.boxes import PersonBox, foot_point, read_boxes, write_boxes
 
 
 def test_boxes_survive_mot_text(tmp_path: Path) -> None:

@@ -10,16 +10,21 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from perception.calibration import fit_temperature, fit_temperature_and_share, reliability, with_neighbours
-from perception.classes import PoseClasses
-from perception.classifier import FeatureClassifier, split
-from perception.evaluation import evaluate
-from perception.features.skin import SkinColours
-from perception.head_pose import DeepBelief, Exemplars, Templates
-from perception.head_pose.exemplars import CENTRE_STEP, DEVIATION_STEP
+from perception.evaluation.measures import evaluate
+from perception.evaluation.recognition import recognition_table
 from perception.models import load_classifier
-from perception.recognition import recognition_table
-from perception.storage import ModelCard, load_model, save_model
+from perception.models.storage import ModelCard, load_model, save_model
+from perception.pose.calibration import (
+    fit_temperature,
+    fit_temperature_and_share,
+    reliability,
+    with_neighbours,
+)
+from perception.pose.classes import PoseClasses
+from perception.pose.classifier import FeatureClassifier, split
+from perception.pose.features.skin import SkinColours
+from perception.pose.head_pose import DeepBelief, Exemplars, Templates
+from perception.pose.head_pose.exemplars import CENTRE_STEP, DEVIATION_STEP
 from perception.synthetic import HeadSet, HeadVariation, make_heads
 
 Heads = tuple[HeadSet, HeadSet]
@@ -258,7 +263,7 @@ def test_numpy_runs_the_network_as_pytorch_does(network: DeepBelief, heads: Head
 
 def test_pretraining_makes_a_boltzmann_machine_that_remembers(heads: Heads) -> None:
     torch = pytest.importorskip("torch")
-    from perception.head_pose.deep_belief_training import boltzmann_machine
+    from perception.training.deep_belief import boltzmann_machine
 
     pixels = DeepBelief().features(heads[0].images)
     seen = torch.from_numpy(((pixels - pixels.mean(axis=0)) / pixels.std()).astype(np.float32))
@@ -275,7 +280,7 @@ def test_pretraining_makes_a_boltzmann_machine_that_remembers(heads: Heads) -> N
 def test_without_pytorch_training_is_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch, heads: Heads
 ) -> None:
-    monkeypatch.setitem(sys.modules, "perception.head_pose.deep_belief_training", None)
+    monkeypatch.setitem(sys.modules, "perception.training.deep_belief", None)
     with pytest.raises(InputError, match=r"PyTorch"):
         DeepBelief().fit(heads[0].images, EIGHT.index(heads[0].pan))
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from perception.cues import colour, motion, shape
-from perception.cues.windows import activation, integral, overlap, sums
-from perception.images import enlarged
+from perception.images.pixels import enlarged
+from perception.trackers.sigma_pi import colour, motion, shape
+from perception.trackers.sigma_pi.sums import activation, integral, overlap, sums
 
 
 def test_sums_over_windows_are_direct_sums() -> None:

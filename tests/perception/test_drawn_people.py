@@ -7,12 +7,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from graphtrack.angles import difference, direction
-from graphtrack.geometry import GroundCamera
-from perception.classes import PoseClasses
-from perception.drawing import draw_people
-from perception.drawing.marks import LIGHT, likely, peak, person_colour
-from perception.drawing.people import DrawnPerson
+from graphtrack.geometry.angles import difference, direction
+from graphtrack.geometry.camera import GroundCamera
+from perception.images.drawing import draw_people
+from perception.images.drawing.marks import LIGHT, likely, peak, person_colour
+from perception.images.drawing.people import DrawnPerson
+from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
 
 CAMERAS = {

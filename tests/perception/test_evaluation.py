@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from command import run
 
-from perception.calibration import Reliability
-from perception.evaluation import PoseScores
-from perception.joint_effect import joint_effect
+from perception.evaluation.joint_effect import joint_effect
+from perception.evaluation.measures import PoseScores
 from perception.models import load_classifier, load_head_localiser
-from perception.pipeline import Models
+from perception.observe.pipeline import Models
+from perception.pose.calibration import Reliability
 from perception.synthetic.clips import Clip, walking_clip
 
 

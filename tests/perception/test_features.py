@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from perception.features.gabor import SIDE, filter_bank, gabor_features, grid, rotation_invariant_gabor
-from perception.features.hog import cell_histograms, multi_level_hog
-from perception.features.skin import SkinColours
-from perception.images import as_uint8, crop, grey_stack, intersection_over_union
+from perception.images.pixels import as_uint8, crop, grey_stack, intersection_over_union
+from perception.pose.features.gabor import SIDE, filter_bank, gabor_features, grid, rotation_invariant_gabor
+from perception.pose.features.hog import cell_histograms, multi_level_hog
+from perception.pose.features.skin import SkinColours
 
 
 def stripes(angle: float) -> np.ndarray:

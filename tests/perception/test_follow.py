@@ -11,13 +11,13 @@ from blob_tracker import BLOB, SIZE, BlobTracker, blob_image
 from command import Done, run
 
 import graphtrack
-from graphtrack.angles import difference
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import difference
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import PERSON_HEIGHT
-from perception.box_camera import BoxCamera
-from perception.classes import PoseClasses
-from perception.following import parse_box
+from perception.follow.following import parse_box
+from perception.observe.world import BoxCamera
+from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
 from perception.trackers.registry import TRACKERS, make_tracker
 

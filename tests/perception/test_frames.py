@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from perception.frames import FrameSource
+from perception.images.frames import FrameSource
 
 RNG = np.random.default_rng(0)
 IMAGE = RNG.integers(0, 256, (48, 64, 3)).astype(np.uint8)

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphtrack.angles import wrap
-from graphtrack.geometry import GroundCamera
+from graphtrack.geometry.angles import wrap
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import OnlineSmoother
 from graphtrack.model import Observation
-from perception.box_camera import PERSON_IN_HEADS, BoxCamera
-from perception.classes import PoseClasses
-from perception.following import Followed, follow, to_track
-from perception.frames import Frame
-from perception.guidance import GUIDE_MODEL, Doubt, DoubtParameters, GraphGuide
+from perception.follow.following import Followed, follow, to_track
+from perception.follow.guidance import GUIDE_MODEL, Doubt, DoubtParameters, GraphGuide
+from perception.images.frames import Frame
+from perception.observe.world import PERSON_IN_HEADS, BoxCamera
+from perception.pose.classes import PoseClasses
 from perception.reproduce.graph_on_top import graph_on_top, survives
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
 from perception.trackers.color import ColourTracker

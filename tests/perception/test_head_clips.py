@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphtrack.angles import difference
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import difference
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 

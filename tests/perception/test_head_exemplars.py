@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
-from perception.classes import PoseClasses
-from perception.head_pose.exemplars import filter_log_densities
-from perception.images import enlarged
+from perception.images.pixels import enlarged
 from perception.models import load_head_exemplars, model_path
-from perception.trackers.head_exemplars import HeadExemplars
+from perception.pose.classes import PoseClasses
+from perception.pose.head_pose.exemplars import filter_log_densities
+from perception.trackers.mixed_state.exemplars import HeadExemplars
 from perception.trackers.patches import cut, equalised
-from perception.trackers.training import train_head_exemplars
+from perception.training.head_exemplars import train_head_exemplars
 
 
 @pytest.fixture(scope="module")

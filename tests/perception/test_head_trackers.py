@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from perception.features.gabor import gabor_features
-from perception.images import enlarged
+from perception.images.pixels import enlarged
 from perception.models import load_head_exemplars
+from perception.pose.features.gabor import gabor_features
 from perception.reproduce.head_runs import followed, tracking_error
 from perception.reproduce.side_by_side import run_all
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
@@ -22,7 +22,7 @@ from perception.trackers.color import (
     histograms,
 )
 from perception.trackers.dynamics import BoxDynamics, predict
-from perception.trackers.mixed_state import MixedStateParameters, MixedStateTracker
+from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import Cloud, Proposal, Tracker, boxes_of, states_of
 

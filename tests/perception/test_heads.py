@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from perception.boosting import Quantised, reweighted
-from perception.features.blocks import block_corners, block_histograms, corner_sums, integral_histogram
-from perception.head_detector import BoostedBlocks, Weak
-from perception.heads import HeadCandidates, HeadLocaliser, non_maximum_suppression, select_along_track
-from perception.images import intersection_over_union
+from perception.images.pixels import intersection_over_union
 from perception.models import load_head_localiser
+from perception.pose.boosting import Quantised, reweighted
+from perception.pose.features.blocks import block_corners, block_histograms, corner_sums, integral_histogram
+from perception.pose.head_detector import BoostedBlocks, Weak
+from perception.pose.heads import HeadCandidates, HeadLocaliser, non_maximum_suppression, select_along_track
 from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedestrians
 
 People = tuple[PedestrianSet, PedestrianSet]

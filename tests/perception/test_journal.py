@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perception.heads import HeadCandidates
-from perception.journal import Journal
-from perception.pipeline import Seen, seen_in
+from perception.observe.journal import Journal
+from perception.observe.pipeline import Seen, seen_in
+from perception.pose.heads import HeadCandidates
 
 
 def seen(frame: int, left: float) -> Seen:

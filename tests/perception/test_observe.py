@@ -11,11 +11,11 @@ import pytest
 from command import run
 
 from graphtrack import io
-from perception.boxes import PersonBox, read_boxes, write_boxes
-from perception.classes import PoseClasses
-from perception.frames import FrameSource
-from perception.people import PeopleDetector
-from perception.pipeline import Seen, observe_frame
+from perception.detection.boxes import PersonBox, read_boxes, write_boxes
+from perception.detection.people import PeopleDetector
+from perception.images.frames import FrameSource
+from perception.observe.pipeline import Seen, observe_frame
+from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera, Person, Scene, render_frame
 from perception.synthetic.appearance import random_appearance
 from perception.synthetic.person import Posture
@@ -166,7 +166,7 @@ def test_an_error_leaves_nothing_that_the_next_run_trips_over(
     def full(*rest: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("perception.pipeline.observe_frame", look)
+    monkeypatch.setattr("perception.observe.pipeline.observe_frame", look)
     with monkeypatch.context() as patch:
         if where == "writing":
             patch.setattr("graphtrack.io.write", full)
@@ -201,7 +201,7 @@ def test_a_run_that_was_broken_off_is_drawn_whole(
             raise KeyboardInterrupt
         return observe_frame(image, frame, *rest)
 
-    monkeypatch.setattr("perception.pipeline.observe_frame", look)
+    monkeypatch.setattr("perception.observe.pipeline.observe_frame", look)
     outside = "0,9,5000,0,30,80,1,-1,-1,-1\n"
     (tmp_path / "boxes.txt").write_text(outside + (clip / "boxes.txt").read_text())
     options = ["--boxes", tmp_path / "boxes.txt", "--homography", clip / "homography.txt"]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from graphtrack.geometry import GroundCamera
-from perception.people import DetectorParameters, PeopleDetector, PeopleTracker, colour_histogram
+from graphtrack.geometry.camera import GroundCamera
+from perception.detection.people import DetectorParameters, PeopleDetector, PeopleTracker, colour_histogram
 
 RED, BLUE = (20, 20, 200), (200, 40, 20)
 

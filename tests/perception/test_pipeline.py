@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from command import run
 
-from graphtrack.angles import difference
 from graphtrack.errors import InputError
-from perception.boxes import PersonBox
-from perception.classes import PoseClasses
-from perception.heads import HeadCandidates
+from graphtrack.geometry.angles import difference
+from perception.detection.boxes import PersonBox
 from perception.models import NAMES, load_classifier, load_head_localiser, model_path
-from perception.pipeline import (
+from perception.models.storage import load_model
+from perception.observe.pipeline import (
     Models,
     Seen,
     interpolated,
@@ -24,7 +23,8 @@ from perception.pipeline import (
     to_tracks,
     world_likelihood,
 )
-from perception.storage import load_model
+from perception.pose.classes import PoseClasses
+from perception.pose.heads import HeadCandidates
 from perception.synthetic import Camera
 
 STREET = Camera((0.0, -9.0, 3.0), np.pi / 2, -0.2, 500.0, (320, 240))

@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
-from perception.images import Image
+from perception.images.pixels import Image
 from perception.reproduce.sigma_pi_runs import Tally, recordings
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
 from perception.trackers.dynamics import BoxDynamics
-from perception.trackers.sigma_pi import SigmaPiParameters, SigmaPiTracker
-from perception.trackers.sigma_pi_cues import ColourCue, CueParameters, ShapeCue
-from perception.trackers.sigma_pi_network import CUES, TERM_NAMES, adapted, output, products
+from perception.trackers.sigma_pi.cues import ColourCue, CueParameters, ShapeCue
+from perception.trackers.sigma_pi.network import CUES, TERM_NAMES, adapted, output, products
+from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTracker
 from perception.trackers.tracker import Box, BoxEstimate, Proposal
 
 SIZE = (200, 150)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from graphtrack.angles import difference, unit
+from graphtrack.geometry.angles import difference, unit
 from perception.synthetic import (
     Camera,
     Furniture,

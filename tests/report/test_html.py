@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 from made_up import ERRORS, NEES, observed, scene, walker
 
-from graphtrack.angles import wrap
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import wrap
 from graphtrack.report import build, pairing
 from graphtrack.report.build import tracking_report
 from graphtrack.report.content import Card, Note, Report, Section, Table

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from made_up import observed, scene, walker
 from page_scripts import in_node
 
-from graphtrack.angles import difference, wrap
+from graphtrack.geometry.angles import difference, wrap
 from graphtrack.report.pairing import pair_tracks
 from graphtrack.report.replay import (
     ANGLE_STEP,

@@ -7,7 +7,7 @@ import pytest
 from made_up import observed, scene, walker
 from page_scripts import in_node
 
-from graphtrack.angles import wrap
+from graphtrack.geometry.angles import wrap
 from graphtrack.report.html import packed
 from graphtrack.report.pairing import pair_tracks
 from graphtrack.report.replay import replay_data

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from graphtrack.angles import difference, wrap
+from graphtrack.geometry.angles import difference, wrap
 from graphtrack.report.shapes import angle_bands, break_at_seam, finite_runs, open_holes, probability_ellipse
 
 

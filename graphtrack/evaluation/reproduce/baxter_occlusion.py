@@ -8,9 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
-from graphtrack.corpus import CorpusParameters, simulate_behaviour
-from graphtrack.degrade import TURN_SECONDS, BoolArray, add_noise, occlude, withhold
 from graphtrack.evaluation.reproduce.experiment import (
     Cell,
     Experiment,
@@ -33,6 +30,9 @@ from graphtrack.evaluation.reproduce.occlusion_methods import (
 )
 from graphtrack.evaluation.reproduce.recordings import MOCAP, TURNING, evenly, quietly, thinned
 from graphtrack.evaluation.reproduce.resampling import bootstrap, reduction
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
+from graphtrack.simulation.degrade import TURN_SECONDS, BoolArray, add_noise, occlude, withhold
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
 from graphtrack.baselines.intentional import IntentionalParameters, intentional_filter
 from graphtrack.baselines.intentional_continuous import steer
 from graphtrack.baselines.isotropic import FilteredStates
-from graphtrack.corpus import NUMERALS, Corpus, CorpusParameters, simulate_behaviour
 from graphtrack.evaluation.reproduce.experiment import (
     LAG,
     Cell,
@@ -24,8 +22,10 @@ from graphtrack.evaluation.reproduce.experiment import (
 )
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import track_online
 from graphtrack.model import Model, Parameters
+from graphtrack.simulation.corpus import NUMERALS, Corpus, CorpusParameters, simulate_behaviour
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.evaluation.reproduce.experiment import (
     Cell,
@@ -32,6 +31,7 @@ from graphtrack.evaluation.statistics import (
     DeviationStatistics,
     deviation_statistics,
 )
+from graphtrack.simulation.corpus import NUMERALS, CorpusParameters, simulate_behaviour
 from graphtrack.tracks import TrackSet
 
 if TYPE_CHECKING:

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from scipy import integrate, optimize
 
-from graphtrack.angles import FloatArray, mean_absolute_error, von_mises_log_density
-from graphtrack.baselines.particle import ParticleOptions, particle_filter, particle_smoother
-from graphtrack.degrade import add_noise
+from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
 from graphtrack.evaluation.reproduce.experiment import (
     LAG,
     Cell,
@@ -31,9 +29,11 @@ from graphtrack.evaluation.reproduce.recordings import (
     thinned,
 )
 from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference
+from graphtrack.geometry.angles import FloatArray, mean_absolute_error, von_mises_log_density
 from graphtrack.inference import smooth, track_online
 from graphtrack.model import Model
-from graphtrack.simulation import simulate
+from graphtrack.simulation.degrade import add_noise
+from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray
 from graphtrack.baselines.intentional import IntentionalParameters, Variant, intentional_filter
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
-from graphtrack.baselines.particle import ParticleOptions, particle_filter, particle_smoother
-from graphtrack.degrade import BoolArray
+from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
 from graphtrack.evaluation.reproduce.experiment import LAG, Progress
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import smooth, track_online
 from graphtrack.model import Model, Parameters
+from graphtrack.simulation.degrade import BoolArray
 from graphtrack.tracks import Track, TrackSet
 
 STEERED = "joint-intentional"

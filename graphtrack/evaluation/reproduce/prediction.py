@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray, unit
 from graphtrack.baselines.kalman import position_std
+from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.inference import Solution, solve
 from graphtrack.model import Model
 from graphtrack.model.intentional import IntentionalMotion, smooth_speed, steered_step

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 
 RESAMPLES = 4000
 

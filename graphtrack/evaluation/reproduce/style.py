@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.plots.canvas import tidy
 
 COLOURS = {

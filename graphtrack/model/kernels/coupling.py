@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import BODY, HEAD, VX, VY
 

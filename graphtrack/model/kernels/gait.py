@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.pose import angle_cost
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.frames import HEAD, VX, VY, X, Y
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
 
 

@@ -11,7 +11,7 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from scipy import ndimage
 
-from graphtrack.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.pairing import Pair, finite_rows
 from graphtrack.report.plots.canvas import new_figure, tidy
 from graphtrack.report.shapes import longest_step, open_holes

@@ -13,7 +13,7 @@ from matplotlib.patches import Ellipse as EllipsePatch
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from graphtrack.angles import FloatArray, unit
+from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots.canvas import new_figure, tidy
 from graphtrack.report.plots.crowd import plot_crowd

@@ -1,0 +1,1 @@
+"""The joint particle filter (002) and its smoother."""

@@ -1,0 +1,247 @@
+"""What the particle filter's kernels know of a model and a track: arrays with one row a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from graphtrack.baselines.kalman import position_std
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model import Model
+from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
+from graphtrack.model.intentional import IntentionalMotion, steered_step
+from graphtrack.model.motion import Motion as MotionTerm
+from graphtrack.model.orientation import BodyDynamics, HeadDynamics
+from graphtrack.model.pose import BodyLikelihood, HeadLikelihood, class_centres, class_kappa
+from graphtrack.model.position import PositionLikelihood
+from graphtrack.tracks import Track
+
+PoseModel = Literal["smooth", "closest"]
+
+KNOWN = (
+    MotionTerm,
+    IntentionalMotion,
+    PositionLikelihood,
+    BodyDynamics,
+    HeadDynamics,
+    BodyLikelihood,
+    HeadLikelihood,
+    BodyFollowsMotion,
+    HeadFollowsBody,
+)
+"""The terms that the particle filter interprets."""
+
+ROBUST = {"none": 0, "huber": 1, "cauchy": 2}
+
+
+class Motion(NamedTuple):
+    """Dynamics, a row for each frame k: of the step from k − 1 to k.
+
+    ``root`` (n, 3) is the Cholesky factor [[a, 0], [b, c]] of the noise of position and velocity on each
+    axis. Of the velocity ``keep`` (n,) remains, and it carries the position on for ``reach`` (n,) seconds;
+    for the rest of the step the head steers. Where it does not, they are 1 and the whole step.
+    """
+
+    dt: FloatArray
+    keep: FloatArray
+    reach: FloatArray
+    root: FloatArray
+    body_turn_kappa: FloatArray
+    head_turn_kappa: FloatArray
+    motion_body_kappa: FloatArray
+    head_body_kappa: FloatArray
+    speed_threshold: float
+    has_body: bool
+    has_head: bool
+
+
+class Position(NamedTuple):
+    """Observed positions; ``kind`` is 0 nothing, 1 metres, 2 ideal pixels."""
+
+    kind: NDArray[np.int64]
+    value: FloatArray
+    std: FloatArray
+    robust: int
+    threshold: float
+
+
+class Pose(NamedTuple):
+    """An observed orientation: a mixture of ``components`` von Mises, or a score for the closest class."""
+
+    components: NDArray[np.int64]
+    closest: NDArray[np.bool_]
+    log_height: FloatArray
+    cos_mean: FloatArray
+    sin_mean: FloatArray
+    kappa: FloatArray
+    log_uniform: FloatArray
+
+
+class Camera(NamedTuple):
+    """The camera, if there is one; ``judge_pose``: orientations were observed in the image frame."""
+
+    to_image: FloatArray
+    to_ground: FloatArray
+    centre: FloatArray
+    has_centre: bool
+    sign: float
+    judge_pose: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """All that a run over one track needs."""
+
+    motion: Motion
+    position: Position
+    body: Pose
+    head: Pose
+    camera: Camera
+
+
+def prepare(
+    track: Track, model: Model, camera: GroundCamera | None, pose: PoseModel, image_pose: bool
+) -> Job:
+    """The arrays of a track under a model.
+
+    Raises
+    ------
+    InputError
+        If the model has a term that the particle filter does not know, or poses are to be judged in the image
+        without a camera.
+    """
+    for term in model.terms:
+        if type(term) not in KNOWN:
+            raise InputError(
+                f"the term {type(term).__name__}, which the particle filter does not know",
+                "for it, a model of position, separate, joint, intentional or joint-intentional",
+            )
+    if image_pose and camera is None:
+        raise InputError("poses in the image frame without a camera", "a camera of the scene")
+    return Job(
+        _motion(track, model),
+        _position(track, model, camera),
+        _pose(track, model, "body", pose),
+        _pose(track, model, "head", pose),
+        _camera(camera, image_pose),
+    )
+
+
+def _motion(track: Track, model: Model) -> Motion:
+    kinds = {type(term) for term in model.terms}
+    parameters = model.parameters
+    dt = np.diff(track.t, prepend=track.t[:1])
+    q = parameters.motion.acceleration_density
+    moments = steered_step(dt, parameters.motion.head_rate if IntentionalMotion in kinds else 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        place = np.sqrt(q * moments.place)
+        cross = q * moments.cross / place
+        spread = np.sqrt(q * moments.spread - cross**2)
+        body_turn = 1.0 / (parameters.orientation.body_diffusion * dt)
+        head_turn = 1.0 / (parameters.orientation.head_diffusion * dt)
+    coupling = parameters.coupling
+    weight = np.array([coupling.weight(None), *(coupling.weight(step) for step in dt[1:].tolist())])
+    return Motion(
+        dt,
+        moments.keep,
+        moments.reach,
+        np.stack([place, cross, spread], axis=1),
+        body_turn,
+        head_turn,
+        weight * (coupling.motion_body_kappa if BodyFollowsMotion in kinds else 0.0),
+        weight * (coupling.head_body_kappa if HeadFollowsBody in kinds else 0.0),
+        coupling.speed_threshold,
+        model.has_body,
+        model.has_head,
+    )
+
+
+def _position(track: Track, model: Model, camera: GroundCamera | None) -> Position:
+    likelihood = model.parameters.likelihood
+    value, std = track.position.copy(), position_std(track, model.parameters)
+    kind = np.array(np.isfinite(value).all(axis=1), dtype=np.int64)
+    if likelihood.image_frame and track.pixel is not None and camera is not None:
+        ideal = camera.undistort(track.pixel)
+        seen = np.isfinite(ideal).all(axis=1)
+        kind[seen], value[seen], std[seen] = 2, ideal[seen], likelihood.pixel_std
+    return Position(kind, value, std, ROBUST[likelihood.robust], likelihood.robust_threshold)
+
+
+def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseModel) -> Pose:
+    likelihood, n = model.parameters.likelihood, len(track)
+    classes = getattr(track, f"{name}_likelihood")
+    size = 1 if classes is None else classes.shape[1]
+    found = Pose(
+        np.zeros(n, dtype=np.int64),
+        np.zeros(n, dtype=bool),
+        np.full((n, size), -np.inf),
+        np.ones((n, size)),
+        np.zeros((n, size)),
+        np.zeros(n),
+        np.full(n, -np.inf),
+    )
+    angle, kappa = getattr(track, name), getattr(track, f"{name}_kappa")
+    if angle is not None:
+        default = likelihood.body_kappa if name == "body" else likelihood.head_kappa
+        own = np.full(n, default) if kappa is None else np.where(np.isfinite(kappa), kappa, default)
+        seen = np.isfinite(angle) & (own > 0.0)
+        _fill(
+            found,
+            seen,
+            np.ones((seen.sum(), 1)),
+            angle[seen, None],
+            own[seen],
+            likelihood.outlier_probability,
+        )
+    if classes is not None:
+        usable = np.isfinite(classes).all(axis=1)
+        usable[usable] = classes[usable].sum(axis=1) > 0.0
+        scores = classes[usable] / classes[usable].sum(axis=1, keepdims=True)
+        centres = np.broadcast_to(class_centres(size), scores.shape)
+        concentration = np.full(len(scores), class_kappa(size))
+        _fill(found, usable, scores, centres, concentration, likelihood.class_outlier_probability)
+        if pose == "closest":
+            uniform = likelihood.class_outlier_probability
+            found.closest[usable] = True
+            with np.errstate(divide="ignore"):
+                found.log_height[usable] = np.log((uniform + (1.0 - uniform) * size * scores) / (2.0 * np.pi))
+    return found
+
+
+def _fill(
+    pose: Pose,
+    rows: NDArray[np.bool_],
+    weights: FloatArray,
+    means: FloatArray,
+    kappa: FloatArray,
+    uniform: float,
+) -> None:
+    """The mixture ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ) of MODEL term 7, as `VonMisesMixture` has it."""
+    size = weights.shape[1]
+    peak = 1.0 / (2.0 * np.pi * special.i0e(kappa))
+    pose.components[rows], pose.kappa[rows] = size, kappa
+    columns = np.ix_(np.flatnonzero(rows), np.arange(size))
+    with np.errstate(divide="ignore"):
+        pose.log_height[columns] = np.log((1.0 - uniform) * weights * peak[:, None])
+        pose.log_uniform[rows] = np.log(uniform / (2.0 * np.pi))
+    pose.cos_mean[columns], pose.sin_mean[columns] = np.cos(means), np.sin(means)
+
+
+def _camera(camera: GroundCamera | None, image_pose: bool) -> Camera:
+    if camera is None:
+        return Camera(np.eye(3), np.eye(3), np.zeros(2), False, 1.0, False)
+    centre = camera.optical_centre_on_ground
+    return Camera(
+        np.ascontiguousarray(np.linalg.inv(camera.homography)),
+        np.ascontiguousarray(camera.homography),
+        np.zeros(2) if centre is None else np.asarray(centre, dtype=float),
+        centre is not None,
+        -1.0 if camera.is_mirrored else 1.0,
+        image_pose,
+    )

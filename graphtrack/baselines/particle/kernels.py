@@ -1,0 +1,273 @@
+"""The compiled steps of the particle filter: dynamics and estimates.
+
+A particle is x, y, vx, vy (metres, m/s), body, head (radians).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.baselines.particle.data import Camera, Motion, Pose, Position
+from graphtrack.baselines.particle.densities import (
+    add_pose_log_density,
+    add_position_log_density,
+    sample_von_mises,
+    wrapped,
+)
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.motion import STANDSTILL
+from graphtrack.particles import (
+    effective_sample_size,
+    normalise,
+    systematic_ancestors,
+)
+
+PROPAGATE, FIRST, RECOVERED = 0, 1, 2
+"""How a run begins: from the frame before; with positions and velocities drawn already, angles from their
+couplings; with everything at hand already."""
+
+POSITION, BODY, HEAD = 1, 2, 4
+"""Observations that were used up when particles were drawn from them."""
+
+VANISHED = -700.0
+"""Below this log-likelihood, even of the best particle, weights are 0 in double precision: it is lost."""
+
+
+@compiled
+def motion_pull(vx: float, vy: float, k: int, motion: Motion) -> float:
+    """κ(v) of 002 eq. 9 at frame k."""
+    excess = math.sqrt(vx * vx + vy * vy) - motion.speed_threshold
+    return motion.motion_body_kappa[k] * excess * excess if excess > 0.0 else 0.0
+
+
+@compiled
+def draw_angles(
+    rng: np.random.Generator, k: int, first: bool, before: FloatArray, after: FloatArray, motion: Motion
+) -> None:
+    """Angles of one particle, of known velocity, from the normalised products of 002 eq. 8 and 10."""
+    if motion.has_body:
+        vx, vy = after[2], after[3]
+        pull = motion_pull(vx, vy, k, motion)
+        kappa = 0.0 if first else motion.body_turn_kappa[k]
+        if pull > 0.0:
+            speed = math.sqrt(vx * vx + vy * vy)
+            east = kappa * math.cos(before[4]) + pull * vx / speed
+            north = kappa * math.sin(before[4]) + pull * vy / speed
+            after[4] = sample_von_mises(rng, math.atan2(north, east), math.sqrt(east * east + north * north))
+        else:
+            after[4] = sample_von_mises(rng, before[4], kappa)
+    if motion.has_head:
+        pull = motion.head_body_kappa[k]
+        kappa = 0.0 if first else motion.head_turn_kappa[k]
+        if pull > 0.0:
+            east = kappa * math.cos(before[5]) + pull * math.cos(after[4])
+            north = kappa * math.sin(before[5]) + pull * math.sin(after[4])
+            after[5] = sample_von_mises(rng, math.atan2(north, east), math.sqrt(east * east + north * north))
+        else:
+            after[5] = sample_von_mises(rng, before[5], kappa)
+
+
+@compiled
+def carry(
+    k: int, motion: Motion, before: FloatArray, ancestors: NDArray[np.int64], after: FloatArray
+) -> None:
+    """Mean positions and velocities (n, …) at frame k: straight on, or steered by the head."""
+    keep, reach = motion.keep[k], motion.reach[k]
+    gain, far = 1.0 - keep, motion.dt[k] - reach
+    for i in range(len(after)):
+        source = ancestors[i]
+        x, y, vx, vy = before[source, 0], before[source, 1], before[source, 2], before[source, 3]
+        after[i, 0], after[i, 1] = x + reach * vx, y + reach * vy
+        after[i, 2], after[i, 3] = keep * vx, keep * vy
+        if gain > 0.0:
+            # The speed as `IntentionalMotion` has it.
+            square = vx * vx + vy * vy
+            speed = square / (math.sqrt(square + STANDSTILL * STANDSTILL) + STANDSTILL)
+            head = before[source, 5]
+            aim_x, aim_y = speed * math.cos(head), speed * math.sin(head)
+            after[i, 0] += far * aim_x
+            after[i, 1] += far * aim_y
+            after[i, 2] += gain * aim_x
+            after[i, 3] += gain * aim_y
+
+
+@compiled
+def draw_motion(
+    rng: np.random.Generator,
+    k: int,
+    motion: Motion,
+    before: FloatArray,
+    ancestors: NDArray[np.int64],
+    after: FloatArray,
+) -> None:
+    """Positions and velocities (n, …) at frame k: where they are carried to, and the noise."""
+    carry(k, motion, before, ancestors, after)
+    a, b, c = motion.root[k]
+    for i in range(len(after)):
+        for axis in range(2):
+            first = rng.standard_normal()
+            after[i, axis] += a * first
+            after[i, 2 + axis] += b * first + c * rng.standard_normal()
+
+
+@compiled
+def summarise_motion(
+    particles: FloatArray, weights: FloatArray, mean: FloatArray, covariance: FloatArray
+) -> None:
+    """Weighted mean and covariance of the first four numbers, in one pass about the first particle."""
+    x0, y0, u0, v0 = particles[0, 0], particles[0, 1], particles[0, 2], particles[0, 3]
+    x1 = y1 = u1 = v1 = xx = xy = xu = xv = yy = yu = yv = uu = uv = vv = 0.0
+    for i in range(len(weights)):
+        w = weights[i]
+        x, y = particles[i, 0] - x0, particles[i, 1] - y0
+        u, v = particles[i, 2] - u0, particles[i, 3] - v0
+        wx, wy, wu, wv = w * x, w * y, w * u, w * v
+        x1 += wx
+        y1 += wy
+        u1 += wu
+        v1 += wv
+        xx += wx * x
+        xy += wx * y
+        xu += wx * u
+        xv += wx * v
+        yy += wy * y
+        yu += wy * u
+        yv += wy * v
+        uu += wu * u
+        uv += wu * v
+        vv += wv * v
+    mean[0], mean[1], mean[2], mean[3] = x0 + x1, y0 + y1, u0 + u1, v0 + v1
+    covariance[0, 0], covariance[1, 1] = xx - x1 * x1, yy - y1 * y1
+    covariance[2, 2], covariance[3, 3] = uu - u1 * u1, vv - v1 * v1
+    covariance[0, 1] = covariance[1, 0] = xy - x1 * y1
+    covariance[0, 2] = covariance[2, 0] = xu - x1 * u1
+    covariance[0, 3] = covariance[3, 0] = xv - x1 * v1
+    covariance[1, 2] = covariance[2, 1] = yu - y1 * u1
+    covariance[1, 3] = covariance[3, 1] = yv - y1 * v1
+    covariance[2, 3] = covariance[3, 2] = uv - u1 * v1
+
+
+@compiled
+def summarise_angle(
+    particles: FloatArray, weights: FloatArray, place: int, mean: FloatArray, covariance: FloatArray
+) -> None:
+    """Circular mean of one angle, its variance, and its covariances with what stands before it."""
+    n = len(weights)
+    east = north = 0.0
+    for i in range(n):
+        east += weights[i] * math.cos(particles[i, place])
+        north += weights[i] * math.sin(particles[i, place])
+    mean[place] = math.atan2(north, east)
+    sums = np.zeros(6)
+    for i in range(n):
+        deviation = wrapped(particles[i, place] - mean[place])
+        scaled = weights[i] * deviation
+        for j in range(4):
+            sums[j] += scaled * (particles[i, j] - mean[j])
+        if place == 5:
+            sums[4] += scaled * wrapped(particles[i, 4] - mean[4])
+        sums[place] += scaled * deviation
+    for j in range(place + 1):
+        covariance[place, j] = covariance[j, place] = sums[j]
+
+
+@compiled
+def summarise(
+    particles: FloatArray, weights: FloatArray, motion: Motion, mean: FloatArray, covariance: FloatArray
+) -> None:
+    """Write the weighted mean (6,), circular for angles, and covariance (6, 6) of what is estimated."""
+    summarise_motion(particles, weights, mean, covariance)
+    if motion.has_body:
+        summarise_angle(particles, weights, 4, mean, covariance)
+    if motion.has_head:
+        summarise_angle(particles, weights, 5, mean, covariance)
+        if not motion.has_body:
+            covariance[4, 5] = covariance[5, 4] = math.nan
+
+
+@compiled
+def run(
+    rng: np.random.Generator,
+    start: int,
+    mode: int,
+    used: int,
+    particles: FloatArray,
+    log_weights: FloatArray,
+    motion: Motion,
+    position: Position,
+    body: Pose,
+    head: Pose,
+    camera: Camera,
+    resample_below: float,
+    mean: FloatArray,
+    covariance: FloatArray,
+    log_evidence: FloatArray,
+    sample_size: FloatArray,
+    history: FloatArray,
+    history_log_weights: FloatArray,
+) -> tuple[int, int]:
+    """Filter from frame ``start`` to the end, or to the frame at which all weights vanish.
+
+    Parameters
+    ----------
+    mode : how the first frame begins: `PROPAGATE`, `FIRST` or `RECOVERED`
+    used : observations of the first frame that do not count: the sum of `POSITION`, `BODY` and `HEAD`
+    particles : (2, n, 6): those of the frame before, or of this one, in the first half; both are written
+    log_weights : (n,) normalised; written
+    resample_below : share of n below which the effective sample size calls for resampling
+    mean, covariance, log_evidence, sample_size : (frames, …), written
+    history, history_log_weights : (frames, n, 6) and (frames, n) to keep the particles, or of length 0
+
+    Returns
+    -------
+    frame, half : the frame at which all weights vanished, or the number of frames; the half of ``particles``
+        that holds the last ones
+    """
+    n, frames = particles.shape[1], len(motion.dt)
+    weights, log_likelihood, ancestors = np.empty(n), np.empty(n), np.arange(n)
+    normalise(log_weights, weights)
+    half = 0
+    for k in range(start, frames):
+        fresh, done = (mode, used) if k == start else (PROPAGATE, 0)
+        if fresh == PROPAGATE:
+            if effective_sample_size(weights) < resample_below * n:
+                systematic_ancestors(weights, rng.random(), ancestors)
+                log_weights[:] = -math.log(n)
+            else:
+                for i in range(n):
+                    ancestors[i] = i
+            before, after = particles[half], particles[1 - half]
+            half = 1 - half
+            draw_motion(rng, k, motion, before, ancestors, after)
+            if motion.has_body or motion.has_head:
+                for i in range(n):
+                    draw_angles(rng, k, False, before[ancestors[i]], after[i], motion)
+        elif fresh == FIRST:
+            for i in range(n):
+                draw_angles(rng, k, True, particles[half, i], particles[half, i], motion)
+        now = particles[half]
+        log_likelihood[:] = 0.0
+        if not done & POSITION:
+            add_position_log_density(now, k, position, camera, log_likelihood)
+        if motion.has_body and not done & BODY:
+            add_pose_log_density(now, 4, k, body, camera, log_likelihood)
+        if motion.has_head and not done & HEAD:
+            add_pose_log_density(now, 5, k, head, camera, log_likelihood)
+        best = log_likelihood.max()
+        for i in range(n):
+            log_weights[i] += log_likelihood[i]
+        log_sum = normalise(log_weights, weights)
+        if fresh != RECOVERED:
+            log_evidence[k] = log_sum
+        if fresh == PROPAGATE and best < VANISHED:
+            return k, half
+        summarise(now, weights, motion, mean[k], covariance[k])
+        sample_size[k] = effective_sample_size(weights)
+        if len(history):
+            history[k] = now
+            history_log_weights[k] = log_weights
+    return frames, half

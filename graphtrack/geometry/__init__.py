@@ -1,0 +1,1 @@
+"""Angles, homographies and the camera above the ground."""

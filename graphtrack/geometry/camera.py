@@ -1,0 +1,294 @@
+"""The camera above a ground plane: pixels ↔ metres, and pose angles in the image ↔ angles in the world.
+
+Source for the angles: Chen, Heili & Odobez 2011 (002), §3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
+from graphtrack.geometry.homography import (
+    HomographyFit,
+    apply_homography,
+    check_homography,
+    fit_homography,
+    jacobian,
+)
+
+__all__ = ["GroundCamera", "HomographyFit", "apply_homography", "fit_homography"]
+
+_UNDISTORTED_WITHIN = 0.5
+"""Pixels by which an undistorted point, distorted again, may miss; beyond, the lens model has no inverse."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundCamera:
+    """A camera that looks at the ground plane.
+
+    *Raw* pixels (u, v) are those of the image, origin top left, v down. *Ideal* pixels are raw ones with the
+    lens distortion taken out; without distortion they are the same.
+
+    Attributes
+    ----------
+    homography : (3, 3) ideal pixel → ground (metres); the third coordinate is positive on the visible side
+        of the horizon
+    intrinsics : (3, 3) camera matrix in pixels, if known
+    distortion : (5,) k1, k2, p1, p2, k3 of OpenCV's model; needs ``intrinsics``
+    centre_on_ground : (2,) the ground point below the optical centre (metres), where it is known apart from
+        the intrinsics
+
+    Raises
+    ------
+    InputError
+        For a singular homography, or distortion without intrinsics.
+    """
+
+    homography: FloatArray
+    intrinsics: FloatArray | None = None
+    distortion: FloatArray | None = None
+    centre_on_ground: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        self._set("homography", check_homography(self.homography))
+        for name, shape in (("intrinsics", (3, 3)), ("distortion", (5,)), ("centre_on_ground", (2,))):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            value = np.array(value, dtype=float)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise InputError(f"{name} {value.tolist()}", f"finite numbers of shape {shape}")
+            self._set(name, value)
+        if self.distortion is not None and self.intrinsics is None:
+            raise InputError("distortion without intrinsics", "both or neither")
+        if self.intrinsics is not None and abs(np.linalg.det(self.intrinsics)) < 1e-12:
+            raise InputError("a singular camera matrix", "an invertible one")
+
+    def _set(self, name: str, value: FloatArray) -> None:
+        value.setflags(write=False)
+        object.__setattr__(self, name, value)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, GroundCamera):
+            return NotImplemented
+        return all(_same(getattr(self, n), getattr(other, n)) for n in self.__dataclass_fields__)
+
+    def __hash__(self) -> int:
+        return hash(self.homography.tobytes())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return GroundCamera, (self.homography, self.intrinsics, self.distortion, self.centre_on_ground)
+
+    @classmethod
+    def from_homography(cls, homography: ArrayLike, *, visible: ArrayLike | None = None) -> GroundCamera:
+        """A camera of which only the homography is known.
+
+        Parameters
+        ----------
+        homography : (3, 3) pixel → ground (metres), of either sign
+        visible : (n, 2) pixels of points on the ground, which tell the visible side of the horizon. Without
+            them it is the side below the horizon, as in an upright image.
+        """
+        homography = check_homography(homography)
+        points = None if visible is None else np.asarray(visible, dtype=float).reshape(-1, 2)
+        if points is not None:
+            points = points[np.isfinite(points).all(axis=1)]
+        if points is not None and len(points):
+            side = float(np.median(points @ homography[2, :2] + homography[2, 2]))
+        else:
+            # A slope that changes w by less than 0.1 ‰ over a large image is rounding: then w is constant.
+            sloped = abs(homography[2, 1]) * 1e4 > abs(homography[2, 2]) * 1e-4
+            side = float(homography[2, 1] if sloped else homography[2, 2])
+        return cls(-homography if side < 0.0 else homography)
+
+    @classmethod
+    def from_point_pairs(cls, pixel: ArrayLike, ground: ArrayLike) -> tuple[GroundCamera, HomographyFit]:
+        """A camera from n ≥ 4 pixels (n, 2) and their ground points (n, 2) in metres, with the fit."""
+        fit = fit_homography(pixel, ground)
+        return cls(fit.homography), fit
+
+    @classmethod
+    def from_calibration(
+        cls,
+        rotation: ArrayLike,
+        translation: ArrayLike,
+        intrinsics: ArrayLike,
+        distortion: ArrayLike | None = None,
+    ) -> GroundCamera:
+        """A calibrated camera over the ground plane z = 0.
+
+        Parameters
+        ----------
+        rotation : (3, 3), world → camera
+        translation : (3,) metres: a point X has camera coordinates R·X + t
+        intrinsics : (3, 3) camera matrix in pixels
+        distortion : (5,) k1, k2, p1, p2, k3
+        """
+        rotation, translation = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
+        intrinsics = np.asarray(intrinsics, dtype=float)
+        # Ground → camera → image; the third coordinate is the depth, so the inverse has 1/depth there.
+        to_image = intrinsics @ np.column_stack([rotation[:, :2], translation])
+        centre = -rotation.T @ translation
+        return cls(
+            np.asarray(np.linalg.inv(check_homography(to_image)), dtype=float),
+            intrinsics,
+            None if distortion is None else np.asarray(distortion, dtype=float),
+            centre[:2],
+        )
+
+    @classmethod
+    def from_scale(cls, metres_per_pixel: float, *, nadir: ArrayLike | None = None) -> GroundCamera:
+        """A view from straight above: x = s·u, y = −s·v; ``nadir`` (2,) is the pixel below the camera."""
+        s = metres_per_pixel
+        centre = None if nadir is None else np.asarray(nadir, dtype=float) * [s, -s]
+        return cls(np.diag([s, -s, 1.0]), centre_on_ground=centre)
+
+    def resized(self, factor: float) -> GroundCamera:
+        """The same camera for its image at ``factor`` times the size."""
+        to_old = np.diag([1.0 / factor, 1.0 / factor, 1.0])
+        intrinsics = None if self.intrinsics is None else np.diag([factor, factor, 1.0]) @ self.intrinsics
+        return GroundCamera(self.homography @ to_old, intrinsics, self.distortion, self.centre_on_ground)
+
+    def undistort(self, pixel: ArrayLike) -> FloatArray:
+        """Ideal pixels (..., 2) of raw pixels (..., 2); NaN where the lens model has no inverse."""
+        pixel = np.asarray(pixel, dtype=float)
+        if self.distortion is None or pixel.size == 0:
+            return pixel.copy()
+        import cv2
+
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+        flat = np.ascontiguousarray(pixel.reshape(-1, 1, 2))
+        ideal = cv2.undistortPointsIter(
+            flat, self.intrinsics, self.distortion, np.eye(3), self.intrinsics, criteria
+        ).reshape(pixel.shape)
+        with np.errstate(invalid="ignore", over="ignore"):
+            miss = np.linalg.norm(self.distort(ideal) - pixel, axis=-1, keepdims=True)
+        return np.where(miss < _UNDISTORTED_WITHIN, ideal, np.nan)
+
+    def distort(self, pixel: ArrayLike) -> FloatArray:
+        """Raw pixels (..., 2) of ideal pixels (..., 2)."""
+        pixel = np.asarray(pixel, dtype=float)
+        if self.distortion is None or self.intrinsics is None:
+            return pixel.copy()
+        k1, k2, p1, p2, k3 = self.distortion
+        normalised = apply_homography(np.linalg.inv(self.intrinsics), pixel)
+        x, y = normalised[..., 0], normalised[..., 1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            r2 = x**2 + y**2
+            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            bent = np.stack(
+                [
+                    x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2),
+                    y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y,
+                ],
+                axis=-1,
+            )
+        return apply_homography(self.intrinsics, bent)
+
+    def image_to_ground(self, pixel: ArrayLike) -> FloatArray:
+        """Ground points (..., 2) in metres of raw pixels (..., 2); NaN at and beyond the horizon."""
+        ideal = self.undistort(pixel)
+        depth = ideal @ self.homography[2, :2] + self.homography[2, 2]
+        with np.errstate(invalid="ignore"):
+            return np.where((depth > 0.0)[..., None], apply_homography(self.homography, ideal), np.nan)
+
+    def ground_to_image(self, position: ArrayLike) -> FloatArray:
+        """Raw pixels (..., 2) of ground points (..., 2, metres); NaN behind the camera."""
+        position = np.asarray(position, dtype=float)
+        depth = position @ self._to_image[2, :2] + self._to_image[2, 2]
+        with np.errstate(invalid="ignore"):
+            ideal = np.where((depth > 0.0)[..., None], apply_homography(self._to_image, position), np.nan)
+        return self.distort(ideal)
+
+    def ground_jacobian(self, pixel: ArrayLike) -> FloatArray:
+        """Metres per ideal pixel: (..., 2, 2) derivative of the ground point at raw pixels (..., 2)."""
+        return jacobian(self.homography, self.undistort(pixel))
+
+    @cached_property
+    def is_mirrored(self) -> bool:
+        """Whether the ground's axes are left-handed as seen from above.
+
+        Image axes (u right, v down) are left-handed, so a map to a right-handed ground turns orientation.
+        On the visible side the third coordinate is positive, and the sign is that of the determinant.
+        """
+        return bool(np.linalg.det(self.homography) > 0.0)
+
+    @cached_property
+    def optical_centre_on_ground(self) -> FloatArray | None:
+        """The ground point (2,) below the optical centre in metres; None if only a homography is known."""
+        if self.centre_on_ground is not None:
+            return self.centre_on_ground
+        if self.intrinsics is None:
+            return None
+        pose = np.linalg.inv(self.intrinsics) @ self._to_image
+        first, second, translation = pose.T / np.sqrt(np.linalg.norm(pose[:, 0]) * np.linalg.norm(pose[:, 1]))
+        # Nearest rotation: the two columns are orthonormal only as far as the homography is exact.
+        rough = np.column_stack([first, second, np.cross(first, second)])
+        left, _, right = np.linalg.svd(rough)
+        centre: FloatArray = -(left @ right).T @ translation
+        return centre[:2]
+
+    def ray_bearing(self, position: ArrayLike) -> FloatArray:
+        """World direction (..., radians) in which the camera looks at ground points (..., 2).
+
+        With the optical centre known this is the direction from the point below it. Else the image is
+        taken to be upright: the ray's vertical plane is then seen as the image column through the point,
+        exactly so on the central column and nearly so elsewhere as long as the camera looks down by little.
+        """
+        position = np.asarray(position, dtype=float)
+        centre = self.optical_centre_on_ground
+        if centre is not None:
+            return direction(position - centre)
+        ideal = apply_homography(self._to_image, position)
+        away = jacobian(self.homography, ideal) @ np.array([0.0, -1.0])
+        return direction(away)
+
+    def world_angle(self, image_angle: ArrayLike, position: ArrayLike) -> FloatArray:
+        """World angles (radians) of pose angles in the image frame, for people at ground points (..., 2).
+
+        A pose angle in the image frame is 0 when the person faces the camera and grows counter-clockwise as
+        seen from above, so that at +π/2 the person faces the right of the image. Hence world angle =
+        image angle + bearing of the ray + π (002 §3); on a mirrored ground the image angle counts negative.
+        """
+        sign = -1.0 if self.is_mirrored else 1.0
+        return wrap(sign * np.asarray(image_angle, dtype=float) + self.ray_bearing(position) + np.pi)
+
+    def image_angle(self, world_angle: ArrayLike, position: ArrayLike) -> FloatArray:
+        """The inverse of `world_angle`."""
+        sign = -1.0 if self.is_mirrored else 1.0
+        facing = np.asarray(world_angle, dtype=float) - self.ray_bearing(position) - np.pi
+        return wrap(sign * facing)
+
+    def image_direction_to_world(self, direction_in_image: ArrayLike, pixel: ArrayLike) -> FloatArray:
+        """World direction (radians) of something horizontal that points along an image-plane direction.
+
+        Parameters
+        ----------
+        direction_in_image : (...,) radians in the image, 0 = right, counter-clockwise with v *up*
+        pixel : (..., 2) raw pixel at which it is seen
+
+        Notes
+        -----
+        The map is the derivative of `image_to_ground` at the pixel, the lens distortion included. It
+        holds at any height: the ground that is seen through a pixel is that of the plane at the height of
+        what is seen there, enlarged about the camera. So take the pixel where the thing itself is seen.
+        """
+        pixel = np.asarray(pixel, dtype=float)
+        toward = unit(direction_in_image) * np.array([0.5, -0.5])
+        moved = self.image_to_ground(pixel + toward) - self.image_to_ground(pixel - toward)
+        return np.where(np.isfinite(moved).all(axis=-1), direction(moved), np.nan)
+
+    @cached_property
+    def _to_image(self) -> FloatArray:
+        """Ground → ideal pixel, the third coordinate positive on the visible side."""
+        return np.asarray(np.linalg.inv(self.homography), dtype=float)
+
+
+def _same(a: FloatArray | None, b: FloatArray | None) -> bool:
+    return (a is None) == (b is None) and (a is None or b is None or np.array_equal(a, b))

@@ -1,0 +1,1 @@
+"""The compiled engine for the chain that one person is."""

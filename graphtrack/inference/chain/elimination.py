@@ -1,0 +1,267 @@
+"""Linear algebra of a chain: its block-tridiagonal Hessian, factored frame by frame.
+
+Block Cholesky, the same recursion as a Kalman filter in information form; the sweep back gives the Newton
+step, or the covariances by the recursion of the Rauch–Tung–Striebel smoother.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.problem import N
+from graphtrack.model.kernels.compiled import compiled
+
+
+class Workspace(NamedTuple):
+    """Memory of a factorisation, for tracks of up to n frames."""
+
+    inverse: FloatArray  # (n, 6, 6) inverse Cholesky factors
+    link: FloatArray  # (n, 6, 6) what ties each frame to the next, in the whitened state
+    solution: FloatArray  # (n, 6)
+    step: FloatArray  # (n, 6)
+    candidate: FloatArray  # (n, 6)
+    trigonometry: FloatArray  # (n, 4) cosine and sine of body and head
+    scratch: FloatArray  # (4, 6, 6)
+    newest: FloatArray  # (6, 6) Hessian of the newest frame of a window, the frames before eliminated
+
+
+def workspace(n: int) -> Workspace:
+    """Memory for tracks of up to n frames."""
+    block, vector = (n, N, N), (n, N)
+    return Workspace(
+        np.empty(block),
+        np.empty(block),
+        np.empty(vector),
+        np.empty(vector),
+        np.empty(vector),
+        np.empty((n, 4)),
+        np.empty((4, N, N)),
+        np.empty((N, N)),
+    )
+
+
+_SMALLEST_PIVOT = 1e-13  # relative to the diagonal
+
+
+@compiled
+def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> bool:
+    """The inverse of the Cholesky factor of a symmetric matrix, of which the lower half is read.
+
+    Returns whether the matrix is positive definite. Only the lower half of ``inverse`` is written.
+    """
+    # Written out, so that it stays in registers: loops that run to a changing end take twice as long.
+    pivot = matrix[0, 0]
+    if not pivot > _SMALLEST_PIVOT * abs(matrix[0, 0]):
+        return False
+    m00 = 1.0 / math.sqrt(pivot)
+    l10 = (matrix[1, 0]) * m00
+    l20 = (matrix[2, 0]) * m00
+    l30 = (matrix[3, 0]) * m00
+    l40 = (matrix[4, 0]) * m00
+    l50 = (matrix[5, 0]) * m00
+    pivot = matrix[1, 1] - l10 * l10
+    if not pivot > _SMALLEST_PIVOT * abs(matrix[1, 1]):
+        return False
+    m11 = 1.0 / math.sqrt(pivot)
+    l21 = (matrix[2, 1] - l20 * l10) * m11
+    l31 = (matrix[3, 1] - l30 * l10) * m11
+    l41 = (matrix[4, 1] - l40 * l10) * m11
+    l51 = (matrix[5, 1] - l50 * l10) * m11
+    pivot = matrix[2, 2] - l20 * l20 - l21 * l21
+    if not pivot > _SMALLEST_PIVOT * abs(matrix[2, 2]):
+        return False
+    m22 = 1.0 / math.sqrt(pivot)
+    l32 = (matrix[3, 2] - l30 * l20 - l31 * l21) * m22
+    l42 = (matrix[4, 2] - l40 * l20 - l41 * l21) * m22
+    l52 = (matrix[5, 2] - l50 * l20 - l51 * l21) * m22
+    pivot = matrix[3, 3] - l30 * l30 - l31 * l31 - l32 * l32
+    if not pivot > _SMALLEST_PIVOT * abs(matrix[3, 3]):
+        return False
+    m33 = 1.0 / math.sqrt(pivot)
+    l43 = (matrix[4, 3] - l40 * l30 - l41 * l31 - l42 * l32) * m33
+    l53 = (matrix[5, 3] - l50 * l30 - l51 * l31 - l52 * l32) * m33
+    pivot = matrix[4, 4] - l40 * l40 - l41 * l41 - l42 * l42 - l43 * l43
+    if not pivot > _SMALLEST_PIVOT * abs(matrix[4, 4]):
+        return False
+    m44 = 1.0 / math.sqrt(pivot)
+    l54 = (matrix[5, 4] - l50 * l40 - l51 * l41 - l52 * l42 - l53 * l43) * m44
+    pivot = matrix[5, 5] - l50 * l50 - l51 * l51 - l52 * l52 - l53 * l53 - l54 * l54
+    if not pivot > _SMALLEST_PIVOT * abs(matrix[5, 5]):
+        return False
+    m55 = 1.0 / math.sqrt(pivot)
+    m10 = -m11 * (l10 * m00)
+    m20 = -m22 * (l20 * m00 + l21 * m10)
+    m30 = -m33 * (l30 * m00 + l31 * m10 + l32 * m20)
+    m40 = -m44 * (l40 * m00 + l41 * m10 + l42 * m20 + l43 * m30)
+    m50 = -m55 * (l50 * m00 + l51 * m10 + l52 * m20 + l53 * m30 + l54 * m40)
+    m21 = -m22 * (l21 * m11)
+    m31 = -m33 * (l31 * m11 + l32 * m21)
+    m41 = -m44 * (l41 * m11 + l42 * m21 + l43 * m31)
+    m51 = -m55 * (l51 * m11 + l52 * m21 + l53 * m31 + l54 * m41)
+    m32 = -m33 * (l32 * m22)
+    m42 = -m44 * (l42 * m22 + l43 * m32)
+    m52 = -m55 * (l52 * m22 + l53 * m32 + l54 * m42)
+    m43 = -m44 * (l43 * m33)
+    m53 = -m55 * (l53 * m33 + l54 * m43)
+    m54 = -m55 * (l54 * m44)
+    inverse[0, 0] = m00
+    inverse[1, 0] = m10
+    inverse[1, 1] = m11
+    inverse[2, 0] = m20
+    inverse[2, 1] = m21
+    inverse[2, 2] = m22
+    inverse[3, 0] = m30
+    inverse[3, 1] = m31
+    inverse[3, 2] = m32
+    inverse[3, 3] = m33
+    inverse[4, 0] = m40
+    inverse[4, 1] = m41
+    inverse[4, 2] = m42
+    inverse[4, 3] = m43
+    inverse[4, 4] = m44
+    inverse[5, 0] = m50
+    inverse[5, 1] = m51
+    inverse[5, 2] = m52
+    inverse[5, 3] = m53
+    inverse[5, 4] = m54
+    inverse[5, 5] = m55
+    return True
+
+
+@compiled
+def eliminate(
+    hessian: FloatArray,
+    right: FloatArray,
+    transition: FloatArray,
+    hessian_next: FloatArray,
+    right_next: FloatArray,
+    inverse: FloatArray,
+    link: FloatArray,
+    solution: FloatArray,
+) -> bool:
+    """Eliminate a frame: its Schur complement goes to the next one; keeps what the sweep back needs."""
+    if not invert_cholesky(hessian, inverse):
+        return False
+    # Six sums side by side are one vector operation; as an inner loop they are not (three times the time).
+    for i in range(N):
+        a = b = c = d = e = f = total = 0.0
+        for k in range(i + 1):
+            weight, row = inverse[i, k], transition[k]
+            total += weight * right[k]
+            a += weight * row[0]
+            b += weight * row[1]
+            c += weight * row[2]
+            d += weight * row[3]
+            e += weight * row[4]
+            f += weight * row[5]
+        solution[i] = total
+        row = link[i]
+        row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
+    for i in range(N):
+        a = b = c = d = e = f = total = 0.0
+        for k in range(N):
+            row = link[k]
+            weight = row[i]
+            total += weight * solution[k]
+            a += weight * row[0]
+            b += weight * row[1]
+            c += weight * row[2]
+            d += weight * row[3]
+            e += weight * row[4]
+            f += weight * row[5]
+        right_next[i] -= total
+        row = hessian_next[i]
+        row[0] -= a
+        row[1] -= b
+        row[2] -= c
+        row[3] -= d
+        row[4] -= e
+        row[5] -= f
+    return True
+
+
+@compiled
+def clear(gradient: FloatArray, hessian: FloatArray, transition: FloatArray) -> None:
+    """Set to 0; assigning to slices would take longer than the terms themselves."""
+    for i in range(N):
+        gradient[i] = 0.0
+        for j in range(N):
+            hessian[i, j] = 0.0
+            transition[i, j] = 0.0
+
+
+@compiled
+def sweep_back(n: int, workspace: Workspace) -> float:
+    """The Newton step (n, 6) from a factorisation; returns the decrease of cost that it promises."""
+    inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step
+    decrement = 0.0
+    for k in range(n - 1, -1, -1):
+        for i in range(N):
+            decrement += 0.5 * solution[k, i] * solution[k, i]
+        if k < n - 1:
+            for i in range(N):
+                total = solution[k, i]
+                for j in range(N):
+                    total += link[k, i, j] * step[k + 1, j]
+                solution[k, i] = total
+        for i in range(N):
+            total = 0.0
+            for j in range(i, N):
+                total += inverse[k, j, i] * solution[k, j]
+            step[k, i] = -total
+    return decrement
+
+
+@compiled
+def marginals(workspace: Workspace, covariance: FloatArray) -> None:
+    """Covariances (n, 6, 6) of every frame's state from a factorisation."""
+    n, inverse, link = len(covariance), workspace.inverse, workspace.link
+    full, product = workspace.scratch[0], workspace.scratch[1]
+    for k in range(n - 1, -1, -1):
+        # P = L⁻ᵀ·(I + W·P'·Wᵀ)·L⁻¹, with P' of the frame after: G = L⁻ᵀ·W, then G·P'·Gᵀ + L⁻ᵀ·L⁻¹.
+        for i in range(N):
+            a = b = c = d = e = f = 0.0
+            for m in range(i, N):
+                weight, row = inverse[k, m, i], link[k, m]
+                a += weight * row[0]
+                b += weight * row[1]
+                c += weight * row[2]
+                d += weight * row[3]
+                e += weight * row[4]
+                f += weight * row[5]
+            row = full[i]
+            row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
+        if k < n - 1:
+            for i in range(N):
+                a = b = c = d = e = f = 0.0
+                for m in range(N):
+                    weight, row = full[i, m], covariance[k + 1, m]
+                    a += weight * row[0]
+                    b += weight * row[1]
+                    c += weight * row[2]
+                    d += weight * row[3]
+                    e += weight * row[4]
+                    f += weight * row[5]
+                row = product[i]
+                row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
+        for i in range(N):
+            for j in range(i + 1):
+                total = 0.0
+                for m in range(i, N):
+                    total += inverse[k, m, i] * inverse[k, m, j]
+                if k < n - 1:
+                    row, other = product[i], full[j]
+                    total += (
+                        row[0] * other[0]
+                        + row[1] * other[1]
+                        + row[2] * other[2]
+                        + row[3] * other[3]
+                        + row[4] * other[4]
+                        + row[5] * other[5]
+                    )
+                covariance[k, i, j] = total
+                covariance[k, j, i] = total

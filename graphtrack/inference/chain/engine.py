@@ -1,0 +1,105 @@
+"""The chain engine: whole tracks solved by compiled Newton steps (see `chain_kernels`)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from graphtrack.inference.chain.elimination import Workspace, workspace
+from graphtrack.inference.chain.modes import renew_tracks
+from graphtrack.inference.chain.newton import NOT_FINITE
+from graphtrack.inference.chain.problem import N, Problem, Result
+from graphtrack.inference.chain.restart import solve_tracks
+from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.initial import empty_result, problem_of, seen_in
+from graphtrack.model import Model
+from graphtrack.model.gait import gait_of
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.frames import BODY, HEAD, X, Y
+from graphtrack.model.kernels.packing import PackedTracks
+
+PASSES = 2
+"""Times that the modes of the couplings, and the states with them, are found anew; a third changes
+nothing that the errors on motion capture would show."""
+
+
+def is_chain(model: Model) -> bool:
+    """Whether every term of a model has a compiled kernel."""
+    return all(term.is_compiled for term in model.terms)
+
+
+def solve_packed(
+    packed: PackedTracks,
+    model: Model,
+    *,
+    max_iterations: int = 100,
+    tolerance: float = 1e-12,
+    restart: bool = True,
+) -> Result:
+    """Maximum a posteriori states and their covariances.
+
+    Parameters
+    ----------
+    packed : from `initial.pack`, with the same model, which is a chain
+    max_iterations : Newton steps a track
+    tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
+    restart : search a grid of orientations for a better basin where there may be one
+
+    Returns
+    -------
+    Result
+        States in the world's frame, angles not wrapped. Covariances are those of the exact curvature where
+        that is positive definite. NaN for what the model does not have. Where couplings have modes, they are
+        weighed by the modes' probabilities, and costs and covariances are those given these weights.
+    """
+    result, problem, seen = empty_result(packed), problem_of(packed), seen_in(packed, model)
+    linear = model.is_linear and packed.is_linear
+    longest = int(np.diff(packed.offsets).max())
+    initialise(problem, seen, linear, np.empty((3, longest)), result)
+    if not linear:
+        solve_terms(model, problem, max_iterations, tolerance, restart, workspace(longest), result)
+    finish(problem, model.has_body, model.has_head, result)
+    return result
+
+
+def solve_terms(
+    model: Model,
+    problem: Problem,
+    max_iterations: int,
+    tolerance: float,
+    restart: bool,
+    memory: Workspace,
+    result: Result,
+) -> None:
+    """Solve all tracks from the states in ``result``, in place; modes of couplings alternate with states."""
+    if not model.has_modes:
+        solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+        return
+    # Without couplings first: from there both the modes and the states are found.
+    for name in ("motion_body_kappa", "head_body_kappa", "steer_gain"):
+        problem.records[name] = 0.0
+    solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+    gait = gait_of(model.parameters.gait)
+    for _ in range(PASSES):
+        renew_tracks(problem, result.states, gait, result.modes)
+        solve_tracks(problem, max_iterations, tolerance, False, memory, result)
+
+
+@compiled
+def finish(problem: Problem, has_body: bool, has_head: bool, result: Result) -> None:
+    """States back in the world's frame, and NaN for what the model does not have or was not found."""
+    for track in range(len(problem.offsets) - 1):
+        failed = result.status[track] == NOT_FINITE
+        for k in range(problem.offsets[track], problem.offsets[track + 1]):
+            state, covariance = result.states[k], result.covariance[k]
+            state[X] += problem.origin[track, X]
+            state[Y] += problem.origin[track, Y]
+            for place, has in ((BODY, has_body), (HEAD, has_head)):
+                if not has:
+                    state[place] = math.nan
+                    for i in range(N):
+                        covariance[place, i] = math.nan
+                        covariance[i, place] = math.nan
+            if failed:
+                covariance[:] = math.nan

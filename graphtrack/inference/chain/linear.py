@@ -1,0 +1,108 @@
+"""The linear part of the model, solved exactly in one pass: motion and positions in metres.
+
+Both axes share one covariance, so a frame is a 2 × 2 block (position, velocity) with two right-hand sides.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.frames import VX, VY, X, Y
+
+
+@compiled
+def solve_linear(frames: np.ndarray, states: FloatArray, spread: FloatArray, memory: FloatArray) -> float:
+    """Posterior mean and covariance of positions and velocities of one track; returns the cost there.
+
+    Fills in the first four columns of ``states`` (n, 6), and ``spread`` (n, 3): the variance of the position,
+    the covariance of position and velocity, and the variance of the velocity, on each axis. ``memory`` is
+    (n, 7). NaN comes out where no position determines the track.
+    """
+    n = len(frames)
+    pp = pv = vv = px = py = vx = vy = 0.0
+    for k in range(n):
+        frame = frames[k]
+        information = frame.motion_information
+        if information > 0.0:
+            half = 0.5 * frame.dt
+            bend = 12.0 * information / (frame.dt * frame.dt * frame.dt)
+            turn = information / frame.dt
+            # The frame before, complete with this transition, is eliminated.
+            hpp, hpv, hvv = pp + bend, pv + half * bend, vv + turn + half * half * bend
+            determinant = hpp * hvv - hpv * hpv
+            a, b, c = hvv / determinant, -hpv / determinant, hpp / determinant
+            e_pp, e_pv, e_vp, e_vv = -bend, -half * bend, half * bend, half * half * bend - turn
+            g_pp, g_pv = a * e_pp + b * e_pv, b * e_pp + c * e_pv
+            g_vp, g_vv = a * e_vp + b * e_vv, b * e_vp + c * e_vv
+            row = memory[k - 1]
+            row[0], row[1], row[2] = a, b, c
+            row[3], row[4], row[5], row[6] = g_pp, g_pv, g_vp, g_vv
+            mx, ux = a * px + b * vx, b * px + c * vx
+            my, uy = a * py + b * vy, b * py + c * vy
+            before = states[k - 1]
+            before[X], before[VX], before[Y], before[VY] = mx, ux, my, uy
+            px, vx = -(e_pp * mx + e_pv * ux), -(e_vp * mx + e_vv * ux)
+            py, vy = -(e_pp * my + e_pv * uy), -(e_vp * my + e_vv * uy)
+            pp = bend - (e_pp * g_pp + e_pv * g_pv)
+            pv = -half * bend - (e_pp * g_vp + e_pv * g_vv)
+            vv = turn + half * half * bend - (e_vp * g_vp + e_vv * g_vv)
+        vv += frame.velocity_information
+        weight = frame.position_information
+        pp += weight
+        px += weight * frame.x
+        py += weight * frame.y
+    determinant = pp * vv - pv * pv
+    a, b, c = vv / determinant, -pv / determinant, pp / determinant
+    state = states[n - 1]
+    state[X], state[VX] = a * px + b * vx, b * px + c * vx
+    state[Y], state[VY] = a * py + b * vy, b * py + c * vy
+    spread[n - 1, 0], spread[n - 1, 1], spread[n - 1, 2] = a, b, c
+    for k in range(n - 2, -1, -1):
+        row, after, state = memory[k], states[k + 1], states[k]
+        g_pp, g_pv, g_vp, g_vv = row[3], row[4], row[5], row[6]
+        state[X] -= g_pp * after[X] + g_vp * after[VX]
+        state[VX] -= g_pv * after[X] + g_vv * after[VX]
+        state[Y] -= g_pp * after[Y] + g_vp * after[VY]
+        state[VY] -= g_pv * after[Y] + g_vv * after[VY]
+        q_pp = g_pp * a + g_vp * b
+        q_pv = g_pp * b + g_vp * c
+        q_vp = g_pv * a + g_vv * b
+        q_vv = g_pv * b + g_vv * c
+        a = row[0] + q_pp * g_pp + q_pv * g_vp
+        c_new = row[2] + q_vp * g_pv + q_vv * g_vv
+        b = row[1] + q_pp * g_pv + q_pv * g_vv
+        c = c_new
+        spread[k, 0], spread[k, 1], spread[k, 2] = a, b, c
+    cost = 0.0
+    for k in range(n):
+        frame, state = frames[k], states[k]
+        dx, dy = state[X] - frame.x, state[Y] - frame.y
+        cost += 0.5 * frame.position_information * (dx * dx + dy * dy)
+        cost += 0.5 * frame.velocity_information * (state[VX] * state[VX] + state[VY] * state[VY])
+        if frame.motion_information > 0.0:
+            then, half = states[k - 1], 0.5 * frame.dt
+            turn = frame.motion_information / frame.dt
+            bend = 12.0 * frame.motion_information / (frame.dt * frame.dt * frame.dt)
+            dvx, dvy = state[VX] - then[VX], state[VY] - then[VY]
+            ox = state[X] - then[X] - half * (state[VX] + then[VX])
+            oy = state[Y] - then[Y] - half * (state[VY] + then[VY])
+            cost += 0.5 * (turn * (dvx * dvx + dvy * dvy) + bend * (ox * ox + oy * oy))
+    return cost if math.isfinite(cost) else math.nan
+
+
+@compiled
+def spread_to_covariance(spread: FloatArray, covariance: FloatArray) -> None:
+    """Covariances (n, 6, 6) from those (n, 3) of one axis; orientations are left as they are."""
+    for k in range(len(spread)):
+        for i in range(4):
+            for j in range(4):
+                covariance[k, i, j] = 0.0
+        for axis in range(2):
+            p, v = X + axis, VX + axis
+            covariance[k, p, p] = spread[k, 0]
+            covariance[k, p, v] = covariance[k, v, p] = spread[k, 1]
+            covariance[k, v, v] = spread[k, 2]

@@ -1,0 +1,119 @@
+"""The compiled chain solver: Newton steps on one track whose Hessian is block-tridiagonal.
+
+One sweep forward adds the terms up frame by frame and eliminates each frame as soon as it is complete; one
+sweep back gives the step (see `elimination_kernels`).
+"""
+
+from __future__ import annotations
+
+import math
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.elimination import Workspace, clear, eliminate, invert_cholesky, sweep_back
+from graphtrack.inference.chain.frames import add_frame, add_prior
+from graphtrack.inference.chain.problem import N, Problem
+from graphtrack.model.kernels.compiled import compiled
+
+
+@compiled
+def sweep_forward(
+    problem: Problem, track: int, start: FloatArray, states: FloatArray, exact: bool, workspace: Workspace
+) -> tuple[float, bool]:
+    """Cost of the states, and whether the Hessian there is positive definite; if so it is factored."""
+    n, inverse, link, solution = len(states), workspace.inverse, workspace.link, workspace.solution
+    gradients, hessians, transition = workspace.scratch[0], workspace.scratch[1:3], workspace.scratch[3]
+    workspace.scratch[:] = 0.0
+    cost, definite = 0.0, True
+    for k in range(n):
+        here, before = k & 1, 1 - (k & 1)
+        cost += add_frame(
+            problem,
+            track,
+            k,
+            start,
+            states,
+            exact,
+            workspace.trigonometry,
+            gradients[before],
+            gradients[here],
+            hessians[before],
+            hessians[here],
+            transition,
+        )
+        if k == 0 and len(problem.prior) > 0:
+            cost += add_prior(problem.prior, states[0], gradients[here], hessians[here])
+        if k > 0 and definite:
+            definite = eliminate(
+                hessians[before],
+                gradients[before],
+                transition,
+                hessians[here],
+                gradients[here],
+                inverse[k - 1],
+                link[k - 1],
+                solution[k - 1],
+            )
+        clear(gradients[before], hessians[before], transition)
+    if definite:
+        here = (n - 1) & 1
+        definite = invert_cholesky(hessians[here], inverse[n - 1])
+        for i in range(N):
+            total = 0.0
+            for k in range(i + 1):
+                total += inverse[n - 1, i, k] * gradients[here, k]
+            solution[n - 1, i] = total
+    return cost, definite
+
+
+CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2
+_SMALLEST_SCALE = 1e-9
+
+
+@compiled
+def minimise(
+    problem: Problem,
+    track: int,
+    states: FloatArray,
+    max_iterations: int,
+    tolerance: float,
+    workspace: Workspace,
+) -> tuple[float, float, int, int, bool]:
+    """Newton's method with step halving on one track, from ``states`` (n, 6), in place.
+
+    Returns the first cost, the last, the number of steps, how it ended, and whether the workspace holds the
+    exact Hessian, factored, at the end.
+    """
+    n, step, candidate = len(states), workspace.step, workspace.candidate[: len(states)]
+    start = states[0].copy()
+    first_cost, definite = sweep_forward(problem, track, start, states, True, workspace)
+    cost = first_cost
+    if not math.isfinite(cost):
+        return first_cost, cost, 0, NOT_FINITE, False
+    for iteration in range(max_iterations + 1):
+        exact = definite
+        if not definite:
+            _, definite = sweep_forward(problem, track, start, states, False, workspace)
+        decrement = sweep_back(n, workspace)
+        if not definite or not math.isfinite(decrement):
+            return first_cost, cost, iteration, NOT_FINITE, False
+        if decrement <= tolerance * (1.0 + abs(cost)):
+            states += step[:n]
+            return first_cost, cost, iteration, CONVERGED, exact
+        if iteration == max_iterations:
+            break
+        scale, found = 1.0, math.inf
+        while scale > _SMALLEST_SCALE:
+            for k in range(n):
+                for i in range(N):
+                    candidate[k, i] = states[k, i] + scale * step[k, i]
+            found, definite = sweep_forward(problem, track, start, candidate, True, workspace)
+            if found <= cost:
+                break
+            scale *= 0.5
+        if not found <= cost:
+            # What the step promises is less than the rounding of the cost.
+            _, exact = sweep_forward(problem, track, start, states, True, workspace)
+            return first_cost, cost, iteration, CONVERGED if exact else NOT_CONVERGED, exact
+        cost = found
+        states[:] = candidate
+    return first_cost, cost, max_iterations, NOT_CONVERGED, exact

@@ -1,0 +1,104 @@
+"""Where the optimiser starts, compiled: the linear solution, and running means of the angles seen."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.linear import solve_linear, spread_to_covariance
+from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
+from graphtrack.inference.chain.problem import Problem, Result
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.frames import BODY, HEAD, VX, VY
+
+
+class Seen(NamedTuple):
+    """What the first orientations are made of."""
+
+    t: FloatArray  # (N,) seconds
+    body: FloatArray  # (N, 2) vectors to where the body was seen to point, or NaN; no rows: no body
+    head: FloatArray  # (N, 2) the same of the head
+    moving: float  # m/s above which the direction of travel stands in
+    window: float  # seconds to either side over which vectors are averaged
+
+
+@compiled
+def running_mean(t: FloatArray, vectors: FloatArray, window: float, angle: FloatArray) -> None:
+    """Direction of the mean of the vectors (n, 2) seen within ``window`` seconds; NaN where none was."""
+    n = len(t)
+    low = high = count = 0
+    x = y = 0.0
+    for k in range(n):
+        while high < n and t[high] <= t[k] + window:
+            if math.isfinite(vectors[high, 0]):
+                x += vectors[high, 0]
+                y += vectors[high, 1]
+                count += 1
+            high += 1
+        while t[low] < t[k] - window:
+            if math.isfinite(vectors[low, 0]):
+                x -= vectors[low, 0]
+                y -= vectors[low, 1]
+                count -= 1
+            low += 1
+        if count > 0 and x * x + y * y > 1e-18:
+            angle[k] = math.atan2(y, x)
+        else:
+            angle[k] = math.nan
+
+
+@compiled
+def headings(states: FloatArray, threshold: float, angle: FloatArray) -> None:
+    """Direction of travel where the speed is above the threshold, else NaN."""
+    for k in range(len(states)):
+        vx, vy = states[k, VX], states[k, VY]
+        moving = vx * vx + vy * vy > threshold * threshold
+        angle[k] = math.atan2(vy, vx) if moving else math.nan
+
+
+@compiled
+def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
+    """Put the fallback where an angle is NaN, else the nearest in time of either, else 0."""
+    n = len(t)
+    last = -1
+    for k in range(n):
+        if not math.isfinite(angle[k]):
+            angle[k] = fallback[k]
+        if math.isfinite(angle[k]):
+            for gap in range(last + 1, k):
+                earlier = last >= 0 and t[gap] - t[last] <= t[k] - t[gap]
+                angle[gap] = angle[last] if earlier else angle[k]
+            last = k
+    for gap in range(last + 1, n):
+        angle[gap] = angle[last] if last >= 0 else 0.0
+
+
+@compiled
+def initialise(problem: Problem, seen: Seen, only: bool, angles: FloatArray, result: Result) -> None:
+    """Fill in the states of all tracks; ``angles`` (3, n) is memory.
+
+    ``only``: the linear solution is all there is to find, so costs, covariances and status come from it.
+    """
+    for track in range(len(problem.offsets) - 1):
+        a, b = problem.offsets[track], problem.offsets[track + 1]
+        n, t, states = b - a, seen.t[a:b], result.states[a:b]
+        spread, memory = np.empty((n, 3)), np.empty((n, 7))
+        cost = solve_linear(problem.records[a:b], states, spread, memory)
+        if only:
+            result.first_cost[track] = result.cost[track] = cost
+            result.status[track] = CONVERGED if math.isfinite(cost) else NOT_FINITE
+            spread_to_covariance(spread, result.covariance[a:b])
+            continue
+        heading = angles[0, :n]
+        headings(states, seen.moving, heading)
+        for place, vectors, row in ((BODY, seen.body, 1), (HEAD, seen.head, 2)):
+            angle = angles[row, :n]
+            if len(vectors) == 0:
+                states[:, place] = 0.0
+                continue
+            running_mean(t, vectors[a:b], seen.window, angle)
+            fill(t, angle, angles[1, :n] if place == HEAD and len(seen.body) > 0 else heading)
+            states[:, place] = angle

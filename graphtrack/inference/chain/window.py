@@ -1,0 +1,364 @@
+"""The fixed lag on the compiled chain: what `FixedLag` does with GTSAM, in a fraction of the time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.elimination import workspace
+from graphtrack.inference.chain.problem import N, Problem
+from graphtrack.inference.chain.window_kernels import let_go, solve_window
+from graphtrack.inference.chain.window_modes import WindowModes
+from graphtrack.inference.initial import pack
+from graphtrack.inference.prior import MarginalPrior
+from graphtrack.inference.solution import bounded
+from graphtrack.inference.state import Angles, Newest, Window
+from graphtrack.model import Model, Observation, Step
+from graphtrack.model.gait import gait_of
+from graphtrack.model.kernels.frames import BODY, FRAME, HEAD
+from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.pose import class_centres
+from graphtrack.model.steps import CHANNELS
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
+
+_PLACE = {name: place for place, name in enumerate(FRAME.names or ())}
+"""Where a field stands in a record, seen as a row of numbers: writing to the fields themselves is slow."""
+
+_FACTORISATION = ("inverse", "link", "trigonometry")
+"""The rows of the workspace that the next observation reads; all others are written before they are read."""
+
+_TEMPLATES = 256
+"""Kinds of frame (what was seen, how long after the last) that are remembered, packed."""
+
+
+class ChainWindow:
+    """A fixed-lag smoother of one person by compiled Newton steps.
+
+    The frames of the window stand one after another in arrays that the kernels read in place. What leaves the
+    window is eliminated with its exact curvature, and what it says about the next frame stays as a Gaussian.
+    Time and memory are bounded by the window. Whatever a method raises, it leaves the smoother as it was.
+
+    Parameters
+    ----------
+    model : a chain (see `chain.engine.is_chain`)
+    lag : seconds that the window reaches back from its newest step
+    tolerance : the Newton steps of an observation end when the next one promises a smaller decrease of the
+        cost, relative to 1 + the cost
+    max_iterations : or after so many
+    """
+
+    def __init__(self, model: Model, lag: float, tolerance: float, max_iterations: int) -> None:
+        self._model, self._lag = model, lag
+        self._tolerance, self._max_iterations = tolerance, max_iterations
+        self._templates: dict[tuple[object, ...], PackedTracks] = {}
+        self._anchor: Angles | None = None
+        self._steps: list[Step] = []
+        self._has_prior = False
+        self._origin = np.zeros(2)
+        self._covariance = np.empty((N, N))
+        self._modes = WindowModes(gait_of(model.parameters.gait)) if model.has_modes else None
+        self._allocate(64)
+
+    @property
+    def steps(self) -> Sequence[Step]:
+        """The steps of the window, oldest first."""
+        return self._steps
+
+    def state(self, step: Step) -> tuple[float, ...]:
+        """x, y, vx, vy, body, head of a step of the window; NaN for what the model does not have."""
+        # The newest step is asked for at every observation.
+        back = 1 if step is self._steps[-1] else len(self._steps) - self._place(step)
+        return self._read(self._offsets[1] - back)
+
+    @property
+    def modes(self) -> tuple[float, float]:
+        """Probability of an aligned body, and its offset from the motion, in the newest frame; or NaN."""
+        return (float("nan"), float("nan")) if self._modes is None else self._modes.newest
+
+    def extend(self, step: Step, state: Sequence[float]) -> Newest:
+        """Add a step whose variables start at ``state``; what is known about it then."""
+        if not self._steps:
+            self._anchor = (state[4], state[5])
+            self._origin[:] = state[:2]
+        if self._offsets[1] == len(self._states):
+            self._make_room()
+        begin, end = self._offsets.tolist()
+        before = self._states[begin:end].copy()
+        self._put(end, step, state, bool(self._steps))
+        self._offsets[1] = end + 1
+        if not self._solve():
+            self._offsets[1] = end
+            self._states[begin:end] = before
+            if not self._steps:
+                self._anchor = None
+            raise ArithmeticError("the estimate is not finite")
+        self._steps.append(step.alone())
+        newest = self._newest()
+        self._slide()
+        return newest
+
+    def rework(self, window: Window) -> Newest:
+        """Take over a window that was changed; what is known about its newest step then."""
+        before = self.window()
+        try:
+            self.restore(window)
+            if not self._solve():
+                raise ArithmeticError("the estimate is not finite")
+        except BaseException:
+            self.restore(before)
+            raise
+        newest = self._newest()
+        self._slide()
+        return newest
+
+    def restore(self, window: Window) -> None:
+        """Take over a window as it stands."""
+        origin = window.values[window.steps[0].index][:2] if window.steps else (0.0, 0.0)
+        self._take(window, np.array(origin))
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """What makes the next estimates the same to the last bit, beside the window; see `resume`."""
+        open_frames = slice(*self._offsets.tolist())
+        kept = {"origin": self._origin, "states": self._states[open_frames], "prior": self._prior}
+        if self._warm:
+            kept |= {name: getattr(self._memory, name)[open_frames] for name in _FACTORISATION}
+            kept["newest"] = self._memory.newest
+        return {name: values.copy() for name, values in kept.items()}
+
+    def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
+        """Go on where `window` and `arrays` were taken, as if nothing had happened.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If the arrays do not fit the window.
+        """
+        n = len(window.steps)
+        self._take(window, arrays["origin"])
+        self._states[:n] = arrays["states"].reshape(n, N)
+        self._prior[:] = arrays["prior"].reshape(N + 2, N)
+        self._warm = "newest" in arrays
+        if self._warm:
+            self._memory.newest[:] = arrays["newest"].reshape(N, N)
+            for name in _FACTORISATION:
+                rows = getattr(self._memory, name)
+                rows[:n] = arrays[name].reshape(n, *rows.shape[1:])
+
+    def _take(self, window: Window, origin: FloatArray) -> None:
+        prior = np.zeros((N + 2, N))
+        if window.prior is not None:
+            prior = self._from_prior(window.prior, window.steps[0], origin)
+        self._allocate(max(64, 2 * len(window.steps)))
+        self._origin[:] = origin
+        self._prior[:] = prior
+        self._has_prior, self._anchor = window.prior is not None, window.anchor
+        if self._modes is not None and window.modes is not None:
+            self._modes.before = np.array(window.modes)
+        for k, step in enumerate(window.steps):
+            self._put(k, step, window.values[step.index], k > 0)
+        self._offsets[1] = len(window.steps)
+        self._steps = [step.alone() for step in window.steps]
+        for k in range(1, len(window.steps)):
+            # Angles go on from the step before, whatever turn they were written in.
+            turn = self._states[k, 4:] - self._states[k - 1, 4:]
+            self._states[k, 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+        if window.prior is not None and window.steps:
+            turn = self._states[0, 4:] - self._prior[N + 1, 4:]
+            self._states[: len(window.steps), 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+
+    def window(self) -> Window:
+        """What another smoother needs to go on from here."""
+        steps = tuple(self._steps)
+        values = {step.index: self._read(self._offsets[0] + k) for k, step in enumerate(steps)}
+        prior = self._to_prior(steps[0]) if steps and self._has_prior else None
+        modes = None if self._modes is None else self._modes.before.copy()
+        return Window(steps, values, prior, self._anchor, modes)
+
+    # -- arrays --------------------------------------------------------------------------------------------
+
+    def _allocate(self, n: int) -> None:
+        self._states = np.zeros((n, N))
+        self._offsets = np.zeros(2, np.int64)
+        self._prior = np.zeros((N + 2, N))
+        self._memory, self._warm = workspace(n), False
+        records = np.zeros(n, FRAME)
+        self._rows = records.view(float).reshape(n, -1)
+        shared = self._template(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
+        self._problem = Problem(
+            records,
+            shared,
+            np.zeros((n, BODY_CLASSES + 1)),
+            np.zeros((n, HEAD_CLASSES + 1)),
+            unit(class_centres(BODY_CLASSES)),
+            unit(class_centres(HEAD_CLASSES)),
+            self._origin[None],
+            self._offsets,
+            self._prior,
+        )
+
+    def _make_room(self) -> None:
+        """Move the window to the front of the arrays, or into larger ones."""
+        begin, end = self._offsets.tolist()
+        n, warm, prior, shared = end - begin, self._warm, self._prior, self._problem.shared
+        old, memory = self._rows_of_frames(), self._memory
+        if 2 * n > len(self._states):
+            self._allocate(2 * len(self._states))
+            self._prior[:], self._problem.shared[:], self._memory.newest[:] = prior, shared, memory.newest
+        for new, previous in zip(self._rows_of_frames(), old, strict=True):
+            new[:n] = previous[begin:end].copy()
+        self._warm = warm
+        self._offsets[:] = 0, n
+
+    def _rows_of_frames(self) -> list[np.ndarray]:
+        """The arrays that have a row for each frame, and must move with it."""
+        problem, factors = self._problem, [getattr(self._memory, name) for name in _FACTORISATION]
+        return [self._states, problem.records, problem.body_heights, problem.head_heights, *factors]
+
+    def _read(self, row: int) -> tuple[float, ...]:
+        x, y, vx, vy, body, head = self._states[row].tolist()
+        left, bottom = self._origin.tolist()
+        body = body if self._model.has_body else math.nan
+        return x + left, y + bottom, vx, vy, body, head if self._model.has_head else math.nan
+
+    def _put(self, row: int, step: Step, state: Sequence[float], linked: bool) -> None:
+        """Write a step into a row of the arrays; ``linked`` if there is one before it in the window."""
+        seen = step.observation
+        packed = self._template(seen, step.dt, step.starts, step.camera)
+        left, bottom = self._origin.tolist()
+        record = self._rows[row]
+        record[:] = packed.records.view(float)
+        if record[_PLACE["pixel_information"]] > 0.0:
+            self._problem.shared[:] = packed.shared  # with the camera
+        record[_PLACE["dt"]] = 0.0 if step.dt is None else step.dt
+        if not linked:
+            for link in ("motion_information", "body_turn_kappa", "head_turn_kappa"):
+                record[_PLACE[link]] = 0.0
+        if seen.position is not None:
+            x, y = seen.position
+            record[_PLACE["x"]], record[_PLACE["y"]] = x - left, y - bottom
+        if seen.body is not None:
+            record[_PLACE["body_cos"]], record[_PLACE["body_sin"]] = math.cos(seen.body), math.sin(seen.body)
+        if seen.head is not None:
+            record[_PLACE["head_cos"]], record[_PLACE["head_sin"]] = math.cos(seen.head), math.sin(seen.head)
+        if len(packed.body_heights):
+            self._problem.body_heights[row] = packed.body_heights[0]
+        if len(packed.head_heights):
+            self._problem.head_heights[row] = packed.head_heights[0]
+        x, y, vx, vy, body, head = state
+        known = (body if math.isfinite(body) else 0.0, head if math.isfinite(head) else 0.0)
+        self._states[row] = (x - left, y - bottom, vx, vy, *known)
+
+    def _template(
+        self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
+    ) -> PackedTracks:
+        """A frame of this kind, packed; its position and angles stand for any."""
+        # Of times that differ in their last digits one is packed, whichever came first: estimates must not
+        # depend on what else has been seen.
+        near = 0.0 if dt is None else (round(dt, 9) or dt)
+        kind: tuple[object, ...] | None = None
+        if seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None:
+            kind = (
+                near,
+                starts,
+                seen.position is None,
+                seen.body is None,
+                seen.head is None,
+                seen.position_std,
+                seen.body_kappa,
+                seen.head_kappa,
+            )
+            known = self._templates.get(kind)
+            if known is not None:
+                return known
+        given = {name: getattr(seen, name) for name in CHANNELS}
+        position = given.pop("position") or (np.nan, np.nan)
+        channels: dict[str, Any] = {
+            name: np.array([value]) for name, value in given.items() if value is not None
+        }
+        track = Track(0, np.array([0]), np.array([seen.t]), np.array([position]), **channels)
+        packed = pack(
+            [track],
+            self._model,
+            camera,
+            dt=np.array([near]),
+            starts=starts,
+        )
+        if kind is not None:
+            if len(self._templates) == _TEMPLATES:
+                self._templates.clear()
+            self._templates[kind] = packed
+        return packed
+
+    # -- solving -------------------------------------------------------------------------------------------
+
+    def _solve(self) -> bool:
+        if self._modes is not None:
+            self._modes.renew(self._problem, self._states)
+        self._warm = solve_window(
+            self._problem,
+            self._states,
+            self._warm,
+            self._max_iterations,
+            self._tolerance,
+            self._memory,
+            self._covariance,
+        )
+        return self._warm
+
+    def _newest(self) -> Newest:
+        covariance = self._covariance.copy()
+        for has, place in ((self._model.has_body, BODY), (self._model.has_head, HEAD)):
+            if not has:
+                covariance[place] = covariance[:, place] = np.nan
+        return np.array(self._read(int(self._offsets[1]) - 1)), bounded(covariance)
+
+    def _slide(self) -> None:
+        horizon = self._steps[-1].observation.t - self._lag
+        while self._steps[0].observation.t < horizon:
+            let_go(self._problem, self._states, self._memory)
+            if self._modes is not None:
+                self._modes.let_go()
+            self._has_prior = True
+            del self._steps[0]
+
+    # -- priors --------------------------------------------------------------------------------------------
+
+    def _place(self, step: Step) -> int:
+        return next(k for k, known in enumerate(self._steps) if known.index == step.index)
+
+    def _keys(self, step: Step) -> list[tuple[int, slice]]:
+        """GTSAM keys of a step's variables, and their places in the state."""
+        keys = [(step.position_key, slice(0, 2)), (step.velocity_key, slice(2, 4))]
+        if self._model.has_body:
+            keys.append((step.body_key, slice(BODY, BODY + 1)))
+        if self._model.has_head:
+            keys.append((step.head_key, slice(HEAD, HEAD + 1)))
+        return keys
+
+    def _to_prior(self, step: Step) -> MarginalPrior:
+        keys = self._keys(step)
+        point = self._prior[N + 1].copy()
+        point[:2] += self._origin
+        rows = np.concatenate([np.arange(N)[part] for _, part in keys])
+        return MarginalPrior(
+            tuple(key for key, _ in keys),
+            tuple(tuple(point[part].tolist()) for _, part in keys),
+            self._prior[np.ix_(rows, rows)],
+            self._prior[N, rows],
+            0.0,
+        )
+
+    def _from_prior(self, prior: MarginalPrior, step: Step, origin: FloatArray) -> FloatArray:
+        parts = dict(self._keys(step))
+        rows = np.concatenate([np.arange(N)[parts[key]] for key in prior.keys])
+        result = np.zeros((N + 2, N))
+        result[np.ix_(rows, rows)] = prior.information
+        result[N, rows] = prior.linear
+        result[N + 1, rows] = np.concatenate([np.array(point) for point in prior.point])
+        result[N + 1, :2] -= origin
+        return result

@@ -1,0 +1,232 @@
+"""The sliding window of the online chain engine, compiled."""
+
+from __future__ import annotations
+
+import math
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.elimination import Workspace, clear, eliminate, invert_cholesky, sweep_back
+from graphtrack.inference.chain.frames import add_frame, add_prior
+from graphtrack.inference.chain.newton import NOT_FINITE, minimise, sweep_forward
+from graphtrack.inference.chain.problem import N, Problem
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.frames import BODY, HEAD
+from graphtrack.model.kernels.motion import add_motion, add_steered_motion
+from graphtrack.model.kernels.orientation import add_turn
+
+_FAR = 0.5
+"""Radians beyond which a first guess is not better than that nothing turns."""
+
+
+@compiled
+def solve_window(
+    problem: Problem,
+    states: FloatArray,
+    warm: bool,
+    max_iterations: int,
+    tolerance: float,
+    workspace: Workspace,
+    covariance: FloatArray,
+) -> bool:
+    """Newton steps on the frames ``problem.offsets`` of the states, in place.
+
+    ``warm`` if the workspace holds the factorisation of all frames but the newest, from the last call.
+    ``covariance`` (6, 6) becomes that of the newest frame. Returns whether all went well; if not, neither the
+    states nor the factorisation are to be used.
+    """
+    begin, end = problem.offsets[0], problem.offsets[1]
+    track = the_only(problem)
+    here, last, memory = states[begin:end], end - begin - 1, from_frame(workspace, begin)
+    if warm and last > 0:
+        foresee(problem, here, memory)
+    _, _, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
+    if status == NOT_FINITE:
+        return False
+    if not exact and not sweep_forward(problem, track, here[0].copy(), here, False, memory)[1]:
+        return False
+    memory.newest[:] = memory.scratch[1 + (last & 1)]
+    finite = True
+    for i in range(N):
+        finite = finite and math.isfinite(here[last, i])
+        for j in range(i + 1):
+            total = 0.0
+            for m in range(i, N):
+                total += memory.inverse[last, m, i] * memory.inverse[last, m, j]
+            covariance[i, j] = covariance[j, i] = total
+    return finite
+
+
+@compiled
+def the_only(problem: Problem) -> int:
+    """The number of the window's track, 0.
+
+    As a constant it would have everything compiled once more, for that number alone.
+    """
+    return len(problem.offsets) - 2
+
+
+@compiled
+def from_frame(workspace: Workspace, begin: int) -> Workspace:
+    """The memory of the frames from ``begin`` on."""
+    return Workspace(
+        workspace.inverse[begin:],
+        workspace.link[begin:],
+        workspace.solution[begin:],
+        workspace.step[begin:],
+        workspace.candidate[begin:],
+        workspace.trigonometry[begin:],
+        workspace.scratch,
+        workspace.newest,
+    )
+
+
+@compiled
+def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
+    """A Newton step of the window for the price of its newest frame, as a better start.
+
+    The frames before were at their optimum when they were factored: they have no gradient but what the newest
+    one sends back. A step that turns anything far is not trusted.
+    """
+    last = len(states) - 1
+    gradients, hessians, transition = memory.scratch[0], memory.scratch[1:3], memory.scratch[3]
+    memory.scratch[:] = 0.0
+    hessians[0] = memory.newest
+    add_frame(
+        problem,
+        the_only(problem),
+        last,
+        states[0],
+        states,
+        True,
+        memory.trigonometry,
+        gradients[0],
+        gradients[1],
+        hessians[0],
+        hessians[1],
+        transition,
+    )
+    memory.solution[:last] = 0.0
+    if not eliminate(
+        hessians[0],
+        gradients[0],
+        transition,
+        hessians[1],
+        gradients[1],
+        memory.inverse[last - 1],
+        memory.link[last - 1],
+        memory.solution[last - 1],
+    ) or not invert_cholesky(hessians[1], memory.inverse[last]):
+        return
+    for i in range(N):
+        total = 0.0
+        for j in range(i + 1):
+            total += memory.inverse[last, i, j] * gradients[1, j]
+        memory.solution[last, i] = total
+    sweep_back(last + 1, memory)
+    for k in range(last + 1):
+        for i in range(N):
+            if not math.isfinite(memory.step[k, i]) or (i in (BODY, HEAD) and abs(memory.step[k, i]) > _FAR):
+                return
+    states += memory.step[: last + 1]
+
+
+@compiled
+def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
+    """Eliminate the oldest frame of the window for good: what it says about the next becomes the prior.
+
+    The curvature is exact unless that leaves no positive definite prior, as it may at outliers.
+    """
+    begin = problem.offsets[0]
+    prior, after = problem.prior, problem.records[begin + 1]
+    memory = from_frame(workspace, begin)
+    for exact in (True, False):
+        if marginalise(problem, states[begin : begin + 2], exact, memory):
+            break
+    matrix, vector = memory.scratch[2], memory.scratch[0, 1]
+    for i in range(N):
+        prior[N, i] = -vector[i]
+        prior[N + 1, i] = states[begin + 1, i]
+        for j in range(i + 1):
+            prior[i, j] = prior[j, i] = matrix[i, j]
+    # Its links to the frame before are part of the prior now.
+    after.motion_information = 0.0
+    after.body_turn_kappa = 0.0
+    after.head_turn_kappa = 0.0
+    problem.offsets[0] = begin + 1
+
+
+@compiled
+def marginalise(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
+    """Schur complement and gradient on the second of two frames, without its own terms, in the scratch.
+
+    Returns whether it is positive definite.
+    """
+    scratch, inverse = workspace.scratch, workspace.inverse[0]
+    gradient, gradient_after, hessian, hessian_after = scratch[0, 0], scratch[0, 1], scratch[1], scratch[2]
+    transition, after = scratch[3], problem.records[problem.offsets[0] + 1]
+    clear(gradient, hessian, transition)
+    clear(gradient_after, hessian_after, transition)
+    add_frame(
+        problem,
+        0,
+        0,
+        states[0],
+        states,
+        exact,
+        workspace.trigonometry,
+        gradient_after,
+        gradient,
+        hessian_after,
+        hessian,
+        transition,
+    )
+    add_prior(problem.prior, states[0], gradient, hessian)
+    if after.steer_gain > 0.0 and after.motion_information > 0.0:
+        add_steered_motion(
+            after,
+            states[0],
+            states[1],
+            math.cos(states[0, HEAD]),
+            math.sin(states[0, HEAD]),
+            exact,
+            gradient,
+            gradient_after,
+            hessian,
+            hessian_after,
+            transition,
+        )
+    elif after.motion_information > 0.0:
+        add_motion(
+            states[0],
+            states[1],
+            after.dt,
+            after.motion_information,
+            gradient,
+            gradient_after,
+            hessian,
+            hessian_after,
+            transition,
+        )
+    for place, kappa in ((BODY, after.body_turn_kappa), (HEAD, after.head_turn_kappa)):
+        if kappa > 0.0:
+            add_turn(
+                math.cos(states[0, place]),
+                math.sin(states[0, place]),
+                math.cos(states[1, place]),
+                math.sin(states[1, place]),
+                place,
+                kappa,
+                exact,
+                gradient,
+                gradient_after,
+                hessian,
+                hessian_after,
+                transition,
+            )
+        else:
+            # An orientation that the model does not have, or that nothing carries on.
+            hessian_after[place, place] += 1e-12
+    link, solution = workspace.link[0], workspace.solution[0]
+    if not eliminate(hessian, gradient, transition, hessian_after, gradient_after, inverse, link, solution):
+        return False
+    return invert_cholesky(hessian_after, inverse)

@@ -1,0 +1,1 @@
+"""The engines on GTSAM: batch, fixed lag and iSAM2."""

@@ -1,0 +1,415 @@
+"""The online smoother: one person, one observation at a time.
+
+Three engines: ``chain`` (`ChainWindow`; a fixed lag, compiled), ``fixed-lag`` (`FixedLag`; the same with
+GTSAM, for any list of terms) and ``isam2`` (`FullHistory`). An estimate uses only what came before it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+
+from graphtrack.display import html_pairs
+from graphtrack.errors import GraphtrackError, InputError
+from graphtrack.geometry.angles import FloatArray, wrap
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.engine import is_chain
+from graphtrack.inference.chain.window import ChainWindow
+from graphtrack.inference.graph.fixed_lag import FixedLag
+from graphtrack.inference.graph.isam import FullHistory
+from graphtrack.inference.observed import checked
+from graphtrack.inference.offline import engine_of, refuse_only_compiled
+from graphtrack.inference.state import (
+    DAMAGES,
+    Estimate,
+    Newest,
+    SavedState,
+    Status,
+    Window,
+    damaged,
+    pack_state,
+    unpack_state,
+)
+from graphtrack.inference.warm import SOLVER, online_rehearsal
+from graphtrack.io.given import tracks_of
+from graphtrack.model import Model, Observation, Step
+from graphtrack.model.steps import CHANNELS, observations, seconds_between
+from graphtrack.readiness import make_ready
+from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.given import Given, Scene
+
+Engine = Literal["auto", "chain", "fixed-lag", "isam2"]
+ENGINES: tuple[Engine, ...] = ("auto", "chain", "fixed-lag", "isam2")
+
+_FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
+"""What an observation raises that a smoother cannot take in."""
+
+_PROMISED_DECREASE = 1e-8
+"""Of the cost, relative, below which the chain engine takes no further Newton step for an observation."""
+
+
+def online_engine(model: Model, engine: Engine = "auto") -> Engine:
+    """The engine that tracks with a model: what was asked for, or "chain" wherever that is possible.
+
+    Raises
+    ------
+    InputError
+        If the engine is unknown, the chain was asked for and a term has no compiled kernel, or another one
+        was and a term has nothing else.
+    """
+    if engine not in ENGINES:
+        raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
+    if engine == "auto":
+        engine = "chain" if is_chain(model) else "fixed-lag"
+    if engine == "chain":
+        engine_of(model, "chain")
+    else:
+        refuse_only_compiled(model, engine)
+    return engine
+
+
+def check_lag(lag: float) -> None:
+    """Raise InputError for what is no length of a window in seconds."""
+    if not (math.isfinite(lag) and lag > 0.0):
+        raise InputError(f"lag = {lag}", "a positive number of seconds")
+
+
+class OnlineSmoother:
+    """Track one person online.
+
+    The first on a machine compiles what it needs, which takes about a minute; see `warm_up`.
+
+    Parameters
+    ----------
+    model : a `Model`, the name of a preset or a model file; by default "full", or "joint" with GTSAM
+    engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
+        "fixed-lag"
+    lag : seconds of history that chain and fixed lag keep open
+    camera : camera of the scene, for observations in pixels
+    relinearize_threshold : isam2: change of a variable beyond which it is linearised again (metres, m/s,
+        radians)
+    step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
+        than this (metres, m/s, radians); by default one mostly does, and the errors are no larger for it
+    max_iterations : or after so many
+
+    Examples
+    --------
+    >>> smoother = OnlineSmoother("joint", lag=2.0)
+    >>> estimate = smoother.update(Observation(t=0.0, position=(1.0, 2.0), head=0.3))
+    >>> estimate.status
+    'new'
+    """
+
+    def __init__(
+        self,
+        model: Model | str | Path | None = None,
+        *,
+        engine: Engine = "auto",
+        lag: float = 2.0,
+        camera: GroundCamera | None = None,
+        relinearize_threshold: float = 0.01,
+        step_tolerance: float = 0.5,
+        max_iterations: int = 20,
+    ) -> None:
+        check_lag(lag)
+        if not relinearize_threshold > 0.0:
+            raise InputError(f"relinearize_threshold = {relinearize_threshold}", "a positive number")
+        if not step_tolerance >= 0.0:
+            raise InputError(f"step_tolerance = {step_tolerance}", "a number that is not negative")
+        if max_iterations < 1:
+            raise InputError(f"max_iterations = {max_iterations}", "at least 1")
+        self.model = Model.named(model, engine)
+        self.engine = online_engine(self.model, engine)
+        self.lag = float(lag)
+        self.camera = camera
+        self._smoother: ChainWindow | FixedLag | FullHistory
+        if self.engine == "chain":
+            make_ready(SOLVER, online_rehearsal(self.model))
+            self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
+        elif self.engine == "isam2":
+            self._smoother = FullHistory(self.model, relinearize_threshold, step_tolerance, max_iterations)
+        else:
+            self._smoother = FixedLag(self.model, self.lag, step_tolerance, max_iterations)
+        self._next_index = 0
+        self._last: Estimate | None = None
+
+    def __repr__(self) -> str:
+        return f"OnlineSmoother({', '.join(f'{name} {value}' for name, value in self._described().items())})"
+
+    def _repr_html_(self) -> str:
+        return html_pairs("OnlineSmoother", {**self._described(), "last": self._last})
+
+    def _described(self) -> dict[str, object]:
+        times = self.window
+        window = "empty" if times is None else f"{times[0]:.1f}–{times[1]:.1f} s"
+        return {"model": self.model, "engine": self.engine, "lag": f"{self.lag:g} s", "window": window}
+
+    # -- the public face -----------------------------------------------------------------------------------
+
+    def update(self, observation: Observation) -> Estimate:
+        """Take in one observation and return the estimate at the latest time.
+
+        Raises
+        ------
+        InputError
+            If the observation itself is unusable: a time or value that is no number within bounds. The state
+            is unchanged.
+        """
+        observation = self._on_the_ground(checked(observation))
+        steps = self._smoother.steps
+        if not steps and observation.position is None:
+            return self._waiting(observation)
+        if not steps or observation.t > steps[-1].observation.t:
+            return self._append(observation)
+        return self._work_in(observation)
+
+    @property
+    def window(self) -> tuple[float, float] | None:
+        """The times (seconds) between which late observations can be worked in; None before the first."""
+        steps = self._smoother.steps
+        return (steps[0].observation.t, steps[-1].observation.t) if steps else None
+
+    def history(self) -> list[tuple[float, FloatArray]]:
+        """Smoothed states of the window: (t, array of x, y, vx, vy, body, head), oldest first."""
+        smoother = self._smoother
+        return [(step.observation.t, np.array(smoother.state(step))) for step in smoother.steps]
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        smoother = self._smoother
+        saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
+        return pack_state(saved) | {"terms": self._terms()}
+
+    @classmethod
+    def from_state(
+        cls, state: dict[str, Any], model: Model | str | Path | None = None, **options: Any
+    ) -> OnlineSmoother:
+        """A smoother that goes on where `state` was taken, given the same model and options.
+
+        Its estimates are the same to the last bit where the engine is chain or fixed-lag, and was; else they
+        are those of a window that is built again, within the tolerances of the solver.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged, of another version, or of a model with other terms.
+        """
+        smoother = cls(model, **options)
+        terms = smoother._terms()
+        given = state.get("terms", terms) if isinstance(state, dict) else terms
+        if given != terms:
+            raise InputError(f"a state of a model with the terms {given}", f"the same model: {terms}")
+        saved = unpack_state(state, smoother.camera)
+        smoother._last, smoother._next_index = saved.last, saved.next_index
+        try:
+            if saved.engine == smoother.engine:
+                smoother._smoother.resume(saved.window, saved.arrays)
+            else:
+                smoother._smoother.restore(saved.window)
+        except DAMAGES as error:
+            raise damaged(error) from error
+        return smoother
+
+    def _terms(self) -> list[str]:
+        return [type(term).__name__ for term in self.model.terms]
+
+    # -- one step ------------------------------------------------------------------------------------------
+
+    def _on_the_ground(self, observation: Observation) -> Observation:
+        """With the position that the camera gives to a pixel, as readers of files do."""
+        if observation.position is not None or observation.pixel is None or self.camera is None:
+            return observation
+        x, y = self.camera.image_to_ground(np.array(observation.pixel)).tolist()
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"pixel = {observation.pixel}", "a point below the horizon")
+        return replace(observation, position=(x, y))
+
+    def _append(self, observation: Observation) -> Estimate:
+        steps = self._smoother.steps
+        previous = steps[-1].alone() if steps else None
+        dt = seconds_between(previous, observation)
+        step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
+        try:
+            newest = self._smoother.extend(step, self._predict(step))
+        except _FAILURES as error:
+            return self._failed(observation, error)
+        self._next_index += 1
+        return self._estimate(newest, observation, "new")
+
+    def _predict(self, step: Step) -> tuple[float, ...]:
+        """Initial values of a new step: constant velocity, the angles as they were or are seen."""
+        seen = step.observation
+        if step.previous is None or step.dt is None:
+            x, y = seen.position if seen.position is not None else (math.nan, math.nan)
+            vx, vy, body, head = 0.0, 0.0, math.nan, math.nan
+        else:
+            x, y, vx, vy, body, head = self._smoother.state(step.previous)
+            x, y = x + step.dt * vx, y + step.dt * vy
+        if not math.isfinite(body):
+            body = next((a for a in (seen.body, seen.head) if a is not None), 0.0)
+        if not math.isfinite(head):
+            head = seen.head if seen.head is not None else body
+        return x, y, vx, vy, body, head
+
+    # -- late and repeated observations --------------------------------------------------------------------
+
+    def _work_in(self, observation: Observation) -> Estimate:
+        steps = self._smoother.steps
+        times = [step.observation.t for step in steps]
+        if observation.t < times[0]:
+            return self._unchanged(observation, "too-late")
+        place = int(np.searchsorted(times, observation.t))
+        inserted = times[place] != observation.t
+        if not inserted:
+            merged = _merge(steps[place].observation, observation)
+            if merged is None:
+                return self._unchanged(observation, "duplicate")
+            observation = merged
+        try:
+            window = self._with(self._smoother.window(), observation, place, inserted)
+            newest = self._smoother.rework(window)
+        except _FAILURES as error:
+            return self._failed(observation, error)
+        self._next_index += inserted
+        return self._estimate(newest, self._smoother.steps[-1].observation, "late")
+
+    def _with(self, window: Window, observation: Observation, place: int, inserted: bool) -> Window:
+        """The window with one more observation, in a step of its own or in place of one; linked anew."""
+        values = dict(window.values)
+        steps = list(window.steps[:place])
+        if inserted:
+            values[self._next_index] = _between(window, steps[-1], window.steps[place], observation.t)
+            template = Step(self._next_index, observation, camera=self.camera)
+        else:
+            template = replace(window.steps[place], observation=observation)
+        for step in (template, *window.steps[place if inserted else place + 1 :]):
+            if steps:
+                previous = steps[-1].alone()
+                dt = seconds_between(previous, step.observation)
+                step = replace(step, previous=previous, dt=dt)
+            steps.append(step)
+        return replace(window, steps=tuple(steps), values=values)
+
+    # -- estimates -----------------------------------------------------------------------------------------
+
+    def _estimate(self, newest: Newest, observation: Observation, status: Status) -> Estimate:
+        state, covariance = newest
+        body, head = wrap(state[4:]).tolist()
+        smoother = self._smoother
+        aligned, offset = smoother.modes if isinstance(smoother, ChainWindow) else (math.nan, math.nan)
+        self._last = Estimate(
+            t=observation.t,
+            frame=observation.frame,
+            position=state[:2],
+            velocity=state[2:4],
+            body=body,
+            head=head,
+            covariance=covariance,
+            status=status,
+            aligned_p=aligned,
+            gait_offset=offset,
+        )
+        return self._last
+
+    def _failed(self, observation: Observation, error: Exception) -> Estimate:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        return replace(self._unchanged(observation, "failed"), reason=reason)
+
+    def _waiting(self, observation: Observation) -> Estimate:
+        none = np.full(2, np.nan)
+        unknown = np.full((6, 6), np.nan)
+        return Estimate(observation.t, observation.frame, none, none, math.nan, math.nan, unknown, "waiting")
+
+    def _unchanged(self, observation: Observation, status: Status) -> Estimate:
+        if self._last is None:
+            return replace(self._waiting(observation), status=status)
+        return replace(self._last, status=status)
+
+
+def _merge(known: Observation, new: Observation) -> Observation | None:
+    """The known observation with the channels that only the new one has; None if there are none."""
+    added = {
+        name: getattr(new, name)
+        for name in CHANNELS
+        if getattr(known, name) is None and getattr(new, name) is not None
+    }
+    return replace(known, **added) if added else None
+
+
+def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float, ...]:
+    """Initial state at t, between two steps of the window."""
+    start, end = before.observation.t, after.observation.t
+    share = (t - start) / (end - start)
+    a, b = np.array(window.values[before.index]), np.array(window.values[after.index])
+    state = a + share * (b - a)
+    state[4:] = wrap(a[4:] + share * wrap(b[4:] - a[4:]))
+    return tuple(state.tolist())
+
+
+@overload
+def track_online(
+    tracks: Track,
+    model: Model | str | Path | None = None,
+    *,
+    engine: Engine = "auto",
+    lag: float = 2.0,
+    camera: GroundCamera | None = None,
+) -> Track: ...
+
+
+@overload
+def track_online(
+    tracks: Scene,
+    model: Model | str | Path | None = None,
+    *,
+    engine: Engine = "auto",
+    lag: float = 2.0,
+    camera: GroundCamera | None = None,
+) -> TrackSet: ...
+
+
+def track_online(
+    tracks: Given,
+    model: Model | str | Path | None = None,
+    *,
+    engine: Engine = "auto",
+    lag: float = 2.0,
+    camera: GroundCamera | None = None,
+) -> TrackSet | Track:
+    """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.
+
+    Parameters
+    ----------
+    tracks : a `Track`, of which a `Track` comes out, or what `solve` takes, of which a `TrackSet` does
+    model, engine, lag : as in `OnlineSmoother`
+    camera : camera of the scene; by default that of the `TrackSet`
+    """
+    if not isinstance(tracks, Track):
+        scene, chosen = tracks_of(tracks), Model.named(model, engine)
+        camera = scene.camera if camera is None else camera
+        return scene.map(lambda one: track_online(one, chosen, engine=engine, lag=lag, camera=camera))
+    smoother = OnlineSmoother(model, engine=engine, lag=lag, camera=camera)
+    return as_track(
+        tracks, [smoother.update(observation) for observation in observations(tracks)], smoother.model
+    )
+
+
+def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track:
+    """A track of online estimates, one for each frame of the recorded one."""
+    found = list(estimates)
+    return track.with_estimates(
+        position=np.array([e.position for e in found]),
+        velocity=np.array([e.velocity for e in found]),
+        body=np.array([e.body for e in found]) if model.has_body else None,
+        head=np.array([e.head for e in found]) if model.has_head else None,
+        covariance=np.array([e.covariance for e in found]),
+        aligned_p=np.array([e.aligned_p for e in found]) if model.has_modes else None,
+        gait_offset=np.array([e.gait_offset for e in found]) if model.has_modes else None,
+    )

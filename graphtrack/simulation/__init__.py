@@ -1,0 +1,1 @@
+"""Made-up people, and what makes real ones harder to see."""

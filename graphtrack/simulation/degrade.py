@@ -1,0 +1,213 @@
+"""Making observations worse in a controlled way: noise added to known tracks, and windows withheld."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
+from graphtrack.io.given import tracks_of
+from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.given import Given
+
+BoolArray = NDArray[np.bool_]
+
+WITHHELD = ("position", "position_std", "pixel", "body", "body_kappa", "body_likelihood")
+"""What `occlude` withholds: everything but the head, which shows longest above what stands in the way."""
+
+TURN_SECONDS = 1.0
+"""Time over which a turn is measured, by default: from the motion of the first half to that of the second."""
+
+MOVING_SPEED = 0.3
+"""m/s below which the direction of motion means nothing."""
+
+
+def add_noise(
+    tracks: Given,
+    *,
+    position_std: float | None = None,
+    body_kappa: float | None = None,
+    head_kappa: float | None = None,
+    rng: np.random.Generator,
+) -> TrackSet:
+    """Take the tracks' values for the truth and observe them with noise.
+
+    The values move to ``true_position``, ``true_body`` and ``true_head``; a truth that is there already is
+    used instead. What was not observed stays unobserved; a channel that is absent altogether, but whose
+    truth is known, is observed at every frame. Estimates are dropped, and so are pixels and class
+    likelihoods of a channel that gets noise.
+
+    Parameters
+    ----------
+    tracks : what is known, in any form that `graphtrack.solve` takes
+    position_std : metres, 1-σ of each axis; None: positions are observed as they are
+    body_kappa, head_kappa : von Mises concentrations, ≥ 0; None: angles are observed as they are
+    rng : source of the noise
+
+    Raises
+    ------
+    InputError
+        For a negative or non-finite amount of noise.
+    """
+    for name, value in (
+        ("position_std", position_std),
+        ("body_kappa", body_kappa),
+        ("head_kappa", head_kappa),
+    ):
+        if value is not None and not (np.isfinite(value) and value >= 0.0):
+            raise InputError(f"{name} = {value!r}", "a finite number, at least 0")
+    return tracks_of(tracks).map(lambda track: _noisy(track, position_std, body_kappa, head_kappa, rng))
+
+
+def _noisy(
+    track: Track,
+    position_std: float | None,
+    body_kappa: float | None,
+    head_kappa: float | None,
+    rng: np.random.Generator,
+) -> Track:
+    true_position = _motion(track)
+    changes: dict[str, Any] = {"true_position": true_position, "velocity": None, "covariance": None}
+    if position_std is not None:
+        noisy = true_position + position_std * rng.standard_normal((len(track), 2))
+        seen = np.isfinite(track.position).all(axis=1)
+        if seen.any():
+            noisy[~seen] = np.nan
+        # A σ of 0 is no noise model: the model's default stands.
+        std = np.full(len(track), position_std) if position_std > 0.0 else None
+        changes |= {"position": noisy, "position_std": std, "pixel": None}
+    for name, kappa in (("body", body_kappa), ("head", head_kappa)):
+        observed, truth = getattr(track, name), getattr(track, f"true_{name}")
+        truth = observed if truth is None else truth
+        changes[f"true_{name}"] = truth
+        if kappa is None or truth is None:
+            continue
+        angles = wrap(truth + rng.vonmises(0.0, kappa, len(track)))
+        if observed is not None:
+            angles[~np.isfinite(observed)] = np.nan
+        changes |= {name: angles, f"{name}_kappa": np.full(len(track), kappa), f"{name}_likelihood": None}
+    return replace(track, **changes)
+
+
+def _motion(track: Track) -> FloatArray:
+    """The true positions (n, 2), or the observed ones where no truth is known."""
+    return track.true_position if track.true_position is not None and track.has_truth else track.position
+
+
+@dataclass(frozen=True, eq=False)
+class Occlusion:
+    """Tracks with a window withheld.
+
+    Attributes
+    ----------
+    tracks : those in which a window found room
+    windows : track_id → (n,) bool, true at the withheld frames
+    left_out : track_id → why the track is not among ``tracks``
+    """
+
+    tracks: TrackSet
+    windows: Mapping[int, BoolArray]
+    left_out: Mapping[int, str] = field(default_factory=dict)
+
+
+def occlude(
+    tracks: TrackSet, seconds: float, *, margin: float = 1.0, turn_seconds: float = TURN_SECONDS
+) -> Occlusion:
+    """Withhold position and body, not the head, for a while around everybody's sharpest turn.
+
+    The sharpest turn is where the direction of the true motion (of the observed, where no truth is known)
+    changes most over ``turn_seconds``, among the times at which the person moves.
+
+    Parameters
+    ----------
+    tracks : observations
+    seconds : length of the window, > 0
+    margin : seconds of the track that must remain on both sides of the window, with a position in each
+    turn_seconds : time over which a turn is measured, > 0; where the truth itself is rough, long enough for
+        its roughness not to count as turning
+
+    Returns
+    -------
+    Occlusion
+        Tracks that are too short, or in which nobody moves, are left out with their reason.
+
+    Raises
+    ------
+    InputError
+        For a length or a time of turning that is not positive, or a negative margin.
+    """
+    if not (np.isfinite(seconds) and seconds > 0.0):
+        raise InputError(f"seconds = {seconds!r}", "a positive number")
+    if not (np.isfinite(margin) and margin >= 0.0):
+        raise InputError(f"margin = {margin!r}", "a number of seconds, at least 0")
+    if not (np.isfinite(turn_seconds) and turn_seconds > 0.0):
+        raise InputError(f"turn_seconds = {turn_seconds!r}", "a positive number")
+    kept, windows, left_out = [], {}, {}
+    for track in tracks:
+        window = turn_window(track, seconds, margin, turn_seconds)
+        if isinstance(window, str):
+            left_out[track.track_id] = window
+            continue
+        windows[track.track_id] = window
+        kept.append(withhold(track, window))
+    return Occlusion(tracks.with_tracks(kept), windows, left_out)
+
+
+def withhold(track: Track, window: BoolArray, channels: tuple[str, ...] = WITHHELD) -> Track:
+    """The track without the observations of ``channels`` at the frames where ``window`` (n,) is true."""
+    changes: dict[str, Any] = {}
+    for name in channels:
+        values = getattr(track, name)
+        if values is not None:
+            changes[name] = np.where(window.reshape(-1, *[1] * (values.ndim - 1)), np.nan, values)
+    return replace(track, **changes)
+
+
+def turn_window(
+    track: Track, seconds: float, margin: float, turn_seconds: float = TURN_SECONDS
+) -> BoolArray | str:
+    """Frames (n,) bool of ``seconds`` around the sharpest turn; a reason in words where there is no room."""
+    t, reach = track.t, 0.5 * seconds + margin
+    room = np.asarray((t - t[0] >= reach - 1e-9) & (t[-1] - t >= reach - 1e-9))
+    if not room.any():
+        return f"{t[-1] - t[0]:.1f} s are too short for a window of {seconds:g} s and {margin:g} s around it"
+    sharpness = np.where(room, turning(track, turn_seconds), np.nan)
+    if not np.isfinite(sharpness).any():
+        return "the person does not move where a window would have room"
+    centre = t[int(np.nanargmax(sharpness))]
+    # Half open, so that a window holds the frames of its length and not one more.
+    window = np.asarray((t >= centre - 0.5 * seconds - 1e-9) & (t < centre + 0.5 * seconds - 1e-9))
+    seen = np.asarray(np.isfinite(track.position).all(axis=1))
+    first, last = np.flatnonzero(window)[[0, -1]]
+    if not seen[:first].any() or not seen[last + 1 :].any():
+        return "no position is known before the window, or none after it"
+    return window
+
+
+def turning(track: Track, turn_seconds: float = TURN_SECONDS) -> FloatArray:
+    """|Change of the direction of motion| (n,) in radians over ``turn_seconds`` around each frame.
+
+    NaN where the person does not move, or is not known half of that time before and after.
+    """
+    position = _motion(track)
+    known = np.asarray(np.isfinite(position).all(axis=1))
+    if not known.any():
+        return np.full(len(track), np.nan)
+    half, first, last = 0.5 * turn_seconds, track.t[known][0], track.t[known][-1]
+
+    def at(time: FloatArray) -> FloatArray:
+        # Rounding must not put a time that is just the first or the last outside.
+        time = np.where(np.abs(time - first) < 1e-9, first, np.where(np.abs(time - last) < 1e-9, last, time))
+        columns = [np.interp(time, track.t[known], p, left=np.nan, right=np.nan) for p in position[known].T]
+        return np.stack(columns, axis=-1)
+
+    before, after = at(track.t) - at(track.t - half), at(track.t + half) - at(track.t)
+    moves = np.minimum(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)) >= MOVING_SPEED * half
+    return np.where(moves, np.abs(difference(direction(after), direction(before))), np.nan)

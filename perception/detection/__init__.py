@@ -1,0 +1,1 @@
+"""People found in frames, and boxes that others found."""

@@ -1,0 +1,80 @@
+"""Boxes of people: MOT text (frame, id, left, top, width, height, confidence), and CAVIAR's XML."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from graphtrack.io import atomic_path
+from graphtrack.io.formats import caviar, mot
+from graphtrack.io.rows import check_rows
+from graphtrack.io.source import Source
+
+
+@dataclass(frozen=True)
+class PersonBox:
+    """A person in one frame.
+
+    Attributes
+    ----------
+    frame, track_id : whole numbers; ids from 0
+    box : left, top, width, height in pixels
+    confidence : of the detector
+    """
+
+    frame: int
+    track_id: int
+    box: tuple[float, float, float, float]
+    confidence: float = 1.0
+
+
+def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: None) -> list[PersonBox]:
+    """Boxes of a MOT file or of CAVIAR's ground truth, in their order.
+
+    Rows that the file itself says to leave out (marked to be ignored, of other classes than pedestrians), and
+    those without a box, are counted to ``refuse``.
+
+    Raises
+    ------
+    InputError
+        With line and column of the first cell that cannot be used, such as a box of zero size or an id of
+        −1; and with the line of a person's second box in a frame.
+    """
+    source = Source.open(path)
+    of_caviar = caviar.looks_like(source.head, source.path)
+    rows = caviar.read_boxes(source) if of_caviar else mot.read_boxes(source)
+    rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
+    check_rows(rows)
+    for reason, count in rows.refused.items():
+        refuse(f"{source.path}: {count} {reason}")
+    boxes = rows.channels["box"].tolist()
+    sure = rows.channels.get("confidence", np.ones(len(rows))).tolist()
+    return [
+        PersonBox(frame, track_id, (left, top, width, height), confidence)
+        for frame, track_id, (left, top, width, height), confidence in zip(
+            rows.frame.tolist(), rows.track_id.tolist(), boxes, sure, strict=True
+        )
+    ]
+
+
+def write_boxes(boxes: Iterable[PersonBox], path: str | Path) -> None:
+    """Write MOT text that `read_boxes` and any MOT tool read.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written to.
+    """
+    with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
+        for item in boxes:
+            cells = ",".join(f"{value:.2f}" for value in (*item.box, item.confidence))
+            stream.write(f"{item.frame},{item.track_id},{cells},-1,-1,-1\n")
+
+
+def foot_point(box: tuple[float, float, float, float]) -> np.ndarray:
+    """The middle (2,) of a box's lower edge, in pixels."""
+    left, top, width, height = box
+    return np.array([left + width / 2.0, top + height])

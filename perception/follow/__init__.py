@@ -1,0 +1,1 @@
+"""One target followed through a video, alone or guided by the graph."""

@@ -1,0 +1,233 @@
+"""A tracker run over the frames of a video, and its estimates as a track that `graphtrack` smooths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.io.atomic import atomic_path
+from graphtrack.io.numbers import parse_number
+from graphtrack.io.schema import BOX_COLUMNS
+from graphtrack.io.table import to_columns
+from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet
+from perception.detection.people import PeopleDetector
+from perception.images.frames import Frame, of_one_size
+from perception.images.pixels import Image, crop
+from perception.models import load_head_localiser
+from perception.observe.world import BoxCamera
+from perception.pose.classes import PoseClasses
+from perception.trackers.tracker import Box, BoxEstimate, Tracker, check_box
+
+if TYPE_CHECKING:
+    from perception.follow.guidance import GraphGuide
+
+
+_EVEN = 2.0
+"""Grey levels: an image whose pixels differ by less on average shows nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """The estimate of one frame, by the frame's number, and whether a graph that guides believes it."""
+
+    frame: int
+    estimate: BoxEstimate
+    believed: bool = True
+
+
+def parse_box(text: str) -> Box:
+    """A box from ``left,top,width,height``.
+
+    Raises
+    ------
+    InputError
+        If it is not four finite numbers with a size above 0.
+    """
+    values = [parse_number(cell) for cell in text.split(",")]
+    numbers = [value for value in values if value is not None]
+    if len(values) != 4 or len(numbers) != 4 or min(numbers[2:]) <= 0.0:
+        raise InputError(f"a box {text!r}", "LEFT,TOP,WIDTH,HEIGHT in pixels, with a size above 0")
+    left, top, width, height = numbers
+    return left, top, width, height
+
+
+def find_head(image: Image) -> Box:
+    """The head of the person who is seen best: people are detected, and heads in them located.
+
+    Raises
+    ------
+    InputError
+        If no people are found.
+    """
+    people, _ = PeopleDetector().detect(image)
+    if not len(people):
+        raise InputError(
+            "no target in the first frame", "a person from head to foot, or the box of a head (--init)"
+        )
+    left, top, width, height = load_head_localiser().locate(crop(image, people[0])).boxes[0].tolist()
+    return round(people[0, 0]) + left, round(people[0, 1]) + top, width, height
+
+
+def check_start(image: Image, box: Box | None) -> None:
+    """Refuse a first frame in which nothing can be followed.
+
+    Raises
+    ------
+    InputError
+        If the image is all of one colour, or the box is none to begin with.
+    """
+    if float(image.reshape(-1, 3).astype(np.float32).std(axis=0).max()) < _EVEN:
+        raise InputError("no target in the first frame, which is all of one colour", "a frame with a target")
+    if box is not None:
+        try:
+            check_box(box, image)
+        except InputError as error:
+            raise InputError(f"no target in the first frame: {error.found}", error.expected) from error
+
+
+def follow(
+    tracker: Tracker,
+    frames: Iterable[Frame],
+    start: Callable[[Image], Box | None],
+    *,
+    guide: Callable[[Box], GraphGuide] | None = None,
+    fps: float = 25.0,
+    refuse: Callable[[str], None] = lambda reason: None,
+    show: Callable[[int, Image, BoxEstimate], None] | None = None,
+    advance: Callable[[int], None] = lambda count: None,
+) -> list[Followed]:
+    """Run a tracker over frames; those that cannot be decoded are told to ``refuse`` and passed over.
+
+    Parameters
+    ----------
+    start : the box to begin with, of the first image; None lets the tracker look for a target by itself
+    guide : made with the first box, it tells the tracker where the graph expects the target
+    fps : frames a second, for the guide
+    show : is given the number, image and estimate of every frame
+
+    Raises
+    ------
+    InputError
+        If no frame can be decoded, there is no target in the first or in any, or the frames' size changes.
+    """
+    found: list[Followed] = []
+    graph: GraphGuide | None = None
+    for frame in of_one_size(frames):
+        advance(1)
+        if frame.image is None:
+            refuse(frame.reason)
+            continue
+        if not found:
+            check_start(frame.image, None)
+            box = start(frame.image)
+            check_start(frame.image, box)
+            estimate = tracker.start(frame.image, box)
+        else:
+            t = frame.number / fps
+            estimate = tracker.step(frame.image, None if graph is None else graph.predict(t))
+        if guide is not None and graph is None and estimate.found:
+            graph = guide(estimate.box)
+        if graph is not None:
+            graph.observe(estimate, frame.number / fps)
+        found.append(Followed(frame.number, estimate))
+        if show is not None:
+            show(frame.number, frame.image, estimate)
+    if not found:
+        raise InputError("no frame that can be decoded", "a video or images with a target")
+    if not any(item.estimate.found for item in found):
+        raise InputError(f"no target in any of {len(found)} frames", "frames in which something moves")
+    if graph is not None:
+        found = [replace(item, believed=item.frame / fps not in graph.rejected) for item in found]
+    return found
+
+
+def to_track(
+    found: Sequence[Followed],
+    boxes: BoxCamera,
+    pan_classes: PoseClasses | None,
+    fps: float,
+    *,
+    filtered: bool = False,
+    track_id: int = 0,
+) -> Track:
+    """What a tracker said, as observations: places, their spread, and likelihoods of the head in the world.
+
+    Frames in which the target was not found, or not believed by the graph that guided the tracker, or is at
+    or beyond the horizon, have no observation.
+
+    Parameters
+    ----------
+    pan_classes : of the tracker; None for one without pans
+    filtered : whether the likelihoods are the tracker's own distribution of the pan, rather than what each
+        frame says by itself, to which the graph adds what comes before and after
+    """
+    n = len(found)
+    frame = np.array([item.frame for item in found])
+    pixel, position = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
+    std, head = np.full(n, np.nan), np.full((n, HEAD_CLASSES), np.nan)
+    for k, estimate in enumerate(item.estimate for item in found):
+        place = boxes.position(estimate.box)
+        if not (estimate.found and found[k].believed) or not np.isfinite(place).all():
+            continue
+        pixel[k], position[k] = boxes.foot(estimate.box), place
+        std[k] = boxes.position_std(estimate.box, estimate.particles, estimate.weights)
+        pan = estimate.pan if filtered else estimate.pan_likelihood
+        if pan is not None and pan_classes is not None:
+            head[k] = boxes.head_likelihood(pan[None], pan_classes, place[None])[0]
+    return Track(
+        track_id,
+        frame,
+        frame / fps,
+        position,
+        position_std=std,
+        pixel=pixel,
+        head_likelihood=head if np.isfinite(head).any() else None,
+    )
+
+
+def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> None:
+    """Write the table of `perception follow`: the native table with the boxes beside.
+
+    Parameters
+    ----------
+    track : of the same frames, as from `to_track`
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written to. There is then no file, or the one that was there.
+    """
+    columns = to_columns(TrackSet((track,)))
+    beside = np.array([(*item.estimate.box, item.estimate.confidence) for item in found])
+    first = ("track_id", "frame", "t")
+    position = ("u", "v", "x", "y", "pos_std")
+    table = {name: columns[name] for name in first}
+    table |= dict(zip(BOX_COLUMNS, beside.T, strict=True))
+    table |= {name: columns[name] for name in position}
+    table |= {name: columns[name] for name in columns if name.startswith("head_p")}
+    with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
+        stream.write(",".join(table) + "\n")
+        for row in zip(*(values.tolist() for values in table.values()), strict=True):
+            stream.write(",".join("" if value != value else repr(value) for value in row) + "\n")
+
+
+def notes(found: Sequence[Followed], track: Track) -> list[str]:
+    """What a reader of the table should know: frames without the target, and places that cannot be."""
+    said = []
+    lost = [item.frame for item in found if not item.estimate.found]
+    if lost:
+        said.append(
+            f"the target was not found in {len(lost)} of {len(found)} frames, first in frame {lost[0]}"
+        )
+    doubted = sum(item.estimate.found and not item.believed for item in found)
+    if doubted:
+        said.append(f"the graph does not believe the tracker in {doubted} more frames")
+    beyond = int(np.isnan(track.position[:, 0]).sum()) - len(lost) - doubted
+    if beyond:
+        said.append(f"in {beyond} frames the foot point is at or beyond the camera's horizon")
+    return said

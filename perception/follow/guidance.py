@@ -1,0 +1,253 @@
+"""The graph in a tracker's loop: it smooths what the tracker finds, and says where to look next."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.special import logit
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference import Estimate, OnlineSmoother
+from graphtrack.model import Model, Observation, Parameters
+from graphtrack.model.motion import process_noise, transition_matrix
+from graphtrack.model.parameters import MotionParameters
+from perception.observe.world import BoxCamera
+from perception.pose.classes import PoseClasses
+from perception.trackers.tracker import BoxEstimate, Proposal
+
+GUIDE_MODEL = Model("position", Parameters(MotionParameters(acceleration_density=0.01)))
+"""People who walk on: white noise of 0.01 m²/s³ is what takes rendered walkers off their course within one or
+two seconds. The package's own models expect people who turn and run, and soon say nothing of where one is."""
+
+_WIDEST = 1e4
+"""Pixels: a prediction that is less sure than that says nothing."""
+
+
+@dataclass(frozen=True)
+class DoubtParameters:
+    """When an estimate is not believed.
+
+    Attributes
+    ----------
+    forget : box widths that the target had to go when it is lost; what was said since is forgotten
+    forget_at_most : seconds
+    deviations : an estimate is doubted when the log-odds of its confidence (the median of some frames) are
+        so many standard deviations below what they were
+    least_deviation : the standard deviation is taken to be at least this
+    memory, recent : seconds over which those log-odds and the newest frames go
+    warm_up : seconds at the beginning that are believed and not learned from, since the first box is the
+        tracker's own pattern
+    regain : seconds through which a target that was lost must be found before it is believed
+    gate : it must then be where it is expected, and have moved as expected, within so many deviations
+    patience : seconds after which what is found is believed, whatever it is
+    """
+
+    forget: float = 0.4
+    forget_at_most: float = 1.0
+    deviations: float = 3.0
+    least_deviation: float = 0.4
+    memory: float = 4.0
+    recent: float = 0.2
+    warm_up: float = 0.4
+    regain: float = 0.3
+    gate: float = 2.5
+    patience: float = 2.5
+
+
+_FEWEST = 8
+"""Frames from which a deviation is learned."""
+
+
+class Doubt:
+    """The log-odds of a tracker's confidence while it was believed; see `DoubtParameters`."""
+
+    def __init__(self, parameters: DoubtParameters = DoubtParameters()) -> None:
+        self.parameters = parameters
+        self._learned: deque[tuple[float, float]] = deque()
+        self._recent: deque[tuple[float, float]] = deque()
+        self._first: float | None = None
+
+    def sure(self, confidence: float, t: float) -> bool:
+        """Whether an estimate of that confidence (0…1) at ``t`` seconds is as sure as those learned from."""
+        p = self.parameters
+        odds = float(logit(np.clip(confidence, 1e-9, 1.0 - 1e-9)))
+        if self._first is None:
+            self._first = t
+        if t - self._first < p.warm_up:
+            return True
+        _append(self._recent, (t, odds), t - p.recent)
+        if len(self._learned) < _FEWEST:
+            return True
+        known = np.array([value for _, value in self._learned])
+        middle = np.median(known)
+        deviation = max(1.4826 * float(np.median(np.abs(known - middle))), p.least_deviation)
+        return bool(np.median([value for _, value in self._recent]) >= middle - p.deviations * deviation)
+
+    def learn(self) -> None:
+        """Learn from the newest estimate, which was believed."""
+        if self._recent:
+            _append(self._learned, self._recent[-1], self._recent[-1][0] - self.parameters.memory)
+
+    def start_again(self) -> None:
+        """Forget what was learned."""
+        self._learned.clear()
+
+
+def _append(queue: deque[tuple[float, float]], item: tuple[float, float], since: float) -> None:
+    queue.append(item)
+    while queue[0][0] < since:
+        queue.popleft()
+
+
+class GraphGuide:
+    """An `OnlineSmoother` on the ground beside a tracker in the image.
+
+    After each frame it takes the tracker's estimate as an observation (where the target was not found,
+    there is none), and before the next it predicts the middle of the target's box. While the target is
+    hidden the prediction goes on with the last velocity and becomes less and less sure.
+
+    A tracker clings to what it still sees of a target that something begins to hide, and then to what is
+    most like it. So an estimate is not taken in when it is much less sure than those before it (`Doubt`);
+    and when the target is lost, or doubted, the graph forgets what it was told since the target was a box's
+    width away, and predicts from what it knew then.
+
+    Parameters
+    ----------
+    boxes : from boxes to the ground
+    pan_classes : of the tracker; None for one without pans
+    model : of the graph; by default `GUIDE_MODEL`
+    lag : seconds of history that the graph keeps open
+    doubt : when estimates are not taken in
+
+    Attributes
+    ----------
+    rejected : times (seconds) of the frames of which the graph took nothing in, or has forgotten it
+    """
+
+    def __init__(
+        self,
+        boxes: BoxCamera,
+        pan_classes: PoseClasses | None = None,
+        *,
+        model: Model | str | Path = GUIDE_MODEL,
+        lag: float = 2.0,
+        doubt: DoubtParameters = DoubtParameters(),
+    ) -> None:
+        self.boxes, self.pan_classes = boxes, pan_classes
+        self._doubt = Doubt(doubt)
+        self._new_smoother = lambda: OnlineSmoother(model, engine="chain", lag=lag)
+        self._smoother = self._new_smoother()
+        self._last: Estimate | None = None
+        self._height = 0.0
+        self.rejected: set[float] = set()
+        self._lost_at: float | None = None
+        self._again: list[Observation] = []
+        self._seen: deque[tuple[Observation, FloatArray]] = deque()
+        """Observations of the last ``lag`` seconds and the middles of their boxes."""
+
+    def observe(self, estimate: BoxEstimate, t: float) -> None:
+        """Take in what the tracker says of the frame at ``t`` seconds."""
+        observation = Observation(t)
+        place = self.boxes.position(estimate.box)
+        sure = estimate.found and self._doubt.sure(estimate.confidence, t)
+        if sure and np.isfinite(place).all():
+            x, y = place.tolist()
+            std = self.boxes.position_std(estimate.box, estimate.particles, estimate.weights)
+            observation = replace(observation, position=(x, y), position_std=std)
+            if estimate.pan_likelihood is not None and self.pan_classes is not None:
+                head = self.boxes.head_likelihood(
+                    estimate.pan_likelihood[None], self.pan_classes, place[None]
+                )
+                observation = replace(observation, head_likelihood=tuple(head[0].tolist()))
+        self._take_in(observation, estimate)
+
+    def _take_in(self, observation: Observation, estimate: BoxEstimate) -> None:
+        t = observation.t
+        if observation.position is None and self._lost_at is None and self._seen:
+            self._lost_at = t
+            self._forget(self._doubt.parameters.forget * estimate.box[2])
+        if observation.position is None:
+            self._again.clear()
+        elif self._lost_at is not None:
+            self._again.append(observation)
+            if self._is_target():
+                self._lost_at = None
+            elif t - self._lost_at > self._doubt.parameters.patience:
+                self._lost_at = None
+                self._doubt.start_again()
+            else:
+                observation = Observation(t)
+        if observation.position is not None:
+            self._height = estimate.box[3]
+            self._doubt.learn()
+            self._again.clear()
+        else:
+            self.rejected.add(t)
+        self._last = self._smoother.update(observation)
+        self._seen.append((observation, estimate.centre))
+        while self._seen[0][0].t < t - self._smoother.lag:
+            self._seen.popleft()
+
+    def _is_target(self) -> bool:
+        """Whether what was found again is where the target is expected, and moves as it did."""
+        p = self._doubt.parameters
+        first, newest = self._again[0], self._again[-1]
+        since = newest.t - first.t
+        if self._last is None or since < p.regain:
+            return False
+        assert first.position and newest.position and first.position_std and newest.position_std
+        density = self._smoother.model.parameters.motion.acceleration_density
+        expected, covariance = _moved(self._last, newest.t - self._last.t, density)
+        away = np.array(newest.position) - expected
+        covariance = covariance + newest.position_std**2 * np.eye(2)
+        moved = np.subtract(newest.position, first.position) - since * self._last.velocity
+        of_move = since**2 * self._last.covariance[2:4, 2:4]
+        of_move = of_move + (first.position_std**2 + newest.position_std**2) * np.eye(2)
+        distances = [d @ np.linalg.solve(c, d) for d, c in ((away, covariance), (moved, of_move))]
+        return bool(max(distances) < p.gate**2)
+
+    def _forget(self, width: float) -> None:
+        """Go back to when the target was ``width`` pixels from where it was last seen."""
+        seen = list(self._seen)
+        last, centre = seen[-1]
+        from_there = last.t - self._doubt.parameters.forget_at_most
+        for observation, before in seen:
+            if np.linalg.norm(before - centre) > width:
+                from_there = max(from_there, observation.t)
+        self._smoother = self._new_smoother()
+        for place, (observation, middle) in enumerate(seen):
+            if observation.t > from_there and place > 0:
+                observation = Observation(observation.t)
+                self.rejected.add(observation.t)
+                self._seen[place] = observation, middle
+            self._last = self._smoother.update(observation)
+
+    def predict(self, t: float) -> Proposal | None:
+        """Where the middle of the box will be at ``t`` seconds; None where that cannot be said.
+
+        By the velocity of the last estimate and the white noise of the model's acceleration. The box is
+        taken to be as high as when it was last found.
+        """
+        if self._last is None or self._last.status == "waiting":
+            return None
+        density = self._smoother.model.parameters.motion.acceleration_density
+        position, covariance = _moved(self._last, t - self._last.t, density)
+        centre = self.boxes.box_centre(position, self._height)
+        if not np.isfinite(centre).all():
+            return None
+        least = self.boxes.smallest_std * self._height
+        pixel_covariance = self.boxes.pixel_covariance(position, covariance) + least**2 * np.eye(2)
+        if not np.trace(pixel_covariance) < _WIDEST**2:
+            return None
+        return Proposal(centre, pixel_covariance)
+
+
+def _moved(estimate: Estimate, dt: float, acceleration_density: float) -> tuple[FloatArray, FloatArray]:
+    """Position (2,) and its covariance (2, 2) ``dt`` seconds after an estimate (MODEL term 1)."""
+    step = transition_matrix(dt)
+    state = np.concatenate([estimate.position, estimate.velocity])
+    covariance = step @ estimate.covariance[:4, :4] @ step.T + process_noise(dt, acceleration_density)
+    return (step @ state)[:2], covariance[:2, :2]

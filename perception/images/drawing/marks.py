@@ -1,0 +1,134 @@
+"""What pictures are drawn with: colours, text, arrows and fans of directions."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from graphtrack.geometry.angles import FloatArray, direction, unit
+from perception.images.pixels import Image
+from perception.pose.classes import PoseClasses
+
+Colour = tuple[int, int, int]
+"""Blue, green, red."""
+Place = Callable[[FloatArray], FloatArray]
+"""From points (n, 2) of a plane, about a person, in lengths of an arrow, to pixels (n, 2)."""
+
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+DARK: Colour = (40, 40, 40)
+LIGHT: Colour = (245, 245, 245)
+
+_LEAST_HEIGHT = 400
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0
+_FRACTION = 4
+"""Bits behind the point of the pixels that OpenCV draws."""
+_FARTHEST = 2.0**20
+"""Pixels: farther away OpenCV's numbers do not reach."""
+_LIKELY = 0.95
+_STEP = np.deg2rad(3.0)
+_BETWEEN = np.deg2rad(0.7)
+_FAINTEST, _STRONGEST = 0.12, 0.6
+
+
+def enlargement(image: Image) -> int:
+    """Factor by which an image is enlarged before it is drawn on, so that marks can be told apart."""
+    return max(1, -(-_LEAST_HEIGHT // image.shape[0]))
+
+
+def enlarged_image(image: Image) -> Image:
+    """A copy of an image to draw on, `enlargement` times as large."""
+    factor = enlargement(image)
+    if factor == 1:
+        return image.copy()
+    return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def line_width(picture: Image) -> int:
+    """Pixels of a line that is seen in a picture of this size."""
+    return max(1, round(picture.shape[0] / 450))
+
+
+def person_colour(track_id: int) -> Colour:
+    """A colour for a person, always the same, and far from those of the ids next to it."""
+    hue = (0.08 + track_id * _GOLDEN) % 1.0
+    red, green, blue = colorsys.hsv_to_rgb(hue, 0.75, 1.0)
+    return round(255 * blue), round(255 * green), round(255 * red)
+
+
+def points(pixel: ArrayLike) -> NDArray[Any]:
+    """Pixels (n, 2) as OpenCV draws them with ``shift=FRACTION``."""
+    inside = np.clip(np.asarray(pixel, float), -_FARTHEST, _FARTHEST)
+    return np.asarray((inside * 2**_FRACTION).round(), np.int32)
+
+
+def box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
+    """A box (left, top, width, height)."""
+    left, top, w, h = np.asarray(values, float)
+    corners = points([[left, top], [left + w, top], [left + w, top + h], [left, top + h]])
+    cv2.polylines(picture, [corners], True, colour, width, cv2.LINE_AA, _FRACTION)
+
+
+def text(picture: Image, words: str, corner: tuple[int, int], colour: Colour, size: float) -> None:
+    """Words with a dark edge, so that they are read on anything; the corner is their lower left."""
+    width = max(1, round(2.2 * size))
+    cv2.putText(picture, words, corner, FONT, size, DARK, width + 2, cv2.LINE_AA)
+    cv2.putText(picture, words, corner, FONT, size, colour, width, cv2.LINE_AA)
+
+
+def arrow(picture: Image, place: Place, angle: float, colour: Colour, width: int) -> None:
+    """From the middle of a plane in a direction (radians) of it; not drawn where the plane is not seen."""
+    ends = place(np.array([[0.0, 0.0], unit(angle)]))
+    if not np.isfinite(ends).all():
+        return
+    start, end = (tuple(int(value) for value in point) for point in points(ends))
+    for shade, wide in ((DARK, width + 2), (colour, width)):
+        cv2.arrowedLine(picture, start, end, shade, wide, cv2.LINE_AA, _FRACTION, 0.25)
+
+
+def likely(distribution: FloatArray) -> NDArray[np.bool_]:
+    """The fewest classes (n,) that together hold 95 % of a distribution (n,)."""
+    order = np.argsort(-distribution, kind="stable")
+    before = np.cumsum(distribution[order]) - distribution[order]
+    chosen = np.zeros(len(distribution), bool)
+    chosen[order] = before < _LIKELY * distribution.sum()
+    return chosen
+
+
+def peak(distribution: FloatArray, classes: PoseClasses) -> float:
+    """Direction (radians) of the greatest class of a circle and its two neighbours, weighed."""
+    near = (int(distribution.argmax()) + np.array([-1, 0, 1])) % len(distribution)
+    return float(direction(distribution[near] @ unit(classes.pan[near])))
+
+
+def fan(picture: Image, place: Place, distribution: FloatArray, classes: PoseClasses, colour: Colour) -> None:
+    """The `likely` classes of a direction as sectors of a circle, the likelier the stronger.
+
+    Parameters
+    ----------
+    distribution : (n_pan,) over the pans of the classes, which are directions in the plane of ``place``
+    """
+    half = classes.step / 2.0 - _BETWEEN
+    across = np.linspace(-half, half, 2 + round(2.0 * half / _STEP))
+    strength = distribution / max(float(distribution.max()), 1e-300)
+    for k in np.flatnonzero(likely(distribution)):
+        edge = place(np.vstack([[0.0, 0.0], unit(classes.pan[k] + across)]))
+        if np.isfinite(edge).all():
+            _fill(picture, edge, colour, _FAINTEST + (_STRONGEST - _FAINTEST) * float(strength[k]))
+
+
+def _fill(picture: Image, edge: FloatArray, colour: Colour, opacity: float) -> None:
+    """Fill a polygon (n, 2), the picture shining through; only the part that it covers is touched."""
+    h, w = picture.shape[:2]
+    left, top = np.clip(np.floor(edge.min(axis=0)) - 1, 0, (w, h)).astype(int)
+    right, bottom = np.clip(np.ceil(edge.max(axis=0)) + 2, 0, (w, h)).astype(int)
+    if right <= left or bottom <= top:
+        return
+    part = picture[top:bottom, left:right]
+    over = part.copy()
+    cv2.fillPoly(over, [points(edge - (left, top))], colour, cv2.LINE_AA, _FRACTION)
+    cv2.addWeighted(over, opacity, part, 1.0 - opacity, 0.0, dst=part)

@@ -1,0 +1,175 @@
+"""Frames of a video or of a folder of images, one after the other, with those that cannot be decoded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.io.schema import LARGEST_FRAME
+from perception.images.containers import a_picture, check_video
+from perception.images.pixels import Image, as_uint8
+
+_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
+_MOST_BAD = 50
+"""Frames in a row that cannot be decoded, after which a video has ended early."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame and its number; ``image`` is None where it could not be decoded, and ``reason`` says why."""
+
+    number: int
+    image: Image | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class FrameSource:
+    """Where frames come from.
+
+    Attributes
+    ----------
+    path : a video, or a folder with images
+    count : frames that it says to have
+    fps : frames a second that it says to have; None for a folder
+    """
+
+    path: Path
+    count: int
+    fps: float | None
+
+    @classmethod
+    def open(cls, path: str | Path) -> FrameSource:
+        """Look at a video or a folder.
+
+        Raises
+        ------
+        InputError
+            If it is neither, or has no frames.
+        """
+        path = Path(path)
+        if path.is_dir():
+            count = len(_images(path))
+            if not count:
+                raise InputError("a folder without images", "images such as 0001.jpg", path=path)
+            return cls(path, count, None)
+        if not path.is_file():
+            raise InputError("no such file or folder", "a video or a folder of images", path=path)
+        may_be_picture = check_video(path)
+        video = _capture(path)
+        try:
+            fps, count = video.get(cv2.CAP_PROP_FPS), int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+            if not video.isOpened() or not video.read()[0]:
+                raise InputError("no video that can be decoded", "a video or a folder of images", path=path)
+            if may_be_picture and not video.read()[0]:
+                raise a_picture(path)
+        finally:
+            video.release()
+        return cls(path, max(count, 1), float(fps) if np.isfinite(fps) and 0.1 < fps < 1000 else None)
+
+    @staticmethod
+    def files(path: Path) -> list[Path]:
+        """The files that are read as frames: the video, or the images of the folder."""
+        return [image for _, image in _images(path)] if path.is_dir() else [path]
+
+    def stamp(self) -> list[tuple[str, int, int]]:
+        """Path, size and time of the video or of every image: another one after a change."""
+        states = [(path, path.stat()) for path in self.files(self.path)]
+        return [(str(path), state.st_size, state.st_mtime_ns) for path, state in states]
+
+    def __iter__(self) -> Iterator[Frame]:
+        return _from_folder(self.path) if self.path.is_dir() else _from_video(self.path, self.count)
+
+
+def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """The same frames.
+
+    Raises
+    ------
+    InputError
+        At the first that has not the size of those before.
+    """
+    size: tuple[int, ...] = ()
+    for frame in frames:
+        if frame.image is not None:
+            h, w = frame.image.shape[:2]
+            size = size or (h, w)
+            if (h, w) != size:
+                raise InputError(
+                    f"frame {frame.number} of {w} × {h} pixels", f"{size[1]} × {size[0]} as the first"
+                )
+        yield frame
+
+
+def _images(folder: Path) -> list[tuple[int, Path]]:
+    """Images with their frame numbers, in their order: the names, where they are numbers, or 0, 1, 2 …
+
+    Raises
+    ------
+    InputError
+        If two names are the same number, or only some are numbers.
+    """
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
+    numbered = [path for path in paths if path.stem.isascii() and path.stem.isdigit()]
+    if not numbered:
+        return list(enumerate(paths))
+    if len(numbered) < len(paths):
+        other = next(path for path in paths if path not in numbered)
+        found = f"images {numbered[0].name} and {other.name}"
+        raise InputError(found, "names that all are the numbers of frames, or none", path=folder)
+    found_at: dict[int, Path] = {}
+    for path in numbered:
+        number = int(path.stem)
+        if number > LARGEST_FRAME:
+            raise InputError(f"an image {path.name}", f"frames up to {LARGEST_FRAME}", path=folder)
+        if number in found_at:
+            both = f"{found_at[number].name} and {path.name}"
+            raise InputError(f"two images of frame {number}, {both}", "one image a frame", path=folder)
+        found_at[number] = path
+    return sorted(found_at.items())
+
+
+def _from_folder(folder: Path) -> Iterator[Frame]:
+    for number, path in _images(folder):
+        try:
+            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        except cv2.error:  # more pixels than OpenCV takes
+            image = None
+        if image is None:
+            yield Frame(number, None, f"{path.name} cannot be decoded")
+            continue
+        try:
+            yield Frame(number, as_uint8(np.asarray(image)))
+        except InputError as error:
+            yield Frame(number, None, f"{path.name}: {error}")
+
+
+def _capture(path: Path) -> cv2.VideoCapture:
+    """OpenCV's reader of a video; by its whole path, since FFmpeg takes "name:" before one for a protocol."""
+    return cv2.VideoCapture(str(path.absolute()))
+
+
+def _from_video(path: Path, count: int) -> Iterator[Frame]:
+    """Frames from 0. A frame that fails between good ones is told of; so is an end before the stated one."""
+    video = _capture(path)
+    try:
+        number = 0
+        failed: list[int] = []
+        while len(failed) < _MOST_BAD:
+            good, image = video.read()
+            if good:
+                yield from (Frame(k, None, f"frame {k} cannot be decoded") for k in failed)
+                failed = []
+                yield Frame(number, as_uint8(np.asarray(image)))
+            else:
+                failed.append(number)
+            number += 1
+        if failed and failed[0] < count:
+            yield Frame(failed[0], None, f"the video ends at frame {failed[0]} of {count}")
+    finally:
+        video.release()

@@ -1,0 +1,284 @@
+"""From frames and boxes to the table of observations that `graphtrack` smooths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.cameras import BEYOND_HORIZON, PERSON_HEIGHT
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, ReadSummary, Track, TrackSet
+from perception.detection.boxes import PersonBox, foot_point
+from perception.images.frames import Frame
+from perception.images.pixels import Image, checked_box, crop
+from perception.observe.journal import Journal
+from perception.pose.classes import PoseClasses
+from perception.pose.classifier import Classifier
+from perception.pose.heads import HeadCandidates, HeadLocaliser, select_along_track
+
+_BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
+
+
+@dataclass(frozen=True)
+class Models:
+    """What looks at a person: head localiser, body pose and head pose."""
+
+    head_localiser: HeadLocaliser
+    body_pose: Classifier
+    head_pose: Classifier
+
+
+@dataclass(eq=False)
+class Seen:
+    """What the models say of one person in one frame.
+
+    Attributes
+    ----------
+    box : left, top, width, height of the person in pixels
+    body : (8,) log likelihoods of the body's classes, image frame
+    heads : candidates of the head's box, in the crop of the person
+    pan : (candidates, n_pan) log likelihoods of the head's pan for each, image frame
+    """
+
+    frame: int
+    track_id: int
+    box: tuple[float, float, float, float]
+    body: FloatArray
+    heads: HeadCandidates
+    pan: FloatArray
+
+    @property
+    def height(self) -> float:
+        """Of the box, in pixels."""
+        return self.box[3]
+
+    def to_record(self) -> dict[str, Any]:
+        """As JSON knows it."""
+        return {
+            "frame": self.frame,
+            "track_id": self.track_id,
+            "box": list(self.box),
+            "body": self.body.tolist(),
+            "boxes": self.heads.boxes.tolist(),
+            "scores": self.heads.scores.tolist(),
+            "pan": self.pan.tolist(),
+        }
+
+    @classmethod
+    def from_record(cls, values: dict[str, Any]) -> Seen:
+        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
+        left, top, width, height = (float(value) for value in values["box"])
+        boxes, scores, pan = (np.array(values[name], float) for name in ("boxes", "scores", "pan"))
+        body, n = np.array(values["body"], float), len(scores)
+        if boxes.shape != (n, 4) or pan.shape[:1] != (n,) or pan.ndim != 2 or body.shape != (BODY_CLASSES,):
+            raise ValueError("arrays of other shapes")
+        person = int(values["frame"]), int(values["track_id"])
+        return cls(*person, (left, top, width, height), body, HeadCandidates(boxes, scores), pan)
+
+
+def observe_frame(
+    image: Image, frame: int, boxes: Iterable[PersonBox], models: Models, refuse: Callable[[str], None]
+) -> list[Seen]:
+    """What the models say of the people of one frame; ``refuse`` is told of boxes that hold nothing."""
+    seen: list[Seen] = []
+    people: list[tuple[PersonBox, Image]] = []
+    for item in _usable(image, frame, boxes, refuse):
+        people.append((item, crop(image, item.box)))
+        # However many people there are, their pictures take no more memory than a few of the whole image.
+        if sum(picture.size for _, picture in people) > image.size:
+            seen += _look(people, models)
+            people = []
+    return seen + _look(people, models)
+
+
+def _usable(
+    image: Image, frame: int, boxes: Iterable[PersonBox], refuse: Callable[[str], None]
+) -> Iterator[PersonBox]:
+    """The boxes that can be cut out of the image of a frame; ``refuse`` is told of the others."""
+    for item in boxes:
+        try:
+            checked_box(item.box, image.shape)
+        except InputError as error:
+            refuse(f"frame {frame}, track {item.track_id}: {error}")
+        else:
+            yield item
+
+
+def _look(people: list[tuple[PersonBox, Image]], models: Models) -> list[Seen]:
+    """What the models say of people and the pictures of their boxes."""
+    if not people:
+        return []
+    body = models.body_pose.log_likelihoods([picture for _, picture in people])
+    candidates = [models.head_localiser.locate(picture) for _, picture in people]
+    heads = [
+        _head_crop(picture, box)
+        for (_, picture), found in zip(people, candidates, strict=True)
+        for box in found.boxes
+    ]
+    pan = models.head_pose.classes.pan_log_likelihood(models.head_pose.log_likelihoods(heads))
+    seen, start = [], 0
+    for (item, _), found, of_body in zip(people, candidates, body, strict=True):
+        stop = start + len(found.boxes)
+        seen.append(Seen(item.frame, item.track_id, item.box, of_body, found, np.asarray(pan[start:stop])))
+        start = stop
+    return seen
+
+
+def _head_crop(picture: Image, box: FloatArray) -> Image:
+    """The head's box with the margin that classifiers are trained with, moved into the picture."""
+    left, top, width, height = box
+    grown = np.array([left - 0.03 * width, top - 0.03 * height, 1.06 * width, 1.06 * height])
+    h, w = picture.shape[:2]
+    grown[:2] = np.clip(grown[:2], 1.0 - grown[2:], (w - 1.0, h - 1.0))
+    return crop(picture, grown)
+
+
+def observe(
+    frames: Iterable[Frame],
+    boxes: Iterable[PersonBox],
+    models: Models,
+    journal: Journal[Seen],
+    *,
+    refuse: Callable[[str], None],
+    advance: Callable[[int], None] = lambda count: None,
+) -> int:
+    """Look at all boxes, frame by frame, into the journal; the number of frames that were looked at.
+
+    Frames that the journal has are not looked at again. Frames that cannot be decoded, boxes that hold
+    nothing and boxes of frames that do not come are told to ``refuse``.
+    """
+    by_frame: dict[int, list[PersonBox]] = {}
+    for item in boxes:
+        by_frame.setdefault(item.frame, []).append(item)
+    count, came = 0, set()
+    for frame in frames:
+        advance(1)
+        came.add(frame.number)
+        of_frame = by_frame.get(frame.number, [])
+        if frame.image is None:
+            refuse(frame.reason)
+        elif frame.number in journal.frames:
+            list(_usable(frame.image, frame.number, of_frame, refuse))
+        else:
+            journal.add(frame.number, observe_frame(frame.image, frame.number, of_frame, models, refuse))
+            count += 1
+    missing = sorted(set(by_frame) - came)
+    if missing:
+        boxes_missed = sum(len(by_frame[number]) for number in missing)
+        between = f"frames {min(came)} to {max(came)} came" if came else "none came"
+        refuse(f"{boxes_missed} boxes of frames that did not come, such as {missing[0]}: {between}")
+    return count
+
+
+def seen_in(journal: Journal[Seen]) -> list[Seen]:
+    """Everything that a journal of `observe` has, frame by frame."""
+    return [person for frame in sorted(journal.frames) for person in journal.frames[frame]]
+
+
+def to_tracks(
+    seen: list[Seen], head_classes: PoseClasses, camera: GroundCamera | None, fps: float
+) -> TrackSet:
+    """Tracks with positions in metres and class likelihoods in the world frame.
+
+    Who is at or beyond the camera's horizon is left out, and counted by the summary.
+
+    Parameters
+    ----------
+    seen : of all frames, each person once a frame
+    head_classes : pan classes of ``Seen.pan``
+    camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
+
+    Raises
+    ------
+    InputError
+        If nobody was seen.
+    """
+    if not seen:
+        raise InputError("a video without people", "at least one person")
+    if camera is None:
+        camera = GroundCamera.from_scale(PERSON_HEIGHT / float(np.median([item.height for item in seen])))
+    pans = head_classes.pans
+    tracks = []
+    for track_id, items in by_track(seen).items():
+        pixel = np.array([foot_point(item.box) for item in items])
+        position = camera.image_to_ground(pixel)
+        ahead = np.asarray(np.isfinite(position).all(axis=1))  # not beyond the horizon
+        items = [item for item, keep in zip(items, ahead.tolist(), strict=True) if keep]
+        if not items:
+            continue
+        pixel, position = pixel[ahead], position[ahead]
+        frame = np.array([item.frame for item in items])
+        head = np.array([item.pan[k] for item, k in zip(items, chosen_heads(items), strict=True)])
+        body = np.array([item.body for item in items])
+        tracks.append(
+            Track(
+                track_id=track_id,
+                frame=frame,
+                t=frame / fps,
+                position=position,
+                pixel=pixel,
+                body_likelihood=world_likelihood(body, _BODY, _BODY, camera, position),
+                head_likelihood=world_likelihood(head, pans, _HEAD, camera, position),
+            )
+        )
+    if not tracks:
+        raise InputError("people beyond the horizon only", "a homography that fits the pictures")
+    beyond = len(seen) - sum(len(track) for track in tracks)
+    refused = {BEYOND_HORIZON: beyond} if beyond else {}
+    return TrackSet(tuple(tracks), camera, ReadSummary("video", len(seen), refused))
+
+
+def by_track(seen: Iterable[Seen]) -> dict[int, list[Seen]]:
+    """What was seen of each person, by id and then by frame."""
+    groups: dict[int, list[Seen]] = {}
+    for item in sorted(seen, key=lambda item: (item.track_id, item.frame)):
+        groups.setdefault(item.track_id, []).append(item)
+    return groups
+
+
+def chosen_heads(items: Sequence[Seen]) -> NDArray[np.int64]:
+    """Which candidate (n,) is the head of a person in each of the frames (n) of their track."""
+    # Relative to the person's height, so that a person who comes nearer does not jump.
+    return select_along_track(
+        [HeadCandidates(item.heads.boxes / item.height, item.heads.scores) for item in items]
+    )
+
+
+def head_in_image(item: Seen, candidate: int) -> FloatArray:
+    """The box (4,) of a candidate of the head in the image: crops begin at whole pixels."""
+    left, top, _, _ = item.box
+    return item.heads.boxes[candidate] + np.array([round(left), round(top), 0.0, 0.0])
+
+
+def world_likelihood(
+    log_likelihood: ArrayLike,
+    classes: PoseClasses,
+    wanted: PoseClasses,
+    camera: GroundCamera,
+    position: FloatArray,
+) -> FloatArray:
+    """Class likelihoods (n, n_wanted) in the world of those (n, n_pan) in the image, for people at (n, 2).
+
+    The classes of the world are seen at other angles in the image, by the ray to each person (002 §3);
+    there the likelihood is interpolated linearly. Rows sum to 1.
+    """
+    p = np.exp(np.asarray(log_likelihood, float))
+    at = np.stack([camera.image_angle(np.full(len(p), pan), position) for pan in wanted.pan], axis=1)
+    found = interpolated(p, classes, at)
+    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
+
+
+def interpolated(values: FloatArray, classes: PoseClasses, angle: FloatArray) -> FloatArray:
+    """Values (n, n_pan) of classes all around, at angles (n, k) between their centres."""
+    place = np.mod(angle - classes.first, 2.0 * np.pi) / classes.step
+    lower: NDArray[np.int64] = np.floor(place).astype(np.int64)
+    share = place - lower
+    first = np.take_along_axis(values, lower % classes.n_pan, axis=1)
+    second = np.take_along_axis(values, (lower + 1) % classes.n_pan, axis=1)
+    return np.asarray((1.0 - share) * first + share * second, float)

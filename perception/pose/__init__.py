@@ -1,0 +1,1 @@
+"""Which way bodies and heads point, from pictures of them."""

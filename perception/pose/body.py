@@ -1,0 +1,98 @@
+"""Body pose in eight directions: multi-level HoG and sparse representation over samples (002 §2.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray
+from perception.images.pixels import Image, grey_stack
+from perception.pose.classes import PoseClasses
+from perception.pose.classifier import FeatureClassifier
+from perception.pose.features.hog import multi_level_hog
+from perception.pose.features.projection import fisher_projection
+from perception.pose.features.sparse import sparse_weights
+
+_WIDTH, _HEIGHT = 64, 128
+_LEVELS = ((4, 2), (8, 4))
+_FLOOR = 0.02
+"""Share of the weights that every class gets, so that none is impossible."""
+
+
+class BodyPose(FeatureClassifier):
+    """p(z|k) ∝ the weights of the samples of class k in the sparse, non-negative representation of z.
+
+    The samples are projected (Fisher) before; measured on rendered people, the mean error is 22° then, and
+    29° after a projection on principal components.
+
+    Parameters
+    ----------
+    classes : by default 8 directions
+    samples : of each class in the dictionary
+    penalty : of the sum of the weights, for samples of unit length
+    """
+
+    kind: ClassVar[str] = "body_pose"
+
+    def __init__(
+        self,
+        classes: PoseClasses | None = None,
+        *,
+        seed: int = 0,
+        samples: int = 100,
+        penalty: float = 0.15,
+    ) -> None:
+        super().__init__(classes or PoseClasses.circle(8), seed=seed)
+        self.samples, self.penalty = samples, penalty
+        self._mean = np.empty(0)
+        self._projection = self._dictionary = np.empty((0, 0))
+        self._label = np.empty(0, np.int64)
+
+    def settings(self) -> dict[str, Any]:
+        """Size of the dictionary and penalty."""
+        return {"samples": self.samples, "penalty": self.penalty}
+
+    def features(self, images: Sequence[Image]) -> FloatArray:
+        """HoG of 4 × 2 and 8 × 4 blocks (n, 1440)."""
+        return multi_level_hog(grey_stack(images, _WIDTH, _HEIGHT), _LEVELS)
+
+    def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
+        """Projection, and a dictionary of as many samples of each class."""
+        self._mean = features.mean(axis=0)
+        self._projection = fisher_projection(features, labels)
+        chosen = [
+            rng.permutation(np.flatnonzero(labels == k))[: self.samples] for k in range(len(self.classes))
+        ]
+        index = np.concatenate(chosen)
+        self._dictionary, self._label = self._projected(features[index]), labels[index]
+
+    def _projected(self, features: FloatArray) -> FloatArray:
+        seen = (features - self._mean) @ self._projection
+        return np.asarray(seen / np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-9), float)
+
+    def scores(self, features: FloatArray) -> FloatArray:
+        """Logarithm of each class's share of the weights (n, n_classes)."""
+        weights = sparse_weights(self._projected(features), self._dictionary, self.penalty)
+        member = self._label[:, None] == np.arange(len(self.classes))
+        of_class = weights @ member
+        share = of_class / np.maximum(of_class.sum(axis=1, keepdims=True), 1e-9)
+        return np.asarray(np.log(share + _FLOOR), float)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Mean, projection and dictionary with its labels."""
+        return {
+            "mean": self._mean.astype(np.float32),
+            "projection": self._projection.astype(np.float32),
+            "dictionary": self._dictionary.astype(np.float32),
+            "label": self._label.astype(np.uint8),
+        }
+
+    def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Take over what `arrays` gave."""
+        self._mean = arrays["mean"].astype(float)
+        self._projection = arrays["projection"].astype(float)
+        self._dictionary = arrays["dictionary"].astype(float)
+        self._label = arrays["label"].astype(np.int64)

@@ -1,0 +1,222 @@
+"""Head pose by exemplars in the responses of a Gaussian and three Gabor wavelets (004 §2).
+
+Measured on rendered heads of 16–32 pixels, 20 exemplars a class, mean error of the most likely pan: 28° with
+eq. 3–5 as they are, 26° with a weight for each filter. Both are here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import log_softmax, logsumexp
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from perception.images.pixels import Image, grey_stack
+from perception.pose.classes import PoseClasses
+from perception.pose.classifier import FeatureClassifier, split
+from perception.pose.features.gabor import SCALES, SIDE, gabor_features
+
+Density = Literal["gaussian", "saturated"]
+
+SATURATION = -3.0
+"""log T of eq. 5."""
+
+SMALLEST_DEVIATION = 0.2
+_FEW = 3
+"""Exemplars of so few images take the deviations of their whole class."""
+
+_FILTERS = 1 + len(SCALES)
+_WEIGHED_ON = 1200
+"""Images that choose the weights of the filters, at most."""
+_SEARCH = 70
+CENTRE_STEP, DEVIATION_STEP = 0.05, 0.02
+"""Centres and deviations are whole numbers of these steps; responses are normalised, so of order 1."""
+
+
+class Exemplars(FeatureClassifier):
+    """p(z|θ) = Σ_k π_k Π_i (σ_ki⁻¹ · max{exp(−½((z_i − e_ki)/σ_ki)²), T})^λ, eq. 3–5 with λ = 1.
+
+    Neighbouring responses say nearly the same, and those of the finest wavelet are mostly noise in small
+    heads; ``weigh_filters`` chooses one λ for each of the four filters, as 002 chooses its λ: that of the
+    highest likelihood on images that the exemplars were not made of.
+
+    Parameters
+    ----------
+    classes : by default 16 pans (steps of 22.5°) × 3 tilts
+    exemplars : k-means centres for each class
+    density : "saturated" (T = e⁻³) or "gaussian" (T = 0)
+    weigh_filters : whether filters have weights; without, λ = 1 as in the paper
+    """
+
+    kind: ClassVar[str] = "exemplars"
+
+    def __init__(
+        self,
+        classes: PoseClasses | None = None,
+        *,
+        seed: int = 0,
+        exemplars: int = 4,
+        density: Density = "saturated",
+        weigh_filters: bool = False,
+    ) -> None:
+        super().__init__(classes or PoseClasses.circle(16, 3), seed=seed)
+        if exemplars < 1:
+            raise InputError(f"{exemplars} exemplars", "at least 1")
+        if density not in ("gaussian", "saturated"):
+            raise InputError(f"density {density!r}", "'gaussian' or 'saturated'")
+        self.exemplars, self.density, self.weigh_filters = exemplars, density, weigh_filters
+        self.centre = self.deviation = np.empty((0, 0, 0), np.float32)
+        self.log_weight = np.empty((0, 0), np.float32)
+        self._exponent = np.ones(_FILTERS)
+
+    def settings(self) -> dict[str, Any]:
+        """Number of exemplars, kind of density and whether filters have weights."""
+        return {
+            "exemplars": self.exemplars,
+            "density": self.density,
+            "weigh_filters": self.weigh_filters,
+        }
+
+    def features(self, images: Sequence[Image]) -> FloatArray:
+        """Normalised responses (n, 764)."""
+        return gabor_features(grey_stack(images, SIDE, SIDE, equalise=True))
+
+    def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
+        """Exemplars, deviations and weights of every class, and the weights of the filters."""
+        if self.weigh_filters:
+            made_of, others = split(labels, 0.2, rng)
+            others = rng.permutation(others)[:_WEIGHED_ON]
+            self._make_exemplars(features[made_of], labels[made_of], rng)
+            self._exponent = _best_exponents(
+                self._by_filter(features[others]), self.log_weight, labels[others]
+            )
+        self._make_exemplars(features, labels, rng)
+
+    def _make_exemplars(
+        self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator
+    ) -> None:
+        from sklearn.cluster import KMeans
+
+        k, d = self.exemplars, features.shape[1]
+        centre = np.zeros((len(self.classes), k, d), np.float32)
+        deviation = np.ones_like(centre)
+        weight = np.zeros((len(self.classes), k))
+        for m in range(len(self.classes)):
+            members = features[labels == m]
+            count = min(k, len(members))
+            means = KMeans(count, n_init=2, random_state=int(rng.integers(2**31))).fit(members)
+            pooled = np.std(members - means.cluster_centers_[means.labels_], axis=0)
+            centre[m, :count] = means.cluster_centers_
+            for j in range(count):
+                cluster = members[means.labels_ == j]
+                spread = cluster.std(axis=0) if len(cluster) > _FEW else pooled
+                deviation[m, j] = np.maximum(spread, SMALLEST_DEVIATION)
+                weight[m, j] = len(cluster) / len(members)
+        in_steps = whole_steps(centre, CENTRE_STEP, np.int8), whole_steps(deviation, DEVIATION_STEP, np.uint8)
+        self._set_exemplars(*in_steps)
+        with np.errstate(divide="ignore"):
+            self.log_weight = np.log(weight).astype(np.float32)
+
+    def _by_filter(self, features: FloatArray) -> NDArray[np.float32]:
+        """Log densities (n, n_classes, exemplars, 4) of the responses of each filter."""
+        floor = SATURATION if self.density == "saturated" else -np.inf
+        return filter_log_densities(features, self.centre, self.deviation, floor)
+
+    def scores(self, features: FloatArray) -> FloatArray:
+        """Log likelihoods (n, n_classes)."""
+        return _mixed(self._by_filter(features), self.log_weight, self._exponent)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Centres and deviations in whole steps, weights of exemplars and filters."""
+        return {
+            "centre": whole_steps(self.centre, CENTRE_STEP, np.int8),
+            "deviation": whole_steps(self.deviation, DEVIATION_STEP, np.uint8),
+            "log_weight": self.log_weight,
+            "exponent": self._exponent,
+        }
+
+    def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Take over what `arrays` gave."""
+        self._set_exemplars(arrays["centre"], arrays["deviation"])
+        self.log_weight = arrays["log_weight"]
+        self._exponent = arrays["exponent"].astype(float)
+
+    def _set_exemplars(self, centre: NDArray[Any], deviation: NDArray[Any]) -> None:
+        self.centre = centre.astype(np.float32) * np.float32(CENTRE_STEP)
+        self.deviation = deviation.astype(np.float32) * np.float32(DEVIATION_STEP)
+
+
+def filter_log_densities(
+    features: NDArray[np.floating],
+    centre: NDArray[np.float32],
+    deviation: NDArray[np.float32],
+    floor: float,
+) -> NDArray[np.float32]:
+    """Log densities (n, classes, k, 4) of responses (n, 764), filter by filter (eq. 4, or 5 with a floor).
+
+    Parameters
+    ----------
+    centre, deviation : (classes, k, 764) of the exemplars
+    floor : least log density of a response before its normalisation: log T, or −∞
+    """
+    inverse = 1.0 / deviation
+    shape = (*centre.shape[:2], _FILTERS, -1)
+    found = _log_densities(np.asarray(features, np.float32), centre, inverse, np.float32(floor), _FILTERS)
+    return np.asarray(found + np.log(inverse).reshape(shape).sum(axis=3), np.float32)
+
+
+def whole_steps(values: NDArray[np.float32], step: float, kind: type[np.integer]) -> NDArray[Any]:
+    """Values as whole numbers of steps, as far as the kind of number reaches, for a file."""
+    limits = np.iinfo(kind)
+    return np.asarray(np.clip(np.rint(values / step), limits.min, limits.max).astype(kind))
+
+
+def _mixed(
+    by_filter: NDArray[np.float32], log_weight: NDArray[np.float32], exponent: FloatArray
+) -> FloatArray:
+    """Log likelihoods (n, n_classes): filters weighed by ``exponent`` (4,), exemplars added up."""
+    return np.asarray(logsumexp(by_filter @ exponent.astype(np.float32) + log_weight, axis=2), float)
+
+
+def _best_exponents(
+    by_filter: NDArray[np.float32], log_weight: NDArray[np.float32], labels: NDArray[np.int64]
+) -> FloatArray:
+    """λ (4,) of the highest likelihood of the labels."""
+    rows = np.arange(len(labels))
+
+    def loss(log_exponent: FloatArray) -> float:
+        scores = _mixed(by_filter, log_weight, np.exp(log_exponent))
+        return -float(log_softmax(scores, axis=1)[rows, labels].mean())
+
+    start = np.full(_FILTERS, -np.log(30.0))  # 191 responses are worth about six that are independent
+    return np.exp(minimize(loss, start, method="Nelder-Mead", options={"maxfev": _SEARCH}).x)
+
+
+@njit(cache=True, fastmath={"reassoc", "contract", "nsz", "nnan"})
+def _log_densities(z: Any, centre: Any, inverse: Any, floor: Any, filters: int) -> Any:
+    """Σ max(−½((z_i − e_ki)/σ_ki)², floor) over the responses of each filter: (n, classes, k, filters).
+
+    Slices and the written-out maximum let the compiler use vector instructions: six times as fast.
+    """
+    n, (classes, k, d) = len(z), centre.shape
+    size = d // filters
+    found = np.empty((n, classes, k, filters), np.float32)
+    for m in range(classes):
+        for j in range(k):
+            for i in range(n):
+                for f in range(filters):
+                    part = slice(f * size, (f + 1) * size)
+                    response, e, s = z[i, part], centre[m, j, part], inverse[m, j, part]
+                    total = np.float32(0.0)
+                    for c in range(len(response)):
+                        away = (response[c] - e[c]) * s[c]
+                        log_density = np.float32(-0.5) * away * away
+                        total += log_density if log_density > floor else floor
+                    found[i, m, j, f] = total
+    return found

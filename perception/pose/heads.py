@@ -1,0 +1,250 @@
+"""Where the head is in the box of a person (002 §2.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from perception.images.pixels import Image, enlarged, intersection_over_union
+from perception.models.storage import ModelCard, load_model, save_model
+from perception.pose.features.blocks import block_histograms, corner_sums, integral_histogram
+from perception.pose.head_detector import BoostedBlocks, Weak
+
+_HEIGHT = 128
+"""Rows to which a person's box is resized."""
+_WIDEST = 4 * _HEIGHT
+"""Columns to which it is resized at most: who is in a box of another shape is squeezed."""
+_HEAD_HEIGHTS = (14.0, 17.0, 20.0, 24.0)
+_ASPECTS = (0.68, 0.85)
+_STEP = 2.5
+_LOWEST = 0.30
+"""Centres of heads lie in this upper share of the box."""
+_AROUND = 1.3
+"""A window is this much larger than the head, so that it holds the outline."""
+_OVERLAP = 0.2
+_FIRST_ROUNDS, _KEPT = 30, 250
+_NEGATIVE_OVERLAP = 0.35
+_HELD_OUT = 0.2
+_ANYTHING = -1e6
+"""A threshold below every score."""
+_PLACE_WEIGHTS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.1)
+"""Scores that one squared deviation of the place costs, to choose from."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeadCandidates:
+    """Head boxes (k, 4), left, top, width, height in pixels of the crop, best first; scores (k,)."""
+
+    boxes: FloatArray
+    scores: FloatArray
+
+
+class HeadLocaliser:
+    """Finds heads in crops of people; there is always at least one.
+
+    A window's score is the detector's, less a cost for a place where heads seldom are in the box of a person
+    (squared deviations of its centre and size): a jacket can look as round as a head.
+
+    Parameters
+    ----------
+    weak : "differential" (eq. 1) or "fisher" (the comparison in 002's Table 1)
+    rounds : of AdaBoost
+    seed : of the choice of training windows
+    """
+
+    kind = "head_localiser"
+
+    def __init__(self, weak: Weak = "differential", *, rounds: int = 500, seed: int = 0) -> None:
+        self.weak, self.rounds, self.seed = weak, rounds, seed
+        self.threshold = 0.0
+        self.card = ModelCard(self.kind)
+        self._detector: BoostedBlocks | None = None
+        self._place, self._place_weight = np.array([np.zeros(4), np.ones(4)]), 0.0
+
+    def fit(self, images: Sequence[Image], head_boxes: ArrayLike, *, negatives: int = 4) -> Self:
+        """Learn from crops of people and their head boxes (n, 4).
+
+        A fifth of the images is held out; on it the weight of the place is chosen, for the best overlap of
+        the first candidate, and the threshold for further candidates, so that there are two on average.
+
+        Raises
+        ------
+        InputError
+            If the numbers of images and boxes differ.
+        """
+        boxes = np.asarray(head_boxes, float)
+        if boxes.shape != (len(images), 4):
+            raise InputError(f"{len(images)} images and boxes of shape {boxes.shape}", "a box for each image")
+        rng = np.random.default_rng(self.seed)
+        held_out = rng.permutation(len(images)) < max(1, round(_HELD_OUT * len(images)))
+        features, labels, places = [], [], []
+        for k in np.flatnonzero(~held_out).tolist():
+            image, box = images[k], boxes[k]
+            integral, factor = _prepared(image)
+            true = box * (*factor, *factor)
+            near = true + rng.normal(0.0, 0.03, (2, 4)) * true[[2, 3, 2, 3]]
+            windows = candidate_windows(round(image.shape[1] * factor[0]))
+            overlap = intersection_over_union(windows, true)
+            far = rng.permutation(np.flatnonzero(overlap < _NEGATIVE_OVERLAP))[: negatives - 1]
+            edge = rng.permutation(np.flatnonzero((overlap > 0.05) & (overlap < _NEGATIVE_OVERLAP)))[:2]
+            chosen = np.concatenate([near, windows[far], windows[edge]])
+            features.append(block_histograms(corner_sums(integral, enlarged(chosen, _AROUND))))
+            labels += [1, 1] + [-1] * (len(far) + len(edge))
+            places.append(_places(true[None], integral.shape[1] - 1)[0])
+        self._detector = BoostedBlocks.fit(
+            np.concatenate(features), np.array(labels), self.weak, rounds=self.rounds
+        )
+        self._place = np.stack([np.mean(places, axis=0), np.std(places, axis=0) + 1e-3])
+        self.threshold = _ANYTHING
+        rest = np.flatnonzero(held_out).tolist()
+        best = -1.0
+        for weight in _PLACE_WEIGHTS:
+            self._place_weight, before = weight, self._place_weight
+            found = [self.locate(images[k]) for k in rest]
+            mean = np.mean(
+                [intersection_over_union(f.boxes[0], boxes[k]) for f, k in zip(found, rest, strict=True)]
+            )
+            if mean > best:
+                best, others = float(mean), np.concatenate([f.scores[1:] for f in found])
+            else:
+                self._place_weight = before
+        others = np.sort(others)[::-1]  # one more on average beside the best
+        self.threshold = float(others[len(rest)]) if len(others) > len(rest) else _ANYTHING
+        self.card = replace(self.card, images=len(images))
+        return self
+
+    def locate(self, image: Image) -> HeadCandidates:
+        """Candidates in a crop (h, w, 3) or (h, w) of a person."""
+        if self._detector is None:
+            raise InputError("a head localiser that was not fitted", "fit or load first")
+        integral, factor = _prepared(image)
+        windows = candidate_windows(integral.shape[1] - 1)
+        surrounded = enlarged(windows, _AROUND)
+        # The first weak classifiers tell most windows apart from heads; the others judge what is left.
+        away = np.square((_places(windows, integral.shape[1] - 1) - self._place[0]) / self._place[1])
+        cost = 0.5 * self._place_weight * away.sum(axis=1)
+        first = self._detector.scores(integral, surrounded, rounds=_FIRST_ROUNDS) - cost
+        promising = np.argsort(-first, kind="stable")[:_KEPT]
+        scores = self._detector.scores(integral, surrounded[promising]) - cost[promising]
+        windows = windows[promising]
+        kept = non_maximum_suppression(windows, scores, _OVERLAP)
+        kept = [k for k in kept if k == kept[0] or scores[k] >= self.threshold]
+        boxes = np.array([_refined(windows, scores, k) for k in kept])
+        return HeadCandidates(boxes / (*factor, *factor), scores[kept])
+
+    def save(self, path: str | Path) -> None:
+        """Write a model file (.npz) that `load` reads."""
+        if self._detector is None:
+            raise InputError("a head localiser that was not fitted", "fit it first")
+        settings = {"weak": self.weak, "rounds": self.rounds, "seed": self.seed}
+        parameters = {"settings": settings, "threshold": self.threshold, "place_weight": self._place_weight}
+        card = replace(self.card, parameters=parameters)
+        names = ("block", "direction", "threshold", "weight")
+        arrays = {name: getattr(self._detector, name) for name in names}
+        save_model(path, card, arrays | {"place": self._place})
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a model file.
+
+        Raises
+        ------
+        InputError
+            If it is no model file, or one of another kind.
+        """
+        card, arrays = load_model(path, cls.kind)
+        try:
+            model = cls(**card.parameters["settings"])
+            model.threshold, model.card = float(card.parameters["threshold"]), card
+            model._place_weight, model._place = float(card.parameters["place_weight"]), arrays.pop("place")
+            model._detector = BoostedBlocks(**arrays)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError("an incomplete model", f"a model of kind {cls.kind!r}", path=path) from error
+        return model
+
+
+def _places(windows: FloatArray, width: int) -> FloatArray:
+    """Centres over the size of a crop of 128 rows, and logarithms of sizes, (n, 4) of windows (n, 4)."""
+    size = (width, _HEIGHT)
+    centre = (windows[:, :2] + windows[:, 2:] / 2.0) / size
+    return np.hstack([centre, np.log(windows[:, 2:] / _HEIGHT)])
+
+
+@lru_cache(maxsize=64)
+def candidate_windows(width: int) -> FloatArray:
+    """Head boxes (n, 4) to try in a crop of 128 rows and ``width`` columns."""
+    found = []
+    for height in _HEAD_HEIGHTS:
+        for aspect in _ASPECTS:
+            w = height * aspect
+            left = np.arange(0.1 * width - w / 2.0, 0.9 * width - w / 2.0 + 1e-9, _STEP)
+            top = np.arange(-3.0, _LOWEST * _HEIGHT - height / 2.0, _STEP)
+            x, y = np.meshgrid(left, top)
+            found.append(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, w), np.full(x.size, height)]))
+    windows = np.concatenate(found)
+    windows.setflags(write=False)
+    return windows
+
+
+def non_maximum_suppression(boxes: FloatArray, scores: FloatArray, overlap: float) -> list[int]:
+    """Indices of boxes (n, 4) from the best on, without those that overlap a better one by more."""
+    left = np.argsort(-scores, kind="stable")
+    kept = []
+    while len(left):
+        best = int(left[0])
+        kept.append(best)
+        left = left[intersection_over_union(boxes[left], boxes[best]) <= overlap]
+    return kept
+
+
+def select_along_track(candidates: Sequence[HeadCandidates], *, smoothness: float = 2.0) -> NDArray[np.int64]:
+    """Which candidate (n,) of each frame of a track: the path of highest score that moves and grows least.
+
+    Parameters
+    ----------
+    candidates : of each frame, in coordinates in which the person stands still (those of the crop)
+    smoothness : score that a step of one head height costs
+
+    Notes
+    -----
+    Dynamic programming over the candidates (Viterbi); the cost of a step is the distance of the boxes' four
+    numbers over the head's height.
+    """
+    best = candidates[0].scores
+    back: list[NDArray[np.int64]] = []
+    for before, after in pairwise(candidates):
+        step = np.linalg.norm(after.boxes[:, None, :] - before.boxes[None, :, :], axis=2)
+        total = best[None, :] - smoothness * step / np.maximum(after.boxes[:, 3], 1e-9)[:, None]
+        back.append(total.argmax(axis=1))
+        best = total.max(axis=1) + after.scores
+    path = [int(best.argmax())]
+    for pointers in reversed(back):
+        path.append(int(pointers[path[-1]]))
+    return np.array(path[::-1])
+
+
+def _prepared(image: Image) -> tuple[NDArray[np.float32], tuple[float, float]]:
+    """Integral histogram of the resized crop, and the factors of its width and height."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    h, w = grey.shape
+    width = min(max(16, round(w * _HEIGHT / h)), _WIDEST)
+    method = cv2.INTER_AREA if h > _HEIGHT else cv2.INTER_LINEAR
+    resized: Any = cv2.resize(grey, (width, _HEIGHT), interpolation=method)
+    return integral_histogram(resized), (width / w, _HEIGHT / h)
+
+
+def _refined(windows: FloatArray, scores: FloatArray, best: int) -> FloatArray:
+    """The mean of the windows about a maximum, the higher their score the more they weigh."""
+    near = intersection_over_union(windows, windows[best]) > 0.45
+    weight = np.exp(30.0 * (scores[near] - scores[best]))
+    return np.asarray(weight @ windows[near] / weight.sum(), float)

@@ -1,0 +1,1 @@
+"""The mixed-state head tracker (004)."""

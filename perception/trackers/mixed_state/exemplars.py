@@ -1,0 +1,202 @@
+"""The appearance model of the mixed-state tracker: exemplars of heads, and of what is no head (004 §2, §3).
+
+The paper's likelihood p_T(z(x)|k) says how well a patch fits an exemplar, but patches of different places
+are different data. Here it is divided by the likelihood of the patch under exemplars of backgrounds and of
+boxes beside heads, which makes it comparable between places: of 40 boxes on rendered people, the most likely
+one was on the head for 83 % of them, 55 % without the division.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, difference
+from perception.models.storage import ModelCard, load_model, save_model
+from perception.pose.classes import PoseClasses
+from perception.pose.head_pose.exemplars import (
+    CENTRE_STEP,
+    DEVIATION_STEP,
+    SATURATION,
+    filter_log_densities,
+    whole_steps,
+)
+
+KIND = "head_exemplars"
+
+_ARRAYS = ("centre", "deviation", "background_centre", "background_deviation")
+
+
+@dataclass(frozen=True, eq=False)
+class HeadExemplars:
+    """Labels k = (θ, l): exemplar l of pose class θ, in the order of classes.
+
+    Attributes
+    ----------
+    classes : of poses
+    centre, deviation : (n_classes, K, 764) of the exemplars
+    log_weight : (n_classes, K) log π of eq. 3
+    background_centre, background_deviation : (B, 764) of what is no head
+    background_log_weight : (B,)
+    exponent : (4,) weight of each filter's log density
+    shared : (n_classes·K, n_classes·K) training people whose images belong to both labels
+    slope, intercept : of the log likelihood ratio of a head, from what `log_ratio` sums up to
+    card : how it came about
+    """
+
+    classes: PoseClasses
+    centre: NDArray[np.float32]
+    deviation: NDArray[np.float32]
+    log_weight: FloatArray
+    background_centre: NDArray[np.float32]
+    background_deviation: NDArray[np.float32]
+    background_log_weight: FloatArray
+    exponent: FloatArray
+    shared: NDArray[np.float32]
+    slope: float = 1.0
+    intercept: float = 0.0
+    card: ModelCard = field(default_factory=lambda: ModelCard(KIND))
+
+    @property
+    def labels(self) -> int:
+        """Number of labels k."""
+        return self.log_weight.size
+
+    def log_ratio(self, features: NDArray[np.floating]) -> FloatArray:
+        """log p_T(z|k) − log p_T(z|no head) (n, labels) of responses (n, 764), calibrated."""
+        head, background = self.by_filter(features)
+        ratio = combined(head, background, self.background_log_weight, self.exponent)
+        return self.slope * ratio + self.intercept
+
+    def by_filter(self, features: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Log densities of each filter: (n, labels, 4) and (n, B, 4)."""
+        head = filter_log_densities(features, self.centre, self.deviation, SATURATION)
+        background = filter_log_densities(
+            features, self.background_centre[None], self.background_deviation[None], SATURATION
+        )
+        return head.reshape(len(features), self.labels, -1), background[:, 0]
+
+    def pose_log_likelihood(self, log_ratio: FloatArray) -> FloatArray:
+        """log Σ_l π_l p(z|θ, l) (..., n_classes) of values (..., labels) (eq. 3)."""
+        by_pose = log_ratio.reshape(*log_ratio.shape[:-1], *self.log_weight.shape)
+        return np.asarray(logsumexp(by_pose + self.log_weight, axis=-1), float)
+
+    def prior(self) -> FloatArray:
+        """π_l for equally likely poses (labels,); it sums to 1."""
+        weight = np.exp(self.log_weight).ravel()
+        return np.asarray(weight / weight.sum(), float)
+
+    def within(self, pan_limit: float) -> HeadExemplars:
+        """The same without the poses that face away by more than ``pan_limit`` (radians).
+
+        004 knows pans from −90° to 90° only. The classes stay; the other ones become impossible.
+        """
+        facing = np.tile(np.abs(self.classes.pan) <= pan_limit + 1e-9, self.classes.n_tilt)
+        return replace(self, log_weight=np.where(facing[:, None], self.log_weight, -np.inf))
+
+    def transitions(self, pan_std: float, tilt_share: float, stay: float) -> FloatArray:
+        """p(k_t | k_{t−1}) (labels, labels), rows sum to 1 (eq. 9).
+
+        p(θ_t|θ_{t−1}) falls with the distance of the pans; p(l_t|θ_t, l_{t−1}, θ_{t−1}) is the share of
+        common training people where the pose changes, and mostly the old exemplar where it does not.
+
+        Parameters
+        ----------
+        pan_std : radians a frame
+        tilt_share : probability of a change to each neighbouring tilt class
+        stay : probability of the same exemplar while the pose stays
+        """
+        n, k = self.log_weight.shape
+        pose = _pose_transitions(self.classes, pan_std, tilt_share)
+        # One person in common everywhere, so that no change is impossible.
+        exemplar = (self.shared.astype(float) + 1.0).reshape(n * k, n, k)
+        exemplar /= exemplar.sum(axis=2, keepdims=True)
+        same = np.full((k, k), (1.0 - stay) / max(k - 1, 1)) if k > 1 else np.ones((1, 1))
+        if k > 1:
+            np.fill_diagonal(same, stay)
+        for m in range(n):
+            exemplar[m * k : (m + 1) * k, m] = same
+        both = (np.repeat(pose, k, axis=0)[:, :, None] * exemplar).reshape(n * k, n * k)
+        possible = both * np.isfinite(self.log_weight).ravel()
+        return np.asarray(possible / possible.sum(axis=1, keepdims=True), float)
+
+    def save(self, path: str | Path) -> None:
+        """Write a model file (.npz) that `load` reads."""
+        parameters = {
+            **self.card.parameters,
+            "classes": asdict(self.classes),
+            "slope": self.slope,
+            "intercept": self.intercept,
+        }
+        arrays = {
+            name: whole_steps(
+                getattr(self, name),
+                CENTRE_STEP if name.endswith("centre") else DEVIATION_STEP,
+                np.int8 if name.endswith("centre") else np.uint8,
+            )
+            for name in _ARRAYS
+        }
+        arrays |= {
+            "log_weight": self.log_weight,
+            "background_log_weight": self.background_log_weight,
+            "exponent": self.exponent,
+            "shared": np.minimum(self.shared, 255.0).astype(np.uint8),
+        }
+        save_model(path, replace(self.card, parameters=parameters), arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> HeadExemplars:
+        """Read a model file.
+
+        Raises
+        ------
+        InputError
+            If it is no model file, or one of another kind.
+        """
+        card, arrays = load_model(path, KIND)
+        try:
+            steps = {
+                name: arrays[name].astype(np.float32)
+                * np.float32(CENTRE_STEP if name.endswith("centre") else DEVIATION_STEP)
+                for name in _ARRAYS
+            }
+            return cls(
+                classes=PoseClasses(**card.parameters["classes"]),
+                log_weight=arrays["log_weight"].astype(float),
+                background_log_weight=arrays["background_log_weight"].astype(float),
+                exponent=arrays["exponent"].astype(float),
+                shared=arrays["shared"].astype(np.float32),
+                slope=float(card.parameters["slope"]),
+                intercept=float(card.parameters["intercept"]),
+                card=card,
+                **steps,
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError("an incomplete model", f"a model of kind {KIND!r}", path=path) from error
+
+
+def combined(
+    head: NDArray[np.float32],
+    background: NDArray[np.float32],
+    background_log_weight: FloatArray,
+    exponent: FloatArray,
+) -> FloatArray:
+    """Log ratios (..., labels) from log densities of each filter (..., labels, 4) and (..., B, 4)."""
+    weight = exponent.astype(np.float32)
+    no_head = logsumexp(background @ weight + background_log_weight.astype(np.float32), axis=-1)
+    return np.asarray(head @ weight - no_head[..., None], float)
+
+
+def _pose_transitions(classes: PoseClasses, pan_std: float, tilt_share: float) -> FloatArray:
+    """p(θ_t | θ_{t−1}) (n_classes, n_classes)."""
+    away = difference(classes.pan[:, None], classes.pan)
+    pan = np.exp(-0.5 * (away / pan_std) ** 2)
+    tilt = np.eye(classes.n_tilt)
+    tilt += tilt_share * (np.eye(classes.n_tilt, k=1) + np.eye(classes.n_tilt, k=-1))
+    both = np.kron(tilt, pan)
+    return np.asarray(both / both.sum(axis=1, keepdims=True), float)

@@ -1,0 +1,258 @@
+"""The mixed-state particle filter: head box and exemplar label in one state (Ba & Odobez 2003, 004 §3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.particles import effective_sample_size, generator, resample
+from perception.images.pixels import Image, enlarged
+from perception.models import load_head_exemplars
+from perception.pose.classes import PoseClasses
+from perception.pose.features.gabor import SIDE, gabor_features
+from perception.trackers.color import ColourParameters, bhattacharyya, colour_bins, histograms
+from perception.trackers.dynamics import BoxDynamics, predict
+from perception.trackers.mixed_state.exemplars import HeadExemplars
+from perception.trackers.patches import PATCH_MARGIN, cut, equalised
+from perception.trackers.tracker import (
+    Box,
+    BoxEstimate,
+    Cloud,
+    Proposal,
+    boxes_of,
+    check_box,
+    grey_frame,
+    states_of,
+)
+
+Labels = Literal["sampled", "summed"]
+
+
+@dataclass(frozen=True)
+class ColourMemory:
+    """What the head's colours add to the logarithm of the ratio: ``sharpness``·(similarity − ``typical``).
+
+    Attributes
+    ----------
+    histogram : how colours are counted
+    sharpness : per unit of the Bhattacharyya coefficient
+    typical : the coefficient that says nothing; rendered heads have 0.88 or more for 95 % of the frames,
+        boxes elsewhere 0.83 or less for 95 %
+    rate : share of the remembered histogram that a frame replaces, while the head is seen
+    """
+
+    histogram: ColourParameters = field(default_factory=ColourParameters)
+    sharpness: float = 20.0
+    typical: float = 0.8
+    rate: float = 0.05
+
+
+@dataclass(frozen=True)
+class MixedStateParameters:
+    """How the mixed-state tracker moves, looks and doubts.
+
+    Attributes
+    ----------
+    particles : number of particles
+    labels : "sampled": every particle has one label, as in the paper; "summed": every particle has the
+        distribution of its labels given its path, so that only boxes are sampled (Rao–Blackwell)
+    colour : the colours of the head that is followed, by which it is told from other heads and from what
+        hides it; None: exemplars alone, as in the paper
+    dynamics : of the box
+    pan_limit : radians; poses that face away from the camera by more are left out. The exemplars confuse
+        faces with backs of heads; 004 has −90° to 90° only.
+    pan_std : radians a frame, of p(θ_t|θ_{t−1})
+    tilt_share : a frame, to each neighbouring tilt class, relative to staying
+    stay : probability of the same exemplar while the pose stays
+    start_std : 1-σ of the first boxes about the given one, as a share of its size
+    vanish, appear : probabilities a frame that a seen head is hidden, and that a hidden one is seen
+    resample_below : share of the particles; resampling is systematic, below this effective sample size
+    """
+
+    particles: int = 200
+    labels: Labels = "summed"
+    colour: ColourMemory | None = field(default_factory=ColourMemory)
+    dynamics: BoxDynamics = field(default_factory=BoxDynamics)
+    pan_limit: float = float(np.pi)
+    pan_std: float = float(np.radians(12.0))
+    tilt_share: float = 0.05
+    stay: float = 0.9
+    start_std: float = 0.04
+    vanish: float = 0.02
+    appear: float = 0.05
+    resample_below: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.particles < 2:
+            raise InputError(f"{self.particles} particles", "at least 2")
+        if self.labels not in ("sampled", "summed"):
+            raise InputError(f"labels {self.labels!r}", "'sampled' or 'summed'")
+        if not 0.0 <= self.pan_limit <= np.pi + 1e-9:
+            raise InputError(f"pan_limit = {self.pan_limit} radians", "an angle from 0 to π")
+
+
+class MixedStateTracker:
+    """Follow a head and its pan.
+
+    The weight of a particle is 1 − P + P·p(z|X)/p(z|no head), P being the probability that the head can be
+    seen: a hidden Markov chain of two states, which the particles' mean ratio drives. While P is small the
+    weights stay as they are and the cloud spreads; they cannot all vanish.
+
+    Parameters
+    ----------
+    exemplars : the appearance model; by default that of the package
+    particles : in place of the parameters' number
+    """
+
+    name: ClassVar[str] = "mixed-state"
+
+    def __init__(
+        self,
+        parameters: MixedStateParameters = MixedStateParameters(),
+        *,
+        exemplars: HeadExemplars | None = None,
+        particles: int | None = None,
+        seed: int | np.random.Generator = 0,
+    ) -> None:
+        self.parameters = parameters if particles is None else replace(parameters, particles=particles)
+        loaded = load_head_exemplars() if exemplars is None else exemplars
+        self.exemplars = loaded.within(self.parameters.pan_limit)
+        classes = self.exemplars.classes
+        self.pan_classes: PoseClasses | None = classes.pans
+        self._rng = generator(seed)
+        p = self.parameters
+        self._transitions = self.exemplars.transitions(p.pan_std, p.tilt_share, p.stay)
+        self._reach = np.cumsum(self._transitions, axis=1)
+        self._shape: tuple[int, int] = (0, 0)
+        self._seen = 1.0
+        self._colours: FloatArray | None = None
+
+    def start(self, image: Image, box: Box | None) -> BoxEstimate:
+        """Begin with the head's box.
+
+        Raises
+        ------
+        InputError
+            If there is no box, or it cannot be used.
+        """
+        if box is None:
+            raise InputError("no target in the first frame", "the box of a head")
+        grey = grey_frame(image, None)
+        self._shape = grey.shape
+        self._colours = None
+        n, p = self.parameters.particles, self.parameters
+        first = states_of(np.array([check_box(box, image)]))[0]
+        self._reference = first[2:]
+        self._cloud = Cloud.about(first, n, p.start_std, self._rng)
+        self._label = self._rng.choice(self.exemplars.labels, n, p=self.exemplars.prior())
+        self._belief = np.tile(self.exemplars.prior(), (n, 1))
+        # A given box is known to hold a head, however little it looks like one.
+        self._seen = 1.0
+        if p.colour is not None:
+            bins = colour_bins(image, p.colour.histogram)
+            self._colours = histograms(bins, boxes_of(first[None]), p.colour.histogram)[0]
+        return self._look(image, grey, 1.0)
+
+    def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
+        """Go on to the next frame.
+
+        Raises
+        ------
+        InputError
+            If the frame's size is not that of the first.
+        """
+        grey = grey_frame(image, self._shape)
+        p = self.parameters
+        if effective_sample_size(self._cloud.weights) < p.resample_below * p.particles:
+            ancestors = resample(self._cloud.weights, self._rng)
+            self._cloud = self._cloud.chosen(ancestors)
+            self._label, self._belief = self._label[ancestors], self._belief[ancestors]
+        cloud = predict(self._cloud, self._reference, p.dynamics, self._rng, proposal)
+        np.clip(cloud.now[:, :2], 0.0, grey.shape[::-1], out=cloud.now[:, :2])
+        self._cloud = cloud
+        if p.labels == "sampled":
+            drawn = self._rng.random((p.particles, 1))
+            last = self.exemplars.labels - 1
+            self._label = np.minimum((self._reach[self._label] < drawn).sum(axis=1), last)
+        else:
+            self._belief = self._belief @ self._transitions
+        return self._look(image, grey, self._seen * (1.0 - p.vanish) + (1.0 - self._seen) * p.appear)
+
+    def _look(self, image: Image, grey: NDArray[np.uint8], visible: float) -> BoxEstimate:
+        """Weigh the particles by the frame; ``visible`` is the probability before it."""
+        before = self._cloud.weights
+        patches = cut(grey, enlarged(self._cloud.boxes, PATCH_MARGIN), SIDE)
+        ratio = self.exemplars.log_ratio(gabor_features(equalised(patches)))
+        of_colour, bins = self._by_colour(image)
+        if self.parameters.labels == "sampled":
+            likely = np.exp(ratio[np.arange(len(ratio)), self._label])
+        else:
+            joint = self._belief * np.exp(ratio)
+            likely = joint.sum(axis=1)
+            self._belief = joint / likely[:, None]
+        by_shape = float(before @ likely)
+        likely = likely * np.exp(of_colour)
+        evidence = float(before @ likely)
+        weights = before * (1.0 - visible + visible * likely)
+        weights /= weights.sum()
+        self._seen = visible * evidence / (1.0 - visible + visible * evidence)
+        self._cloud = replace(self._cloud, weights=weights)
+        box, spread = self._cloud.mean()
+        cues = {"exemplars": by_shape / (1.0 + by_shape)}
+        if bins is not None:
+            cues["colour"] = self._remember(bins, box)
+        return BoxEstimate(
+            box=box,
+            spread=spread,
+            confidence=self._seen,
+            found=self._seen > 0.5,
+            particles=self._cloud.boxes,
+            weights=weights,
+            pan=self._by_pan(weights @ self._labels()),
+            pan_likelihood=self._pan_likelihood(ratio, weights),
+            cues=cues,
+        )
+
+    def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int64] | None]:
+        """What the colours add to the log ratio (n,), and the bins (h, w) of the frame."""
+        memory = self.parameters.colour
+        if memory is None or self._colours is None:
+            return np.zeros(len(self._cloud.weights)), None
+        bins = colour_bins(image, memory.histogram)
+        similarity = bhattacharyya(histograms(bins, self._cloud.boxes, memory.histogram), self._colours)
+        return memory.sharpness * (similarity - memory.typical), bins
+
+    def _remember(self, bins: NDArray[np.int64], box: Box) -> float:
+        """Similarity of the colours at the estimate, which then are learned as far as the head is seen."""
+        memory = self.parameters.colour
+        assert memory is not None and self._colours is not None
+        here = histograms(bins, np.array([box]), memory.histogram)[0]
+        similarity = float(bhattacharyya(here[None], self._colours)[0])
+        rate = memory.rate * self._seen
+        self._colours = (1.0 - rate) * self._colours + rate * here
+        return similarity
+
+    def _labels(self) -> FloatArray:
+        """Distribution (n, labels) of each particle's label."""
+        if self.parameters.labels == "summed":
+            return self._belief
+        return np.eye(self.exemplars.labels)[self._label]
+
+    def _by_pan(self, of_labels: FloatArray) -> FloatArray:
+        """Labels (labels,) summed for each pan (eq. 10)."""
+        classes = self.exemplars.classes
+        return np.asarray(of_labels.reshape(classes.n_tilt, classes.n_pan, -1).sum(axis=(0, 2)), float)
+
+    def _pan_likelihood(self, ratio: FloatArray, weights: FloatArray) -> FloatArray:
+        """p(z|pan) (n_pan,), over the boxes and the tilts, without what earlier frames say of the pose."""
+        poses = self.exemplars.pose_log_likelihood(ratio)
+        with np.errstate(divide="ignore"):
+            over_boxes = logsumexp(poses + np.log(weights)[:, None], axis=0)
+        pans = self.exemplars.classes.pan_log_likelihood(over_boxes)
+        return np.exp(pans - logsumexp(pans))

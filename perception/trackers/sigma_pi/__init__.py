@@ -1,0 +1,1 @@
+"""The Sigma-Pi person tracker (003)."""

@@ -1,0 +1,276 @@
+"""The three cues of the Sigma-Pi tracker: what each remembers, and how active it is in windows of a frame."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray
+from perception.images.pixels import Image, enlarged
+from perception.trackers.sigma_pi import colour, motion, shape
+from perception.trackers.sigma_pi.sums import activation, integral, overlap, sums
+
+
+@dataclass(frozen=True)
+class CueParameters:
+    """How the cues look and remember. Lengths are pixels of the reduced frame.
+
+    Attributes
+    ----------
+    surround : size of a window with its surround, in sizes of the window
+    background_rate : share of the difference by which the running average moves in a frame
+    scene_rate : the same for a slower average, which knows the scene behind somebody who rests: where the
+        frame is like it nothing moves, though the faster one still holds who has just left
+    motion_threshold : grey levels from which a difference is motion
+    motion_overlap, colour_overlap, shape_overlap : overlap of a window with what is salient, at which
+        the cue's activity rises, and how steeply (`perception.trackers.sigma_pi.sums.activation`)
+    colour_rate : of adapting the target's histogram, for one frame
+    surroundings_rate : of adapting the background's histogram
+    colour_odds : of the background against the target, for a pixel of which nothing is known
+    memory : frames of features that are remembered
+    background_features : how many features of the background are remembered
+    matched : similarity from which two features are the same thing
+    margin : lead of one similarity over the other that decides between target and background
+    negative : how much a feature of the background counts against one of the target
+    fewest : features of a target that are expected at least
+    contrast : threshold of the SIFT detector
+    focus : size of the part of the frame in which features are looked for while the person is found, in
+        sizes of the window; the least such part has sides of ``focus_least``
+    everywhere : frames after which they are looked for in the whole frame all the same
+    """
+
+    surround: float = 2.2
+    background_rate: float = 0.02
+    scene_rate: float = 0.0004
+    motion_threshold: float = 16.0
+    motion_overlap: tuple[float, float] = (0.25, 0.05)
+    colour_overlap: tuple[float, float] = (0.25, 0.05)
+    shape_overlap: tuple[float, float] = (0.15, 0.04)
+    colour_rate: float = 0.015
+    surroundings_rate: float = 0.01
+    colour_odds: float = 3.0
+    memory: int = 10
+    background_features: int = 600
+    matched: float = 0.85
+    margin: float = 0.08
+    negative: float = 0.5
+    fewest: float = 6.0
+    contrast: float = 0.03
+    focus: float = 4.0
+    focus_least: float = 120.0
+    everywhere: int = 10
+
+
+class Cue(Protocol):
+    """Looks at frames, and says how active it is in windows."""
+
+    def look(self, image: Image) -> None:
+        """Take in a frame."""
+        ...
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        ...
+
+
+class MotionCue:
+    """What differs from a running average of the frames."""
+
+    def __init__(self, parameters: CueParameters, image: Image, target: NDArray[np.bool_] | None) -> None:
+        self._parameters = parameters
+        self._background = self._scene = motion.smoothed(image)
+        # What the target hides in the first frame is seen when it has gone from there.
+        self._unknown = target
+        self.saliency = np.zeros(image.shape[:2], np.float32)
+        self.novel = self.saliency
+        """Where the frame differs from the scene (h, w)."""
+        self._table = integral(self.saliency)
+        self._image = self._background
+
+    def look(self, image: Image) -> None:
+        """Take in a frame."""
+        self._image = motion.smoothed(image)
+        self.saliency = motion.foreground(self._background, self._image, self._parameters.motion_threshold)
+        if self._unknown is not None:
+            self.saliency[self._unknown] = 0.0
+        self._table = integral(self.saliency)
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        p = self._parameters
+        return activation(_overlap(self._table, windows, p.surround), *p.motion_overlap)
+
+    def adapt(self, target: NDArray[np.bool_] | None) -> None:
+        """Let the background follow; ``target`` (h, w) says where it may be hidden."""
+        p = self._parameters
+        self._background = motion.running_average(self._background, self._image, p.background_rate)
+        self._scene = motion.running_average(self._scene, self._image, p.scene_rate)
+        if self._unknown is not None and target is not None:
+            seen = self._unknown & ~target
+            self._background[seen] = self._scene[seen] = self._image[seen]
+            self._unknown &= target
+            if not self._unknown.any():
+                self._unknown = None
+
+
+class ColourCue:
+    """What has the target's colours rather than those around it."""
+
+    def __init__(self, parameters: CueParameters, image: Image) -> None:
+        self._parameters = parameters
+        self._numbers = colour.bins(image)
+        self._target: FloatArray | None = None
+        self.frames = 0
+        """Of which the target's histogram is made."""
+        self._background: FloatArray | None = None
+        self.saliency = np.zeros(image.shape[:2], np.float32)
+        self._table = integral(self.saliency)
+
+    @property
+    def target(self) -> FloatArray | None:
+        """The target's histogram (COUNT,), once there is one."""
+        return self._target
+
+    def look(self, image: Image) -> None:
+        """Take in a frame."""
+        self._numbers = colour.bins(image)
+        if self._target is None or self._background is None:
+            return
+        share = colour.ratio(self._target, self._background, self._parameters.colour_odds)
+        self.saliency = share.astype(np.float32)[self._numbers]
+        self._table = integral(self.saliency)
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        p = self._parameters
+        return activation(_overlap(self._table, windows, p.surround), *p.colour_overlap)
+
+    def surroundings(self, outside: NDArray[np.bool_]) -> None:
+        """Adapt the background's histogram to where the target is not (h, w)."""
+        found = colour.histogram(self._numbers, outside.astype(np.float32))
+        rate = self._parameters.surroundings_rate
+        self._background = found if self._background is None else _mixed(self._background, found, rate)
+
+    def adapt(self, weights: NDArray[np.float32]) -> None:
+        """Adapt the target's histogram to pixels with weights (h, w)."""
+        found = colour.histogram(self._numbers, weights)
+        if found.sum() > 0.0:
+            self.frames += 1
+            rate = max(self._parameters.colour_rate, 1.0 / self.frames)
+            self._target = found if self._target is None else _mixed(self._target, found, rate)
+
+
+class ShapeCue:
+    """Local features that look like the target's of the last frames, and unlike the background's."""
+
+    def __init__(self, parameters: CueParameters) -> None:
+        self._parameters = parameters
+        self._sift: Any = cv2.SIFT_create(contrastThreshold=parameters.contrast)  # type: ignore[attr-defined]
+        self._features = shape.Features(np.zeros((0, 2)), shape.none())
+        self._scores = np.zeros(0)
+        self._of_background = np.zeros(0)
+        self._memory: deque[NDArray[np.float32]] = deque(maxlen=parameters.memory)
+        self._rates: deque[float] = deque(maxlen=parameters.memory)
+        self._given = shape.none()
+        self._focus: FloatArray | None = None
+        self._looked = 0
+        self.frames = 0
+        self._background = shape.none()
+        self._expected = 0.0
+
+    @property
+    def features(self) -> shape.Features:
+        """Of the frame."""
+        return self._features
+
+    @property
+    def scores(self) -> FloatArray:
+        """How much each feature speaks for the target (n,), −1…1."""
+        return self._scores
+
+    def give(self, images: list[Image]) -> None:
+        """Images of what is never the target, such as furniture."""
+        found = [shape.detect(self._sift, _grey(image)).descriptors for image in images]
+        self._given = np.concatenate([self._given, *found])
+
+    def focus(self, window: FloatArray | None) -> None:
+        """Look for features about a window (4,) only, as they cost the most; everywhere for None."""
+        p = self._parameters
+        if window is None:
+            self._focus = None
+            return
+        centre = window[:2] + window[2:] / 2.0
+        size = np.maximum(window[2:] * p.focus, p.focus_least)
+        self._focus = np.concatenate([centre - size / 2.0, size])
+
+    def look(self, image: Image) -> None:
+        """Take in a frame."""
+        p = self._parameters
+        self._looked += 1
+        part = None if self._looked % p.everywhere == 0 else self._focus
+        self._features = shape.detect(self._sift, _grey(image), part)
+        descriptors = self._features.descriptors
+        self._of_background = np.maximum(
+            shape.similarity(descriptors, self._background), shape.similarity(descriptors, self._given)
+        )
+        weights = np.array(self._rates)
+        of_target = shape.memory_similarity(descriptors, self._memory, weights)
+        self._scores = shape.point_scores(of_target, self._of_background, p.matched, p.margin)
+
+    def activity(self, windows: FloatArray) -> FloatArray:
+        """Activities (n,) of windows (n, 4)."""
+        p = self._parameters
+        if not self._memory:
+            return np.zeros(len(windows))
+        points = self._features.points
+        within = shape.inside(points, windows)
+        around = shape.inside(points, enlarged(windows, p.surround)) & ~within
+        gain, loss = np.maximum(self._scores, 0.0), np.maximum(-self._scores, 0.0)
+        held = within @ gain - p.negative * (within @ loss)
+        expected = np.full(len(windows), max(self._expected, p.fewest))
+        return activation(overlap(held, np.asarray(around @ gain), expected), *p.shape_overlap)
+
+    def surroundings(self, outside: NDArray[np.bool_]) -> None:
+        """Remember features that are not the target's; ``outside`` (n,) of the frame's features."""
+        p = self._parameters
+        descriptors = self._features.descriptors[outside]
+        new = descriptors[self._of_background[outside] < p.matched]
+        # What was seen again goes last, what was not seen for longest is forgotten.
+        seen = shape.similarity(self._background, descriptors) >= p.matched
+        known = np.concatenate([self._background[~seen], self._background[seen], new])
+        self._background = known[-p.background_features :]
+
+    def adapt(self, window: FloatArray) -> None:
+        """Remember the features in a window (4,) that are not the background's."""
+        p = self._parameters
+        own = shape.inside(self._features.points, window[None])[0] & (self._of_background < p.matched)
+        new = self._features.descriptors[own]
+        if not len(new):
+            return
+        if self._memory:
+            rate = shape.matching_rate(self._memory[-1], new, p.matched)
+            self._rates[-1] = rate
+        self.frames += 1
+        self._memory.append(new)
+        self._rates.append(1.0)
+        sizes = [len(frame) for frame in self._memory]
+        self._expected = float(np.mean(sizes))
+
+
+def _overlap(table: FloatArray, windows: FloatArray, surround: float) -> FloatArray:
+    within = sums(table, windows)
+    around = sums(table, enlarged(windows, surround)) - within
+    return overlap(within, around, windows[:, 2] * windows[:, 3])
+
+
+def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:
+    return np.asarray(before + rate * (now - before))
+
+
+def _grey(image: Image) -> Image:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)

@@ -1,0 +1,70 @@
+"""Parameters of the Sigma-Pi tracker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from graphtrack.errors import InputError
+from perception.trackers.dynamics import BoxDynamics
+from perception.trackers.sigma_pi.cues import CueParameters
+from perception.trackers.sigma_pi.network import CUES
+
+
+@dataclass(frozen=True)
+class SigmaPiParameters:
+    """Of the Sigma-Pi tracker. Lengths are pixels of frames reduced to ``width``.
+
+    Attributes
+    ----------
+    particles : how many there are
+    width : of the frames that are looked at; larger ones are reduced
+    cues : which are used; the others stay silent
+    random_share : of the particles that are drawn anew anywhere in each step
+    random_weight : factor of the weight of particles drawn anew while the person is found: people jump less
+        often than the particles that look out for them (importance sampling)
+    lost_share : the same for particles that nothing supports, while the person is not found
+    learning_rate, offset : ε and β of eq. 5
+    reliability : of every term at first
+    first_size : width and height of the person that is looked for where no box is given
+    size_std : 1-σ of the logarithm of the size of particles that are drawn anew
+    size_range : least and greatest width and height, in sizes of the first box and of ``first_size``
+    size_rate : by which the size that is expected follows the one that is found, in a frame
+    support : activity from which a cue supports the estimate
+    found, lost : confidence from which the person is found, and below which they are lost again
+    young : frames of the person in which one cue that supports the estimate is enough for the others to
+        learn from it; later two have to
+    stale : frames in a row with motion alone after which what was learned is taken to be of no more use
+    patience : frames without or with support until that is believed
+    dynamics : of the particles; few are drawn from a guide's proposal, which takes people to walk on,
+        while in a room they turn and stop
+    sights : of the cues
+    """
+
+    particles: int = 50
+    width: int = 320
+    cues: tuple[str, ...] = CUES
+    random_share: float = 0.05
+    random_weight: float = 0.3
+    lost_share: float = 0.5
+    learning_rate: float = 0.05
+    offset: float = 0.01
+    reliability: float = 1.0
+    first_size: tuple[float, float] = (36.0, 36.0)
+    size_std: float = 0.25
+    size_range: tuple[float, float] = (0.75, 2.0)
+    size_rate: float = 0.05
+    young: int = 40
+    stale: int = 15
+    support: float = 0.5
+    found: float = 0.5
+    lost: float = 0.3
+    patience: int = 3
+    dynamics: BoxDynamics = field(default_factory=lambda: BoxDynamics(0.6, 0.12, 0.2, 0.05, 0.03, 0.2))
+    sights: CueParameters = field(default_factory=CueParameters)
+
+    def __post_init__(self) -> None:
+        if self.particles < 1:
+            raise InputError(f"{self.particles} particles", "at least 1")
+        unknown = set(self.cues) - set(CUES)
+        if unknown or not self.cues:
+            raise InputError(f"the cues {', '.join(self.cues) or 'none'}", f"some of {', '.join(CUES)}")

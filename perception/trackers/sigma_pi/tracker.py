@@ -1,0 +1,275 @@
+"""A person tracker on motion, colour and shape, joined by a Sigma-Pi network (Yan, Weber & Wermter 2011)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.particles import generator, resample
+from perception.images.pixels import Image, as_uint8, checked_box
+from perception.pose.classes import PoseClasses
+from perception.trackers.dynamics import predict
+from perception.trackers.sigma_pi.cues import ColourCue, Cue, MotionCue, ShapeCue
+from perception.trackers.sigma_pi.network import CUES, TERM_NAMES, TERMS, adapted, output
+from perception.trackers.sigma_pi.parameters import SigmaPiParameters
+from perception.trackers.sigma_pi.windows import covered, cut_off, kernel
+from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes_of, states_of
+
+__all__ = ["SigmaPiParameters", "SigmaPiTracker"]
+
+
+class SigmaPiTracker:
+    """Follows one person; without a first box, the first that moves.
+
+    Parameters
+    ----------
+    parameters : see there
+    background : images of what is never the person (furniture), for the shape cue
+    particles : how many, if not as in the parameters
+    seed : of the particles
+
+    Raises
+    ------
+    InputError
+        If an image of the background or the seed cannot be used.
+    """
+
+    name: ClassVar[str] = "sigma-pi"
+    pan_classes: PoseClasses | None = None
+
+    def __init__(
+        self,
+        parameters: SigmaPiParameters = SigmaPiParameters(),
+        *,
+        background: Sequence[Image] = (),
+        particles: int | None = None,
+        seed: int | np.random.Generator = 0,
+    ) -> None:
+        self.parameters = parameters if particles is None else replace(parameters, particles=particles)
+        self._rng = generator(seed)
+        self._never = [as_uint8(image) for image in background]
+        self._used = np.array([name in parameters.cues for name in CUES])
+        self._size: tuple[int, ...] | None = None
+
+    def start(self, image: Image, box: Box | None = None) -> BoxEstimate:
+        """Begin, with the person's box or without; nobody to be seen is not an error.
+
+        Raises
+        ------
+        InputError
+            If the box is not finite, has no size or lies outside the image.
+        """
+        p = self.parameters
+        image = as_uint8(image)
+        self._size = image.shape
+        self._scale = min(1.0, p.width / image.shape[1])
+        small = self._reduced(image)
+        self._shape = np.array([small.shape[1], small.shape[0]], float)
+        first = None if box is None else checked_box(box, image.shape) * self._scale
+        used = np.array([all(self._used[c] for c in term) for term in TERMS])
+        self.reliabilities = np.where(used, p.reliability, 0.0)
+        self._offset = p.offset * used
+        self._motion = MotionCue(p.sights, small, None if first is None else covered(small.shape, first, 1.2))
+        self._colour = ColourCue(p.sights, small)
+        self._form = ShapeCue(p.sights)
+        self._form.give(self._never)
+        cues: tuple[Cue, ...] = (self._motion, self._colour, self._form)
+        self._cues = [cue for cue, used in zip(cues, self._used, strict=True) if used]
+        self._reference = np.log(np.array(p.first_size) if first is None else first[2:])
+        # Who is cut off by the frame's border may be seen in a box of any small size at first.
+        usual = np.log(np.array(p.first_size))
+        self._limits = (
+            np.minimum(self._reference, usual) + np.log(p.size_range[0]),
+            np.maximum(self._reference, usual) + np.log(p.size_range[1]),
+        )
+        self._counter, self._found = 0, first is not None
+        self._alone = 0
+        self._look(small)
+        if first is None:
+            states = self._anywhere(p.particles)
+            self._cloud = Cloud(states, states, np.full(p.particles, 1.0 / p.particles))
+            self._surroundings(None)
+            return self._estimate(self._best())
+        states = np.tile(states_of(first[None]), (p.particles, 1))
+        if cut_off(first, self._shape):
+            # Of somebody who comes in only a part is in the box: they are as large as people usually are.
+            self._reference = np.maximum(self._reference, usual)
+            states[:, 2:] += self._rng.random((p.particles, 1)) * (self._reference - states[:, 2:])
+        self._cloud = Cloud(states, states, np.full(p.particles, 1.0 / p.particles))
+        self._surroundings(first)
+        if self._used[1]:
+            self._colour.adapt(kernel(small.shape, first))
+        if self._used[2]:
+            self._form.adapt(first)
+        self._look(small)
+        return self._estimate(states_of(first[None])[0])
+
+    def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
+        """Go on to the next frame.
+
+        Raises
+        ------
+        InputError
+            If the frame's size is not that of the first, or the tracker was not started.
+        """
+        image = as_uint8(image)
+        if self._size is None or image.shape != self._size:
+            expected = "a start first" if self._size is None else f"{self._size[1]} × {self._size[0]} pixels"
+            raise InputError(f"a frame of {image.shape[1]} × {image.shape[0]} pixels", expected)
+        p = self.parameters
+        self._look(self._reduced(image))
+        again = self._move(proposal)
+        activities = self._activities(self._cloud.boxes)
+        weights = output(activities, self.reliabilities)
+        if self._found:
+            weights[again] *= p.random_weight
+        total = weights.sum()
+        n = p.particles
+        weights = weights / total if total > 0.0 else np.full(n, 1.0 / n)
+        self._cloud = replace(self._cloud, weights=weights)
+        best = self._best()
+        estimate = self._estimate(best)
+        self._learn(best)
+        self._form.focus(boxes_of(best[None])[0] if self._found else None)
+        return estimate
+
+    def _reduced(self, image: Image) -> Image:
+        if self._scale == 1.0:
+            return image
+        size = (round(image.shape[1] * self._scale), round(image.shape[0] * self._scale))
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+    def _look(self, small: Image) -> None:
+        for cue in self._cues:
+            cue.look(small)
+
+    def _activities(self, windows: FloatArray) -> FloatArray:
+        """Of the cues (n, 3) in windows (n, 4)."""
+        found = np.zeros((len(windows), len(CUES)))
+        for column, cue in zip(np.flatnonzero(self._used), self._cues, strict=True):
+            found[:, column] = cue.activity(windows)
+        return found
+
+    def _move(self, proposal: Proposal | None) -> NDArray[np.bool_]:
+        """Resample, predict, and draw some particles anew; says which (n,)."""
+        p, rng = self.parameters, self._rng
+        ancestors = resample(self._cloud.weights, rng)
+        cloud = self._cloud.chosen(ancestors)
+        if proposal is not None:
+            scale = self._scale
+            proposal = Proposal(proposal.centre * scale, proposal.covariance * scale**2)
+        cloud = predict(cloud, self._reference, p.dynamics, rng, proposal)
+        share = np.full(p.particles, p.random_share)
+        if not self._found:
+            share[self._support[ancestors] < p.support] = p.lost_share
+        again = rng.random(p.particles) < share
+        drawn = self._anywhere(p.particles)
+        now = np.where(again[:, None], drawn, cloud.now)
+        before = np.where(again[:, None], drawn, cloud.before)
+        now[:, :2] = np.clip(now[:, :2], 0.0, self._shape)
+        now[:, 2:] = np.clip(now[:, 2:], *self._limits)
+        self._cloud = Cloud(now, before, cloud.weights)
+        return again
+
+    def _anywhere(self, count: int) -> FloatArray:
+        """States (count, 4) anywhere in the frame, about as large as the person is expected to be."""
+        centre = self._rng.random((count, 2)) * self._shape
+        size = self._reference + self.parameters.size_std * self._rng.standard_normal((count, 2))
+        return np.hstack([centre, size])
+
+    def _best(self) -> FloatArray:
+        """The state (4,) in the middle of the heaviest cluster of particles."""
+        now, weights = self._cloud.now, self._cloud.weights
+        apart = (now[:, None, :2] - now[None, :, :2]) / np.exp(self._reference)
+        near = (apart**2).sum(axis=2) < 0.5
+        chosen = weights * near[np.argmax(near @ weights)]
+        return np.asarray(chosen @ now / chosen.sum())
+
+    def _estimate(self, best: FloatArray) -> BoxEstimate:
+        """What is said of a state; decides whether the person is found, and adapts the reliabilities."""
+        p = self.parameters
+        window = boxes_of(best[None])
+        activities = self._activities(window)[0]
+        self._active = activities
+        cloud = self._activities(self._cloud.boxes)
+        self._support = cloud.max(axis=1)
+        confidence = self._confidence(activities)
+        believed = confidence >= (p.lost if self._found else p.found)
+        self._counter = 0 if believed == self._found else self._counter + 1
+        if self._counter >= p.patience:
+            self._found, self._counter = not self._found, 0
+        strength = dict(zip(CUES, activities.tolist(), strict=True))
+        reliable = {
+            f"reliability {name}": value
+            for name, value in zip(TERM_NAMES, self.reliabilities.tolist(), strict=True)
+        }
+        mean = self._cloud.weights @ self._cloud.now[:, :2]
+        spread = np.sqrt(self._cloud.weights @ (self._cloud.now[:, :2] - mean) ** 2)
+        left, top, width, height = (float(value) for value in window[0] / self._scale)
+        return BoxEstimate(
+            (left, top, width, height),
+            spread / self._scale,
+            confidence,
+            self._found and believed,
+            self._cloud.boxes / self._scale,
+            self._cloud.weights,
+            cues={**strength, **reliable},
+        )
+
+    def _confidence(self, activities: FloatArray) -> float:
+        """That not all of the cues are wrong, the most reliable counting in full."""
+        linear = self.reliabilities[: len(CUES)]
+        trust = linear / max(linear.max(), 1e-9)
+        return float(1.0 - np.prod(1.0 - trust * activities))
+
+    def _learn(self, best: FloatArray) -> None:
+        """Adapt reliabilities, and colour and shape where the other cues support the estimate."""
+        p = self.parameters
+        self.reliabilities = adapted(self.reliabilities, self._active, p.learning_rate, p.offset) * (
+            self._offset > 0.0
+        )
+        window = boxes_of(best[None])[0]
+        if not self._found:
+            if self._colour.target is None:
+                self._surroundings(None)
+            self._motion.adapt(None)
+            return
+        self._motion.adapt(covered(self._motion.saliency.shape, window, 1.2))
+        active = self._active >= p.support
+        moving, coloured, formed = active
+        enough = active.sum() >= min(2, self._used.sum())
+        # Shape is the cue that tells a person from furniture on the move, so colour waits for it.
+        self._alone = self._alone + 1 if moving and active.sum() == 1 else 0
+        anew = self._alone > p.stale
+        trusted = enough and (formed or not self._used[2])
+        if self._used[1] and (trusted or anew or (self._colour.frames < p.young and (moving or formed))):
+            self._colour.adapt(self._own_pixels(window))
+        if self._used[2] and (enough or anew or (self._form.frames < p.young and (moving or coloured))):
+            self._form.adapt(window)
+        self._surroundings(window)
+        if self._active.max() >= p.support:
+            self._reference = self._reference + p.size_rate * (best[2:] - self._reference)
+
+    def _own_pixels(self, window: FloatArray) -> NDArray[np.float32]:
+        """Weights (h, w) of pixels that may be the person's: in the window, and not the empty scene's."""
+        own = kernel(self._motion.saliency.shape, window)
+        return own * self._motion.novel if self._used[0] and self._motion.novel.any() else own
+
+    def _surroundings(self, window: FloatArray | None) -> None:
+        """Let colour and shape know what is not the person."""
+        outside = np.ones(self._motion.saliency.shape, bool)
+        if window is not None:
+            outside = ~covered(outside.shape, window, 1.3)
+        if self._used[1]:
+            self._colour.surroundings(outside)
+        points = self._form.features.points
+        w, h = self._shape
+        places = np.clip(points.astype(int), 0, [int(w) - 1, int(h) - 1])
+        self._form.surroundings(outside[places[:, 1], places[:, 0]])

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import integrate, special, stats
+
+from graphtrack.geometry import angles
+
+PI = float(np.pi)
+AROUND_HALF_TURNS = st.builds(
+    lambda turns, offset: turns * PI + offset,
+    st.sampled_from([-3, -2, -1, 0, 1, 2, 3]),
+    st.sampled_from([0.0, 1e-15, -1e-15, 1e-12, -1e-12, 1e-8, -1e-8]),
+)
+ANGLES = st.one_of(st.floats(-1e4, 1e4), AROUND_HALF_TURNS, st.sampled_from([PI, -PI, 0.0, -0.0]))
+CONCENTRATIONS = st.one_of(st.floats(0.0, 50.0), st.sampled_from([0.0, 1e-9, 1e3, 1e6]))
+
+
+def assert_same_direction(a: float, b: float, tolerance: float = 1e-9) -> None:
+    np.testing.assert_allclose(np.exp(1j * np.asarray(a)), np.exp(1j * np.asarray(b)), atol=tolerance)
+
+
+@given(ANGLES)
+def test_a_wrapped_angle_is_the_same_direction_within_the_interval(angle: float) -> None:
+    wrapped = float(angles.wrap(angle))
+    assert -PI < wrapped <= PI
+    assert_same_direction(wrapped, angle)
+
+
+@given(ANGLES)
+def test_wrapping_twice_changes_nothing(angle: float) -> None:
+    once = angles.wrap(angle)
+    np.testing.assert_array_equal(angles.wrap(once), once)
+
+
+def test_both_ends_of_the_interval_are_plus_pi() -> None:
+    assert angles.wrap(PI) == PI
+    assert angles.wrap(-PI) == PI
+    assert angles.wrap(3 * PI) == pytest.approx(PI)
+    assert np.isnan(angles.wrap(np.nan))
+
+
+@given(st.floats(-PI, PI, exclude_min=True))
+def test_an_angle_within_the_interval_stays(angle: float) -> None:
+    # On the circle: what is closest to the open end may come out at the closed one.
+    turn = abs(float(angles.wrap(angle)) - angle)
+    assert min(turn, 2.0 * PI - turn) <= 1e-15
+
+
+@given(ANGLES, ANGLES)
+def test_the_difference_turns_the_second_into_the_first(a: float, b: float) -> None:
+    turn = float(angles.difference(a, b))
+    assert -PI < turn <= PI
+    assert_same_direction(b + turn, a)
+
+
+@given(ANGLES, ANGLES)
+def test_no_rotation_is_shorter_than_the_difference(a: float, b: float) -> None:
+    shortest = min(abs(a - b + 2 * PI * k) for k in range(-4000, 4001))
+    assert abs(float(angles.difference(a, b))) == pytest.approx(shortest, abs=1e-9)
+
+
+@given(ANGLES)
+def test_direction_and_unit_are_inverse(angle: float) -> None:
+    assert_same_direction(float(angles.direction(2.5 * angles.unit(angle))), angle)
+
+
+def test_the_zero_vector_has_direction_zero() -> None:
+    assert angles.direction([0.0, 0.0]) == 0.0
+
+
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=8),
+    AROUND_HALF_TURNS,
+    st.lists(st.integers(-3, 3), min_size=8, max_size=8),
+)
+def test_the_circular_mean_turns_with_the_angles(offsets: list[float], turn: float, laps: list[int]) -> None:
+    offset = np.array(offsets)
+    expected = turn + float(angles.circular_mean(offset))
+    given_angles = offset + turn + 2 * PI * np.array(laps[: len(offset)])
+    assert_same_direction(angles.circular_mean(given_angles), expected)
+
+
+@given(st.lists(st.floats(-1.4, 1.4), min_size=1, max_size=8))
+def test_the_circular_mean_agrees_with_scipy(offsets: list[float]) -> None:
+    mean = angles.circular_mean(offsets)
+    assert_same_direction(mean, stats.circmean(offsets, high=PI, low=-PI))
+    assert min(offsets) - 1e-12 <= mean <= max(offsets) + 1e-12
+
+
+def test_the_mean_across_the_seam_lies_at_the_seam() -> None:
+    assert abs(angles.circular_mean([PI - 0.1, -PI + 0.1])) == pytest.approx(PI)
+
+
+@given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 5)), min_size=1, max_size=6))
+def test_a_weight_counts_as_repetition(pairs: list[tuple[float, int]]) -> None:
+    values, weights = zip(*pairs, strict=True)
+    repeated = np.repeat(values, weights)
+    assert_same_direction(angles.circular_mean(values, weights), angles.circular_mean(repeated))
+
+
+def test_missing_angles_do_not_count() -> None:
+    assert angles.circular_mean([np.nan, 1.0, 2.0], [1.0, 1.0, np.nan]) == pytest.approx(1.0)
+    assert np.isnan(angles.circular_mean([np.nan]))
+    assert np.isnan(angles.circular_mean([]))
+
+
+@given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=8), ANGLES)
+def test_the_mean_absolute_error_does_not_see_a_common_turn(offsets: list[float], truth: float) -> None:
+    offset = np.array(offsets)
+    error = angles.mean_absolute_error(truth + offset, np.full(len(offset), truth))
+    assert error == pytest.approx(np.mean(np.abs(offset)), abs=1e-9)
+
+
+def test_the_mean_absolute_error_skips_missing_pairs() -> None:
+    assert angles.mean_absolute_error([np.nan, PI - 0.1, 1.0], [0.0, -PI + 0.1, np.nan]) == pytest.approx(0.2)
+    assert np.isnan(angles.mean_absolute_error([np.nan], [0.0]))
+
+
+@given(ANGLES, AROUND_HALF_TURNS, CONCENTRATIONS)
+def test_the_von_mises_log_density_agrees_with_scipy(angle: float, mean: float, kappa: float) -> None:
+    if kappa == 0.0:  # scipy's has no concentration 0
+        expected = -np.log(2 * PI)
+    else:
+        expected = stats.vonmises.logpdf(float(angles.difference(angle, mean)), kappa)
+    found = angles.von_mises_log_density(angle, mean, kappa)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * (1.0 + kappa))
+
+
+@pytest.mark.parametrize("kappa", [0.0, 0.1, 1.0, 10.0, 1e3, 1e5, 1e8])
+def test_the_von_mises_density_integrates_to_one(kappa: float) -> None:
+    width = min(PI, 20.0 / np.sqrt(max(kappa, 1e-9)))
+
+    def density(angle: float) -> float:
+        return float(np.exp(angles.von_mises_log_density(angle, 0.0, kappa)))
+
+    total, error = integrate.quad(density, -width, width, epsabs=1e-12, limit=200)
+    assert error < 1e-6
+    assert total == pytest.approx(1.0, abs=1e-9 + 1e-16 * kappa)
+
+
+@given(st.floats(1e-6, 1e5))
+def test_the_mean_resultant_length_is_the_mean_cosine(kappa: float) -> None:
+    length = float(angles.mean_resultant_length(kappa))
+    assert 0.0 < length < 1.0
+    if kappa < 500.0:
+        assert length == pytest.approx(special.iv(1, kappa) / special.iv(0, kappa), rel=1e-9)
+
+
+@given(st.floats(1e-6, 1e5))
+def test_the_concentration_inverts_the_mean_resultant_length(kappa: float) -> None:
+    length = float(angles.mean_resultant_length(kappa))
+    # The slope of the length is about 1/(2κ²): rounding of the length allows for no more than this.
+    allowed = 1e-9 * (1.0 + kappa) + 4e-16 * 2.0 * kappa**2
+    assert abs(angles.concentration_from_resultant(length) - kappa) <= allowed
+
+
+@given(st.floats(0.0, 0.9999))
+def test_the_mean_resultant_length_inverts_the_concentration(length: float) -> None:
+    kappa = angles.concentration_from_resultant(length)
+    assert float(angles.mean_resultant_length(kappa)) == pytest.approx(length, abs=1e-10)
+
+
+def test_lengths_outside_the_unit_interval_give_finite_concentrations() -> None:
+    assert angles.concentration_from_resultant(-0.1) == 0.0
+    assert 1e6 < angles.concentration_from_resultant(1.0) < np.inf
+
+
+@given(st.floats(0.5, 200.0), AROUND_HALF_TURNS)
+def test_fitting_a_large_sample_finds_its_concentration(kappa: float, mean: float) -> None:
+    sample = np.random.default_rng(3).vonmises(0.0, kappa, 20_000) + mean
+    direction = angles.circular_mean(sample)
+    length = float(np.mean(np.cos(sample - direction)))
+    assert abs(float(angles.difference(direction, mean))) < 5.0 / np.sqrt(20_000 * min(kappa, 1.0) * 0.2)
+    assert angles.concentration_from_resultant(length) == pytest.approx(kappa, rel=0.08)

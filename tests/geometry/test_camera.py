@@ -1,0 +1,229 @@
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import difference, direction
+from graphtrack.geometry.camera import GroundCamera, apply_homography, fit_homography
+
+CENTRE = np.array([2.0, -3.0, 6.0])
+DOWNWARD = np.diag([1.0, -1.0, -1.0])
+"""World → camera for a camera that looks straight down with the image's top towards +y."""
+
+
+def camera_at(pan: float = 0.4, tilt: float = 1.0, *, distorted: bool = False) -> GroundCamera:
+    """A camera 6 m above (2, −3): no roll, ``tilt`` radians up from straight down, turned by ``pan``."""
+    rotation = (Rotation.from_euler("x", -tilt).as_matrix() @ DOWNWARD) @ Rotation.from_euler(
+        "z", pan
+    ).as_matrix()
+    intrinsics = np.array([[800.0, 0.0, 640.0], [0.0, 800.0, 360.0], [0.0, 0.0, 1.0]])
+    distortion = np.array([-0.2, 0.05, 1e-3, -1e-3, 0.0]) if distorted else None
+    return GroundCamera.from_calibration(rotation, -rotation @ CENTRE, intrinsics, distortion)
+
+
+def pixels(count: int = 50, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([100, 300], [1180, 700], (count, 2))
+
+
+POINTS = st.lists(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), min_size=4, max_size=12)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 10_000), st.integers(4, 30))
+def test_fitting_gives_back_the_homography(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = camera_at(rng.uniform(-3, 3), rng.uniform(0.2, 1.1)).homography
+    source = np.vstack([[[100, 400], [1100, 380], [1000, 700], [120, 690]], pixels(count - 4, seed)])
+    fit = fit_homography(source, apply_homography(truth, source))
+    np.testing.assert_allclose(
+        apply_homography(fit.homography, pixels()), apply_homography(truth, pixels()), rtol=1e-6
+    )
+    assert fit.max_error < 1e-7
+    assert fit.n_pairs == count
+
+
+def test_the_error_of_a_fit_is_in_the_units_of_the_target() -> None:
+    source = pixels(100)
+    noise = np.random.default_rng(1).normal(0.0, 0.05, source.shape)
+    fit = fit_homography(source, apply_homography(camera_at().homography, source) + noise)
+    assert 0.03 < fit.rms_error < 0.12
+    assert fit.max_error >= fit.rms_error
+
+
+@settings(deadline=None)
+@given(POINTS, st.floats(-3, 3))
+def test_points_on_a_line_fit_no_homography(points: list[tuple[float, float]], angle: float) -> None:
+    source = np.outer([p[0] for p in points], [np.cos(angle), np.sin(angle)])
+    with pytest.raises(InputError):
+        fit_homography(source, np.array(points))
+
+
+@pytest.mark.parametrize(
+    "homography", [np.zeros((3, 3)), np.ones((3, 3)), np.eye(2), np.full((3, 3), np.nan)]
+)
+def test_singular_homographies_are_refused(homography: np.ndarray) -> None:
+    with pytest.raises(InputError):
+        GroundCamera(homography)
+
+
+@pytest.mark.parametrize("distorted", [False, True])
+@pytest.mark.parametrize("pan", [0.0, 1.0, -2.5])
+def test_ground_and_image_are_inverse_and_agree_with_projection(pan: float, distorted: bool) -> None:
+    camera = camera_at(pan, distorted=distorted)
+    ground = camera.image_to_ground(pixels())
+    assert np.isfinite(ground).all()
+    np.testing.assert_allclose(camera.ground_to_image(ground), pixels(), atol=1e-4)
+
+
+def test_distortion_and_its_inverse() -> None:
+    camera = camera_at(distorted=True)
+    np.testing.assert_allclose(camera.distort(camera.undistort(pixels())), pixels(), atol=1e-4)
+    assert np.abs(camera.undistort(pixels()) - pixels()).max() > 5.0
+
+
+def test_a_lens_that_folds_gives_no_ground_where_it_has_no_inverse() -> None:
+    plain = camera_at()
+    camera = GroundCamera(plain.homography, plain.intrinsics, np.array([-0.9, 0.0, 0.0, 0.0, 0.0]))
+    assert np.isnan(camera.image_to_ground([5000.0, 4000.0])).all()
+    assert np.isfinite(camera.image_to_ground([640.0, 400.0])).all()
+
+
+def test_beyond_the_horizon_there_is_no_ground() -> None:
+    camera = camera_at(tilt=1.2)
+    v_horizon = -(camera.homography[2, 0] * 640 + camera.homography[2, 2]) / camera.homography[2, 1]
+    below, above = camera.image_to_ground([[640, v_horizon + 2], [640, v_horizon - 2]])
+    assert np.isfinite(below).all()
+    assert np.isnan(above).all()
+    behind = CENTRE[:2] - 30.0 * (below - CENTRE[:2]) / np.linalg.norm(below - CENTRE[:2])
+    assert np.isnan(camera.ground_to_image(behind)).all()
+
+
+def test_the_sign_of_a_homography_means_nothing() -> None:
+    homography = camera_at().homography
+    for visible in (None, pixels()):
+        cameras = [GroundCamera.from_homography(sign * homography, visible=visible) for sign in (1.0, -2.5)]
+        ground = [camera.image_to_ground(pixels()) for camera in cameras]
+        np.testing.assert_allclose(ground[0], ground[1])
+        assert np.isfinite(ground[0]).all()
+
+
+def test_the_jacobian_is_the_derivative() -> None:
+    camera = camera_at()
+    step = 1e-3
+    numerical = np.stack(
+        [
+            (camera.image_to_ground(pixels() + axis) - camera.image_to_ground(pixels() - axis)) / (2 * step)
+            for axis in np.eye(2) * step
+        ],
+        axis=-1,
+    )
+    np.testing.assert_allclose(camera.ground_jacobian(pixels()), numerical, rtol=1e-5, atol=1e-9)
+
+
+def test_a_camera_knows_whether_its_ground_is_mirrored() -> None:
+    camera = camera_at()
+    assert not camera.is_mirrored
+    assert not GroundCamera.from_scale(0.01).is_mirrored
+    assert GroundCamera.from_homography(np.diag([1.0, -1.0, 1.0]) @ camera.homography).is_mirrored
+
+
+def test_the_optical_centre_from_the_intrinsics_alone() -> None:
+    camera = camera_at()
+    derived = GroundCamera(camera.homography * 3.0, camera.intrinsics)
+    np.testing.assert_allclose(derived.optical_centre_on_ground, CENTRE[:2], atol=1e-6)
+    assert GroundCamera(camera.homography).optical_centre_on_ground is None
+
+
+def test_a_resized_image_has_the_same_ground() -> None:
+    camera = camera_at(distorted=True)
+    np.testing.assert_allclose(
+        camera.resized(0.5).image_to_ground(pixels() / 2), camera.image_to_ground(pixels()), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+@given(angle=st.floats(-3.1, 3.1), seed=st.integers(0, 100))
+def test_pose_angles_go_there_and_back(mirror: float, angle: float, seed: int) -> None:
+    camera = GroundCamera(np.diag([1.0, mirror, 1.0]) @ camera_at().homography, camera_at().intrinsics)
+    position = camera.image_to_ground(pixels(1, seed))
+    np.testing.assert_allclose(
+        camera.image_angle(camera.world_angle(angle, position), position), angle, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_zero_faces_the_camera_and_a_quarter_faces_the_right_of_the_image(mirror: float) -> None:
+    camera = GroundCamera(np.diag([1.0, mirror, 1.0]) @ camera_at().homography, camera_at().intrinsics)
+    ground = camera.image_to_ground(pixels())
+    centre = camera.optical_centre_on_ground
+    np.testing.assert_allclose(
+        difference(camera.world_angle(0.0, ground), direction(centre - ground)), 0.0, atol=1e-9
+    )
+    aside = camera.world_angle(np.pi / 2, ground)
+    step = ground + 0.01 * np.column_stack([np.cos(aside), np.sin(aside)])
+    assert np.all(camera.ground_to_image(step)[:, 0] > pixels()[:, 0])
+
+
+def test_without_intrinsics_the_bearing_is_right_on_the_central_column_and_close_beside_it() -> None:
+    camera = camera_at(tilt=1.3)
+    plain = GroundCamera(camera.homography)
+    column = np.column_stack([np.full(20, 640.0), np.linspace(400, 700, 20)])
+    ground = camera.image_to_ground(column)
+    np.testing.assert_allclose(
+        difference(plain.ray_bearing(ground), camera.ray_bearing(ground)), 0.0, atol=1e-9
+    )
+    ground = camera.image_to_ground(pixels()[pixels()[:, 1] > 400])
+    error = difference(plain.ray_bearing(ground), camera.ray_bearing(ground))
+    assert np.abs(error).max() < np.deg2rad(20)
+
+
+@pytest.mark.parametrize("height", [0.0, 1.4])
+def test_image_directions_of_horizontal_things_at_any_height(height: float) -> None:
+    camera = camera_at(distorted=True)
+    raised = camera_at(distorted=True)
+    # The plane at that height, seen by the same camera, is the ground of a camera that much lower.
+    assert raised.intrinsics is not None
+    scale = (CENTRE[2] - height) / CENTRE[2]
+    enlarge = np.array(
+        [[scale, 0, (1 - scale) * CENTRE[0]], [0, scale, (1 - scale) * CENTRE[1]], [0, 0, 1]], dtype=float
+    )
+    plane = GroundCamera(enlarge @ raised.homography, raised.intrinsics, raised.distortion)
+    truth = np.random.default_rng(3).uniform(-np.pi, np.pi, 50)
+    start = plane.image_to_ground(pixels())
+    moved = plane.ground_to_image(start + 1e-3 * np.column_stack([np.cos(truth), np.sin(truth)])) - pixels()
+    seen = direction(moved * [1.0, -1.0])
+    np.testing.assert_allclose(
+        difference(camera.image_direction_to_world(seen, pixels()), truth), 0.0, atol=np.deg2rad(0.5)
+    )
+
+
+def test_a_view_from_straight_above_keeps_image_directions() -> None:
+    camera = GroundCamera.from_scale(0.02, nadir=(100.0, 50.0))
+    angles = np.linspace(-3, 3, 13)
+    np.testing.assert_allclose(camera.image_direction_to_world(angles, [10.0, 20.0]), angles, atol=1e-9)
+    np.testing.assert_allclose(camera.optical_centre_on_ground, [2.0, -1.0])
+
+
+def test_cameras_are_values() -> None:
+    camera = camera_at(distorted=True)
+    copy = pickle.loads(pickle.dumps(camera))
+    assert copy == camera and hash(copy) == hash(camera)
+    assert camera != camera_at() and camera != "camera"
+    with pytest.raises(ValueError, match="read-only"):
+        camera.homography[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"distortion": np.zeros(5)}, {"intrinsics": np.zeros((3, 3))}, {"intrinsics": np.eye(2)}],
+    ids=["distortion alone", "singular", "shape"],
+)
+def test_cameras_that_cannot_be(settings: dict[str, np.ndarray]) -> None:
+    with pytest.raises(InputError):
+        GroundCamera(np.eye(3), **settings)

@@ -1,0 +1,594 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import gtsam
+import numpy as np
+import pytest
+from walks import walk, without
+
+from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import difference
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track, track_online
+from graphtrack.inference.graph.batch import anchors, build_graph, variable_keys
+from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
+from graphtrack.model.steps import chain, observations
+from graphtrack.model.term import Variable
+from graphtrack.tracks import Track
+
+EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
+CONVERGED: dict[str, Any] = {"step_tolerance": 1e-7, "max_iterations": 200}
+GTSAM_ENGINES = pytest.mark.parametrize("engine", ["fixed-lag", "isam2"])
+EVERY_ENGINE = pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
+EVERY_PRESET = pytest.mark.parametrize("preset", ["position", "separate", "joint"])
+# How far a smoother that was built again may be from one that was not (metres, m/s, radians; their squares).
+REBUILT = {"fixed-lag": 1e-10, "isam2": 1e-6}
+
+
+def run(smoother: OnlineSmoother, seen: Sequence[Observation]) -> list[Estimate]:
+    return [smoother.update(observation) for observation in seen]
+
+
+def assert_same(found: Estimate, expected: Estimate, tolerance: float) -> None:
+    assert found.t == expected.t
+    assert found.frame == expected.frame
+    np.testing.assert_allclose(found.position, expected.position, atol=tolerance)
+    np.testing.assert_allclose(found.velocity, expected.velocity, atol=tolerance)
+    for a, b in ((found.body, expected.body), (found.head, expected.head)):
+        assert np.isnan(a) == np.isnan(b)
+        assert np.isnan(a) or abs(difference(a, b)) <= tolerance
+    np.testing.assert_allclose(found.covariance, expected.covariance, atol=tolerance)
+
+
+def distance(found: Estimate, track: Track) -> float:
+    """Largest difference from the last state of a smoothed track (metres, m/s, radians)."""
+    assert track.velocity is not None
+    parts = [found.position - track.position[-1], found.velocity - track.velocity[-1]]
+    for angle, smoothed in ((found.body, track.body), (found.head, track.head)):
+        if smoothed is not None:
+            parts.append(np.atleast_1d(difference(angle, smoothed[-1])))
+    return float(np.abs(np.concatenate(parts)).max())
+
+
+def differences(history: list[tuple[float, np.ndarray]], track: Track) -> np.ndarray:
+    """Differences (n, 6) of a window's states from the last n of a smoothed track with both orientations."""
+    states = np.array([state for _, state in history])
+    assert track.velocity is not None
+    n = len(states)
+    found = np.hstack([states[:, :2] - track.position[-n:], states[:, 2:4] - track.velocity[-n:]])
+    assert track.body is not None
+    assert track.head is not None
+    return np.column_stack(
+        [found, difference(states[:, 4], track.body[-n:]), difference(states[:, 5], track.head[-n:])]
+    )
+
+
+def gauss_newton_covariance(smoothed: Track, track: Track, model: Model) -> np.ndarray:
+    """Joint covariance (6, 6) of the last step, from the dense information matrix at a smoothed track."""
+    assert smoothed.velocity is not None and smoothed.body is not None and smoothed.head is not None
+    states = States(smoothed.position, smoothed.velocity, smoothed.body, smoothed.head)
+    steps = chain(track)
+    graph, values = build_graph(steps, model, states)
+    keys = [key for step in steps for key in variable_keys(step, model)]
+    information = graph.linearize(values).hessian(gtsam.Ordering(keys))[0]
+    return np.linalg.inv(information)[-6:, -6:]
+
+
+# Against independent solutions.
+
+
+@EVERY_ENGINE
+@pytest.mark.parametrize("lag", [0.25, 2.0])
+@pytest.mark.parametrize("uneven", [False, True], ids=["even", "uneven"])
+@pytest.mark.parametrize("missing", [[], [4, 5, 6, 7, 8, 9, 10, 11, 25, 39]], ids=["whole", "gaps"])
+def test_the_preset_position_equals_the_kalman_filter(
+    engine: Any, lag: float, uneven: bool, missing: list[int]
+) -> None:
+    track = without(walk(40, seed=3, uneven=uneven), "position", missing)
+    track = replace(track, position_std=np.linspace(0.03, 0.4, 40), body=None, head=None)
+    found, expected = track_online(track, "position", engine=engine, lag=lag), kalman_filter(track)
+    assert found.covariance is not None
+    assert expected.covariance is not None
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-8)
+    np.testing.assert_allclose(found.velocity, expected.velocity, atol=1e-8)
+    np.testing.assert_allclose(found.covariance[:, :4, :4], expected.covariance[:, :4, :4], atol=1e-8)
+    assert np.isnan(found.covariance[:, 4:]).all()
+
+
+@EVERY_ENGINE
+def test_the_window_of_the_preset_position_equals_rauch_tung_striebel(engine: Any) -> None:
+    track = walk(40, seed=4, uneven=True)
+    smoother = OnlineSmoother("position", engine=engine, lag=1.0)
+    run(smoother, list(observations(track)))
+    history = smoother.history()
+    expected = rauch_tung_striebel(track)
+    assert expected.velocity is not None
+    n = len(history)
+    assert (n == 40) == (engine == "isam2")
+    np.testing.assert_allclose([t for t, _ in history], track.t[-n:])
+    np.testing.assert_allclose([s[:2] for _, s in history], expected.position[-n:], atol=1e-7)
+    np.testing.assert_allclose([s[2:4] for _, s in history], expected.velocity[-n:], atol=1e-7)
+
+
+@pytest.mark.parametrize("classes", [False, True], ids=["angles", "classes"])
+@pytest.mark.parametrize("preset", ["separate", "joint"])
+def test_the_fixed_lag_tends_to_the_batch_answer_as_the_lag_grows(preset: str, classes: bool) -> None:
+    model = Model(preset)
+    tracks = [
+        walk(25, seed=seed, noise=0.1, angle_kappa=8.0, classes=classes)
+        for seed in range(1 if classes else 2)
+    ]
+    apart = []
+    for lag in (0.15, 0.6, 10.0):
+        far = []
+        for track in tracks:
+            batch = smooth_track(track, model, options=EXACTLY).track
+            smoother = OnlineSmoother(model, engine="fixed-lag", lag=lag, **CONVERGED)
+            last = run(smoother, list(observations(track)))[-1]
+            far.append(distance(last, batch))
+            if lag == 10.0:
+                assert np.abs(differences(smoother.history(), batch)).max() < 1e-5
+                np.testing.assert_allclose(
+                    last.covariance, gauss_newton_covariance(batch, track, model), rtol=1e-4, atol=1e-7
+                )
+        apart.append(np.mean(far))
+    assert apart[0] > apart[1] > apart[2]
+    assert apart[2] < 1e-5
+
+
+@pytest.mark.parametrize("threshold", [0.1, 1e-2, 1e-4])
+@pytest.mark.parametrize("classes", [False, True], ids=["angles", "classes"])
+def test_isam2_ends_within_its_threshold_of_the_batch_answer(threshold: float, classes: bool) -> None:
+    track = walk(25, seed=8, noise=0.1, classes=classes)
+    smoother = OnlineSmoother("joint", engine="isam2", relinearize_threshold=threshold, **CONVERGED)
+    run(smoother, list(observations(track)))
+    batch = smooth_track(track, Model("joint"), options=EXACTLY).track
+    # It stops when a step is shorter than the threshold; on classes the steps shrink slowly, and what would
+    # still follow adds up to a little more.
+    bound = 4.0 * threshold if classes else threshold
+    assert np.abs(differences(smoother.history(), batch)).max() < bound
+
+
+def test_one_gauss_newton_step_each_equals_gtsams_fixed_lag_smoother() -> None:
+    track, model = walk(60, seed=2, noise=0.1, angle_kappa=3.0), Model("joint")
+    found = track_online(track, model, engine="fixed-lag", lag=1.0)
+    parameters = gtsam.ISAM2Params()
+    parameters.setRelinearizeThreshold(1e-3)
+    parameters.relinearizeSkip = 1
+    peer = gtsam.IncrementalFixedLagSmoother(1.0, parameters)
+    assert found.velocity is not None and found.body is not None and found.head is not None
+    for k, step in enumerate(chain(track)):
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for factor in model.factors(step):
+            graph.push_back(factor)
+        if k == 0:
+            x, v, body, head = track.position[0], np.zeros(2), track.body[0], track.head[0]  # type: ignore[index]
+            for factor in anchors(step, model, float(body), float(head)):
+                graph.push_back(factor)
+        else:
+            x = x + (track.t[k] - track.t[k - 1]) * v
+        keys = variable_keys(step, model)
+        for key, value in zip(keys, (x, v, gtsam.Rot2(body), gtsam.Rot2(head)), strict=True):
+            values.insert(key, value)
+        peer.update(graph, values, dict.fromkeys(keys, float(track.t[k])))
+        x, v = peer.calculateEstimatePoint2(keys[0]), peer.calculateEstimateVector(keys[1])
+        body, head = (peer.calculateEstimateRot2(key).theta() for key in keys[2:])
+        if k < 10:  # the first velocities are far from 0, where the two iterate differently
+            continue
+        np.testing.assert_allclose(found.position[k], x, atol=5e-3)
+        np.testing.assert_allclose(found.velocity[k], v, atol=2e-2)
+        assert abs(difference(found.body[k], body)) < 2e-2
+        assert abs(difference(found.head[k], head)) < 2e-2
+
+
+@EVERY_ENGINE
+@pytest.mark.parametrize("known_position", [False, True])
+def test_pixels_are_tracked_as_the_batch_smoother_does(engine: Any, known_position: bool) -> None:
+    camera = GroundCamera.from_homography([[0.02, 0.001, -6.0], [0.0, -0.03, 14.0], [0.0, 0.0012, 1.0]])
+    track = walk(30, seed=6, noise=0.0)
+    track = replace(track, position=track.position - track.position.mean(axis=0))
+    pixel = camera.ground_to_image(track.position) + np.random.default_rng(1).normal(0.0, 3.0, (30, 2))
+    assert np.isfinite(pixel).all()
+    track = replace(track, pixel=pixel, position=camera.image_to_ground(pixel))
+    batch = smooth_track(track, Model("joint"), camera, EXACTLY).track
+    smoother = OnlineSmoother("joint", engine=engine, lag=100.0, camera=camera, **CONVERGED)
+    seen = [o if known_position else replace(o, position=None) for o in observations(track)]
+    assert {e.status for e in run(smoother, seen)} == {"new"}
+    bound = 0.02 if engine == "isam2" else 1e-5
+    assert np.abs(differences(smoother.history(), batch)).max() < bound
+
+
+# Frames without observations, and people who enter without a position.
+
+
+@EVERY_ENGINE
+@EVERY_PRESET
+def test_frames_without_observations_extrapolate_and_grow_uncertain(engine: Any, preset: str) -> None:
+    smoother = OnlineSmoother(preset, engine=engine, lag=1.0)
+    seen = list(observations(walk(20)))
+    before = run(smoother, seen)[-1]
+    silent = [Observation(t=seen[-1].t + 0.1 * k) for k in range(1, 30)]
+    found = run(smoother, silent)
+    assert {e.status for e in found} == {"new"}
+    if preset != "joint":  # there the orientations turn the velocity as they relax
+        np.testing.assert_allclose(found[-1].velocity, before.velocity, atol=1e-6)
+        np.testing.assert_allclose(found[-1].position, before.position + 2.9 * before.velocity, atol=1e-5)
+    variances = np.array([np.diagonal(e.covariance) for e in [before, *found]])
+    used = np.isfinite(variances[0])
+    assert used.sum() == (4 if preset == "position" else 6)
+    # The exact density of the extrapolated position; couplings to a constant velocity leave it alone.
+    assert (np.diff(variances[:, :4], axis=0) > 0.0).all()
+    assert (variances[-1, used] > 1.5 * variances[0, used]).all() or preset == "joint"
+
+
+@EVERY_ENGINE
+def test_a_person_who_enters_without_a_position_waits_for_one(engine: Any) -> None:
+    track = walk(25, seed=11)
+    seen = list(observations(track))
+    entering = [replace(o, position=None) for o in seen[:4]]
+    smoother, fresh = (OnlineSmoother("joint", engine=engine) for _ in range(2))
+    waiting = run(smoother, entering)
+    assert [e.status for e in waiting] == ["waiting"] * 4
+    assert all(np.isnan([*e.position, *e.velocity, e.body, e.head]).all() for e in waiting)
+    assert all(np.isnan(e.covariance).all() for e in waiting)
+    assert smoother.window is None
+    assert smoother.history() == []
+    for observation in seen[4:]:
+        assert_same(smoother.update(observation), fresh.update(observation), 0.0)
+    assert smoother.window is not None
+
+
+@EVERY_ENGINE
+def test_orientations_never_seen_follow_the_motion_or_stay_unknown(engine: Any) -> None:
+    track = replace(walk(30, seed=1), body=None, head=None)
+    joint, separate = (track_online(track, preset, engine=engine) for preset in ("joint", "separate"))
+    assert joint.body is not None and joint.velocity is not None and separate.covariance is not None
+    heading = np.arctan2(joint.velocity[-1, 1], joint.velocity[-1, 0])
+    assert abs(difference(joint.body[-1], heading)) < 0.2
+    uniform = np.pi / np.sqrt(3.0)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(separate.covariance[-1])[4:]), uniform)
+
+
+# Late, repeated and useless observations.
+
+
+@EVERY_ENGINE
+@EVERY_PRESET
+def test_late_observations_end_where_punctual_ones_do(engine: Any, preset: str) -> None:
+    track = walk(20, seed=9, noise=0.1, angle_kappa=8.0)
+    seen = list(observations(track))
+    options: dict[str, Any] = {"engine": engine, "lag": 1.0, "relinearize_threshold": 1e-6} | CONVERGED
+    punctual, late = OnlineSmoother(preset, **options), OnlineSmoother(preset, **options)
+    run(punctual, seen[:8])
+    shuffled = [seen[k] for k in (0, 2, 1, 5, 4, 3, 7, 6)]
+    statuses = [e.status for e in run(late, shuffled)]
+    assert statuses == ["new", "new", "late", "new", "late", "late", "new", "late"]
+    for observation in seen[8:]:
+        assert_same(late.update(observation), punctual.update(observation), 1e-4)
+
+
+@EVERY_ENGINE
+def test_a_late_observation_after_the_window_has_moved_equals_the_kalman_filter(engine: Any) -> None:
+    track = replace(walk(40, seed=9, uneven=True), body=None, head=None)
+    seen = list(observations(track))
+    smoother = OnlineSmoother("position", engine=engine, lag=1.0)
+    run(smoother, [o for k, o in enumerate(seen[:36]) if k != 33])
+    found = smoother.update(seen[33])
+    expected = kalman_filter(track)
+    assert found.status == "late"
+    assert (found.t, found.frame) == (seen[35].t, seen[35].frame)
+    np.testing.assert_allclose(found.position, expected.position[35], atol=1e-8)
+    assert expected.covariance is not None
+    np.testing.assert_allclose(found.covariance[:4, :4], expected.covariance[35, :4, :4], atol=1e-8)
+    for k in range(36, 40):
+        np.testing.assert_allclose(smoother.update(seen[k]).position, expected.position[k], atol=1e-8)
+
+
+@EVERY_ENGINE
+@pytest.mark.parametrize("preset", ["separate", "joint"])
+def test_channels_that_arrive_one_by_one_end_where_they_would_together(engine: Any, preset: str) -> None:
+    track = walk(15, seed=12)
+    options: dict[str, Any] = {"engine": engine, "lag": 1.0, "relinearize_threshold": 1e-6} | CONVERGED
+    together, apart = OnlineSmoother(preset, **options), OnlineSmoother(preset, **options)
+    for k, observation in enumerate(observations(track)):
+        expected = together.update(observation)
+        first = apart.update(replace(observation, body=None, head=None))
+        second = apart.update(Observation(t=observation.t, body=observation.body))
+        third = apart.update(Observation(t=observation.t, head=observation.head))
+        assert (first.status, second.status, third.status) == ("new", "late", "late")
+        if preset == "separate" or k != 1:  # at the second step the joint model has two optima close by
+            assert_same(third, expected, 1e-4)
+
+
+@EVERY_ENGINE
+def test_duplicates_and_what_comes_too_late_change_nothing(engine: Any) -> None:
+    seen = list(observations(walk(40, seed=13)))
+    smoother, plain = (OnlineSmoother("joint", engine=engine, lag=1.0) for _ in range(2))
+    start = seen[0].t
+    for observation in seen:
+        estimate = smoother.update(observation)
+        assert_same(estimate, plain.update(observation), 0.0)
+        repeated = smoother.update(observation)
+        again = smoother.update(replace(observation, position=(99.0, 99.0)))
+        old = smoother.update(Observation(t=start - 0.05, position=(0.0, 0.0)))
+        assert (repeated.status, again.status, old.status) == ("duplicate", "duplicate", "too-late")
+        for unchanged in (repeated, again, old):
+            assert_same(unchanged, estimate, 0.0)
+        window = smoother.window
+        assert window is not None
+        assert window[1] == observation.t
+        oldest = start if engine == "isam2" else max(start, observation.t - 1.0)
+        assert oldest - 1e-9 <= window[0] <= oldest + 0.1 + 1e-9
+
+
+# Failures.
+
+
+class Failing(Term):
+    """Fails in one of several ways at the frames 90 and up."""
+
+    uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        frame, key = step.observation.frame, step.position_key
+        if frame == 90:
+            raise RuntimeError("no factors today")
+
+        def callback(values: gtsam.Values) -> np.ndarray:
+            if frame == 91:
+                raise RuntimeError("the residual cannot be had")
+            return np.full(1 if frame == 92 else 2, np.nan if frame == 93 else 0.0)
+
+        if frame >= 91:
+            return [custom_factor([key], 2, callback)]
+        return []
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        return 0.0
+
+
+class FailingLater(Failing):
+    """Works while its step is the newest and fails when it is linearised again after others have come."""
+
+    broken: ClassVar[bool] = False
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        def callback(values: gtsam.Values) -> np.ndarray:
+            if type(self).broken:
+                raise RuntimeError("broken since")
+            return 0.01 * np.sin(values.atPoint2(step.position_key))
+
+        return [custom_factor([step.position_key], 2, callback)]
+
+
+@GTSAM_ENGINES
+@pytest.mark.parametrize("way", [90, 91, 92, 93], ids=["no factors", "raises", "wrong shape", "not finite"])
+@pytest.mark.parametrize("after", [1, 12, 25])
+def test_a_failed_update_is_reported_and_leaves_no_trace(engine: Any, way: int, after: int) -> None:
+    model = Model("joint", terms=[Failing])
+    seen = list(observations(walk(40, seed=14)))
+    smoother, plain = (OnlineSmoother(model, engine=engine, lag=1.0) for _ in range(2))
+    before = run(smoother, seen[:after])[-1]
+    run(plain, seen[:after])
+    between = 0.5 * (seen[after - 1].t + seen[after].t)
+    failed = smoother.update(Observation(t=between, frame=way, position=seen[after].position))
+    assert failed.status == "failed"
+    assert failed.reason
+    assert "\n" not in failed.reason
+    assert_same(failed, before, 0.0)
+    if after > 2:
+        between = 0.5 * (seen[after - 2].t + seen[after - 1].t)
+        late = smoother.update(Observation(t=between, frame=way, position=seen[after].position))
+        assert late.status == "failed"
+        assert_same(late, before, 0.0)
+    for observation in seen[after:]:
+        assert_same(smoother.update(observation), plain.update(observation), REBUILT[engine])
+
+
+@GTSAM_ENGINES
+def test_a_first_observation_that_fails_leaves_an_empty_smoother(engine: Any) -> None:
+    model = Model("joint", terms=[Failing])
+    smoother, plain = (OnlineSmoother(model, engine=engine) for _ in range(2))
+    failed = smoother.update(Observation(t=0.0, frame=91, position=(1.0, 2.0)))
+    assert failed.status == "failed"
+    assert np.isnan(failed.position).all()
+    assert smoother.window is None
+    for observation in observations(walk(10)):
+        assert_same(smoother.update(observation), plain.update(observation), 0.0)
+
+
+def test_a_factor_that_breaks_later_is_rolled_back_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = Model("joint", terms=[FailingLater])
+    seen = list(observations(walk(30, seed=15)))
+    smoother, plain = (OnlineSmoother(model, engine="fixed-lag", lag=1.0) for _ in range(2))
+    run(smoother, seen[:20])
+    run(plain, seen[:20])
+    with monkeypatch.context() as patch:
+        patch.setattr(FailingLater, "broken", True)
+        assert [e.status for e in run(smoother, seen[20:22])] == ["failed"] * 2
+    for observation in seen[22:]:
+        assert_same(smoother.update(observation), plain.update(observation), 0.0)
+
+
+@EVERY_ENGINE
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"t": np.nan},
+        {"t": np.inf},
+        {"position": (np.nan, 1.0)},
+        {"pixel": (np.inf, 1.0)},
+        {"position_std": 0.0},
+        {"body": np.nan},
+        {"head_kappa": -1.0},
+        {"body_likelihood": (1.0, -0.1, *[0.0] * 6)},
+        {"head_likelihood": (np.nan, *[0.0] * 11)},
+    ],
+    ids=lambda bad: next(iter(bad)),
+)
+def test_unusable_observations_are_refused_and_change_nothing(engine: Any, bad: dict[str, Any]) -> None:
+    seen = list(observations(walk(12, seed=16)))
+    smoother, plain = (OnlineSmoother("joint", engine=engine) for _ in range(2))
+    run(smoother, seen[:6])
+    run(plain, seen[:6])
+    with pytest.raises(InputError, match=next(iter(bad))):
+        smoother.update(replace(seen[6], **bad))
+    for observation in seen[6:]:
+        assert_same(smoother.update(observation), plain.update(observation), 0.0)
+
+
+def test_a_pixel_above_the_horizon_is_refused() -> None:
+    camera = GroundCamera.from_homography([[0.02, 0.0, -6.0], [0.0, -0.03, 14.0], [0.0, 0.01, -1.0]])
+    smoother = OnlineSmoother("joint", engine="fixed-lag", camera=camera)
+    with pytest.raises(InputError, match="horizon"):
+        smoother.update(Observation(t=0.0, pixel=(320.0, 50.0)))
+    assert smoother.window is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("engine", "kalman"),
+        ("lag", 0.0),
+        ("lag", np.nan),
+        ("relinearize_threshold", 0.0),
+        ("step_tolerance", -1.0),
+        ("max_iterations", 0),
+        ("model", "jiont"),
+    ],
+)
+def test_options_out_of_range_are_refused(name: str, value: Any) -> None:
+    with pytest.raises(InputError, match=str(value)):
+        OnlineSmoother(**{name: value})
+
+
+# Saved state.
+
+
+def through_json(state: dict[str, Any]) -> dict[str, Any]:
+    return json.loads(json.dumps(state, allow_nan=False))
+
+
+@EVERY_PRESET
+def test_isam2_goes_on_from_any_step_within_its_threshold(preset: str) -> None:
+    """GTSAM does not give its Bayes tree away; for the other engines see `test_resume`."""
+    track = without(
+        walk(26, seed=17, uneven=True, noise=0.1, classes=True), "position", [0, 1, 12, 13, 14, 15]
+    )
+    seen = list(observations(track))
+    seen[18], seen[19] = seen[19], seen[18]
+    whole = OnlineSmoother(preset, engine="isam2")
+    expected, states = [], [whole.state()]
+    for observation in seen:
+        expected.append(whole.update(observation))
+        states.append(through_json(whole.state()))
+    assert expected[19].status == "late"
+    for k in range(len(seen)):
+        resumed = OnlineSmoother.from_state(through_json(states[k]), preset, engine="isam2")
+        if k:
+            assert_same(replace(resumed.update(seen[k - 1]), status="new"), expected[k - 1], 0.0)
+        for step in range(k, min(k + 4, len(seen))):
+            found = resumed.update(seen[step])
+            assert found.status == expected[step].status
+            assert_same(found, expected[step], REBUILT["isam2"])
+
+
+@pytest.mark.parametrize("first, second", [("fixed-lag", "chain"), ("chain", "fixed-lag")])
+def test_one_engine_goes_on_from_the_state_of_another(first: Any, second: Any) -> None:
+    seen = list(observations(walk(60, seed=3)))
+    smoother = OnlineSmoother("joint", engine=first, lag=1.0, **CONVERGED)
+    run(smoother, seen[:30])
+    state = through_json(smoother.state())
+    resumed = OnlineSmoother.from_state(state, "joint", engine=second, lag=1.0, **CONVERGED)
+    # Engines differ in the curvature with which they let frames go, so only nearly the same.
+    for observation in seen[30:]:
+        a, b = smoother.update(observation), resumed.update(observation)
+        np.testing.assert_allclose(b.position, a.position, atol=2e-3)
+        assert abs(difference(b.head, a.head)) < 0.02
+
+
+def test_an_outlier_of_an_angle_leaves_the_compiled_window_sound() -> None:
+    track = walk(80, seed=5)
+    assert track.body is not None and track.head is not None
+    body, head = track.body.copy(), track.head.copy()
+    body[::3] += np.pi  # curvature is negative there
+    head[::4] += np.pi
+    track = replace(track, body=body, head=head)
+    found = run(OnlineSmoother("joint", engine="chain", lag=0.5), list(observations(track)))
+    for estimate in found:
+        assert estimate.status == "new"
+        assert np.linalg.eigvalsh(estimate.covariance).min() > 0.0
+    assert track.true_position is not None
+    assert np.linalg.norm(found[-1].position - track.true_position[-1]) < 0.2
+
+
+def test_the_compiled_window_equals_the_batch_within_the_lag() -> None:
+    for preset in ("separate", "joint"):
+        track = walk(200, seed=6, dt=0.04)
+        smoother = OnlineSmoother(preset, engine="chain", lag=2.0)
+        run(smoother, list(observations(track)))
+        batch = smooth_track(track, Model(preset)).track
+        assert np.abs(differences(smoother.history(), batch)).max() < 1e-3
+
+
+def damage(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
+    smoother = OnlineSmoother("joint", engine="fixed-lag", lag=1.0)
+    run(smoother, list(observations(walk(30))))
+    state = through_json(smoother.state())
+    change(state)
+    return state
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda state: state.pop("version"),
+        lambda state: state.pop("steps"),
+        lambda state: state["steps"][2].pop("values"),
+        lambda state: state["steps"][2].update(values="many"),
+        lambda state: state["steps"][2].update(values=[1.0, 2.0]),
+        lambda state: state["steps"][2]["observation"].update(colour="red"),
+        lambda state: state["prior"].update(information=[[1.0, "x"]]),
+        lambda state: state["prior"].update(information=[[1.0]]),
+        lambda state: state["last"].pop("covariance"),
+        lambda state: state.update(next_index=None),
+        lambda state: state["arrays"].pop("states"),
+        lambda state: state["arrays"].update(states="AAAA"),
+        lambda state: state["arrays"].update(point="?"),
+    ],
+)
+def test_damaged_states_are_refused(change: Callable[[dict[str, Any]], Any]) -> None:
+    with pytest.raises(InputError, match="state"):
+        OnlineSmoother.from_state(damage(change), "joint", engine="fixed-lag", lag=1.0)
+
+
+def test_the_fixed_lag_keeps_no_more_than_its_window() -> None:
+    smoother = OnlineSmoother("joint", engine="fixed-lag", lag=1.0)
+    sizes = []
+    for observation in observations(walk(120)):
+        smoother.update(observation)
+        state = smoother.state()
+        sizes.append((len(state["steps"]), len(smoother.history())))
+        depth, step = 0, smoother._smoother.steps[-1].previous
+        while step is not None:
+            depth, step = depth + 1, step.previous
+        assert depth <= 1
+    assert sizes[-1] == sizes[60]
+    assert sizes[-1][0] <= 12
+
+
+def test_the_estimates_of_a_recorded_track_are_those_of_its_observations() -> None:
+    track = without(walk(30, seed=18), "position", [0, 1, 2])
+    found = track_online(track, "joint", engine="fixed-lag", lag=1.0)
+    smoother = OnlineSmoother("joint", engine="fixed-lag", lag=1.0)
+    assert np.isnan(found.position[:3]).all()
+    for k, observation in enumerate(observations(track)):
+        estimate = smoother.update(observation)
+        np.testing.assert_array_equal(found.position[k], estimate.position)
+        assert found.covariance is not None
+        np.testing.assert_array_equal(found.covariance[k], estimate.covariance)

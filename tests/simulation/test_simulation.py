@@ -1,0 +1,215 @@
+"""Simulated tracks have the statistics of the model they are sampled from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from graphtrack import InputError
+from graphtrack.geometry.angles import difference, direction, mean_resultant_length, von_mises_log_density
+from graphtrack.model import (
+    CouplingParameters,
+    Model,
+    MotionParameters,
+    OrientationParameters,
+    Parameters,
+)
+from graphtrack.model.motion import process_noise, transition_matrix
+from graphtrack.simulation.sampling import (
+    sample_motion,
+    sample_orientations,
+    scenario,
+    simulate,
+    von_mises_product,
+)
+
+
+def chi2_band(dof: float) -> tuple[float, float]:
+    low, high = stats.chi2.ppf([1e-4, 1.0 - 1e-4], dof)
+    return float(low), float(high)
+
+
+def resultant_is(deviations: np.ndarray, kappa: np.ndarray | float) -> None:
+    """Assert that cos and sin of the deviations have the means of von Mises with these concentrations."""
+    kappa = np.broadcast_to(np.asarray(kappa, dtype=float), deviations.shape)
+    expected = mean_resultant_length(kappa)
+    variance = 1.0 - expected / kappa - expected**2
+    z = np.sum(np.cos(deviations) - expected) / np.sqrt(variance.sum())
+    assert abs(z) < 4.0
+    # E[sin²] = A(κ)/κ, and sin has mean 0.
+    assert abs(np.sum(np.sin(deviations))) < 4.0 * np.sqrt(np.sum(expected / kappa))
+
+
+def test_motion_increments_have_the_covariance_of_the_model_at_uneven_steps() -> None:
+    steps = np.array([0.04, 0.1, 0.1, 0.7, 2.0])
+    t = np.concatenate([[0.0], np.cumsum(steps)])
+    parameters = Parameters(MotionParameters(acceleration_density=0.3, initial_speed_std=0.8))
+    position, velocity = sample_motion(t, 4000, parameters, np.random.default_rng(1))
+    state = np.concatenate([position, velocity], axis=-1)
+    for k, dt in enumerate(steps):
+        residual = state[:, k + 1] - state[:, k] @ transition_matrix(dt).T
+        noise = process_noise(dt, 0.3)
+        squares = np.einsum("ni,ij,nj->", residual, np.linalg.inv(noise), residual)
+        low, high = chi2_band(4 * 4000)
+        assert low < squares < high
+        # The χ² alone does not see a wrong correlation: whitened residuals must be white.
+        white = np.linalg.solve(np.linalg.cholesky(noise), residual.T)
+        assert np.abs(np.cov(white) - np.eye(4)).max() < 0.1
+    low, high = chi2_band(2 * 4000)
+    assert low < np.sum(velocity[:, 0] ** 2) / 0.8**2 < high
+
+
+@pytest.mark.parametrize(
+    ("mean_1", "kappa_1", "mean_2", "kappa_2"),
+    [(0.3, 2.0, 1.2, 5.0), (3.1, 4.0, -3.0, 1.0), (0.0, 3.0, np.pi - 0.2, 2.0), (1.0, 0.0, -2.0, 0.7)],
+)
+def test_von_mises_product_is_the_normalised_product_by_quadrature(
+    mean_1: float, kappa_1: float, mean_2: float, kappa_2: float
+) -> None:
+    def product(angle: float) -> float:
+        log = von_mises_log_density(angle, mean_1, kappa_1) + von_mises_log_density(angle, mean_2, kappa_2)
+        return float(np.exp(log))
+
+    mass, _ = integrate.quad(product, -np.pi, np.pi)
+    mean, kappa = von_mises_product(mean_1, kappa_1, mean_2, kappa_2)
+    for angle in np.linspace(-np.pi, np.pi, 9):
+        assert np.exp(von_mises_log_density(angle, mean, kappa)) == pytest.approx(product(angle) / mass)
+
+
+def test_orientations_are_sampled_from_the_product_of_dynamics_and_coupling() -> None:
+    n, dt = 20_000, 1.0  # the dynamics are weak, so that the coupling shows
+    parameters = Parameters(
+        orientation=OrientationParameters(body_diffusion=0.5, head_diffusion=1.0),
+        coupling=CouplingParameters(6.0, speed_threshold=0.2, head_body_kappa=2.0, correlation_time=2.0),
+    )
+    velocity = np.tile([-0.9, 0.3], (n, 2, 1))
+    body, head = sample_orientations(np.array([0.0, dt]), velocity, parameters, np.random.default_rng(2))
+    course, pull = float(direction(velocity[0, 0])), 6.0 * (np.hypot(0.9, 0.3) - 0.2) ** 2
+    resultant_is(difference(body[:, 0], course), pull)
+    resultant_is(difference(head[:, 0], body[:, 0]), 2.0)
+    # Half a correlation time after the frame before, a coupling counts half.
+    mean, kappa = von_mises_product(body[:, 0], 1.0 / (0.5 * dt), course, 0.5 * pull)
+    resultant_is(difference(body[:, 1], mean), kappa)
+    mean, kappa = von_mises_product(head[:, 0], 1.0 / (1.0 * dt), body[:, 1], np.full(n, 0.5 * 2.0))
+    resultant_is(difference(head[:, 1], mean), kappa)
+
+
+def test_without_couplings_head_and_body_know_nothing_of_each_other() -> None:
+    def alignment(preset: str) -> float:
+        tracks = simulate(preset, n_tracks=400, n_steps=3, rng=np.random.default_rng(3))
+        return float(np.mean([np.cos(track.true_head[-1] - track.true_body[-1]) for track in tracks]))
+
+    assert abs(alignment("separate")) < 4.0 / np.sqrt(2 * 400)
+    assert alignment("joint") > 0.5
+
+
+def test_observations_have_the_stated_noise() -> None:
+    tracks = simulate(
+        "joint", n_tracks=20, rng=np.random.default_rng(4), position_std=0.3, body_kappa=1.5, head_kappa=6.0
+    )
+    error = np.concatenate([track.position - track.true_position for track in tracks])
+    low, high = chi2_band(error.size)
+    assert low < np.sum(error**2) / 0.3**2 < high
+    for name, kappa in (("body", 1.5), ("head", 6.0)):
+        resultant_is(
+            np.concatenate([getattr(track, name) - getattr(track, f"true_{name}") for track in tracks]), kappa
+        )
+        assert all(np.all(getattr(track, f"{name}_kappa") == kappa) for track in tracks)
+
+
+def test_the_seed_decides_everything() -> None:
+    def numbers(seed: int) -> np.ndarray:
+        tracks = simulate("joint", n_tracks=2, n_steps=20, rng=np.random.default_rng(seed), missing=0.2)
+        return np.concatenate([np.column_stack([t.position, t.body, t.head, t.true_head]) for t in tracks])
+
+    np.testing.assert_array_equal(numbers(5), numbers(5))
+    assert not np.array_equal(numbers(5), numbers(6), equal_nan=True)
+
+
+def test_presets_have_the_channels_of_their_model() -> None:
+    rng = np.random.default_rng(7)
+    assert all(track.body is None and track.true_head is None for track in simulate("position", rng=rng))
+    model = Model("separate", Parameters(MotionParameters(initial_speed_std=0.01)))
+    tracks = simulate(model, n_tracks=3, n_steps=7, fps=4.0, rng=rng)
+    assert len(tracks) == 3 and all(len(track) == 7 and track.head is not None for track in tracks)
+    np.testing.assert_allclose(tracks[0].t, np.arange(7) / 4.0)
+
+
+def test_missing_observations_come_at_their_rate_and_never_first() -> None:
+    tracks = simulate("joint", n_tracks=50, rng=np.random.default_rng(8), missing=0.3)
+    for name in ("position", "body", "head"):
+        values = np.stack([getattr(track, name).reshape(len(track), -1)[:, 0] for track in tracks])
+        assert np.isfinite(values[:, 0]).all()
+        rate, n = np.isnan(values[:, 1:]).mean(), values[:, 1:].size
+        assert abs(rate - 0.3) < 4.0 * np.sqrt(0.3 * 0.7 / n)
+    for name in ("true_position", "true_body", "true_head"):
+        assert all(np.isfinite(getattr(track, name)).all() for track in tracks)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"n_tracks": 0},
+        {"n_steps": 0},
+        {"fps": 0.0},
+        {"missing": 1.0},
+        {"position_std": 0.0},
+        {"body_kappa": -1.0},
+        {"head_kappa": float("nan")},
+        {"model": "nonsense"},
+    ],
+)
+def test_bad_numbers_are_named(bad: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=next(iter(bad))):
+        simulate(**{"model": "joint", "rng": np.random.default_rng(0), **bad})  # type: ignore[arg-type]
+
+
+def test_scenario_people_move_as_people_do() -> None:
+    for seed in (0, 1):
+        tracks = scenario(np.random.default_rng(seed), fps=20.0)
+        assert len({track.label for track in tracks}) == len(tracks) == 6
+        for track in tracks:
+            assert track.t[-1] == pytest.approx(30.0 - 0.05)
+            velocity = np.diff(track.true_position, axis=0) * 20.0
+            acceleration = np.diff(velocity, axis=0) * 20.0
+            assert np.linalg.norm(velocity, axis=1).max() < 1.7
+            assert np.linalg.norm(acceleration, axis=1).max() < 2.5
+            for angle, fastest in ((track.true_body, 120.0), (track.true_head, 180.0)):
+                assert np.degrees(np.abs(difference(angle[1:], angle[:-1]))).max() * 20.0 < fastest
+
+
+def test_scenario_does_what_the_labels_say() -> None:
+    tracks = list(scenario(np.random.default_rng(9)))
+    left, right, stopping, turning, aside, hidden = tracks
+    assert np.linalg.norm(left.true_position - right.true_position, axis=1).min() < 1.0
+    # Crossing: each is later where the other was before.
+    assert np.sign(left.true_position[0, 0] - right.true_position[0, 0]) == -np.sign(
+        left.true_position[-1, 0] - right.true_position[-1, 0]
+    )
+
+    speed = np.linalg.norm(np.diff(stopping.true_position, axis=0), axis=1) * 10.0
+    stands = np.flatnonzero(speed < 0.02)
+    assert len(stands) > 40 and speed[: stands[0]].max() > 1.0 and speed[stands[-1] :].max() > 1.0
+
+    course = np.unwrap(direction(np.diff(turning.true_position, axis=0)))
+    assert np.degrees(np.ptp(course[130:170])) > 90.0
+    body, head = np.unwrap(turning.true_body), np.unwrap(turning.true_head)
+    half = 0.5 * (course[120] + course[180])
+    times = [int(np.argmax(angle < half)) for angle in (head, course, body)]
+    assert times[0] < times[1] < times[2], "the head leads a turn and the body follows"
+
+    gaze = np.degrees(difference(aside.true_head, aside.true_body))
+    assert gaze.max() > 60.0 and gaze.min() < -60.0
+
+    lost = np.isnan(hidden.position[:, 0])
+    assert lost.sum() == 20 and np.array_equal(lost, np.isnan(hidden.body))
+    assert np.isfinite(hidden.head).all() and np.isfinite(hidden.true_position).all()
+    assert all(np.isfinite(track.position).all() for track in tracks[:-1])
+
+
+def test_scenario_refuses_what_it_cannot_play() -> None:
+    for bad in ({"fps": -1.0}, {"seconds": 3.0}, {"occlusion": 9.0}, {"position_std": -0.1}):
+        with pytest.raises(InputError, match=next(iter(bad))):
+            scenario(np.random.default_rng(0), **bad)
+    assert all(np.isfinite(t.position).all() for t in scenario(np.random.default_rng(0), occlusion=0.0))

@@ -1,0 +1,99 @@
+"""What stands in documents, and how it is run: Python in this process, commands too, the rest in a shell."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import graphtrack.cli
+import perception.cli
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAMS = {"graphtrack": graphtrack.cli.main, "perception": perception.cli.main}
+NOT_RUN = ("make ", "pip ")
+"""What sets the program up: CI has done so before."""
+SLOW = ("graphtrack reproduce ",)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a document: its kind, its text, and the heading above it."""
+
+    kind: str
+    text: str
+    heading: str
+
+    def lines(self) -> list[str]:
+        """The command lines of a shell block as they would be typed, without comments."""
+        joined = self.text.replace("\\\n", " ")
+        lines = (shlex.join(shlex.split(line, comments=True)) for line in joined.splitlines())
+        return [line.replace(" '|' ", " | ") for line in lines if line]
+
+
+def blocks(path: str) -> list[Block]:
+    """All fenced blocks of a document, by its path from the root."""
+    text = (ROOT / path).read_text(encoding="utf-8")
+    parts = re.findall(r"^```(\w+)\n(.*?)^```$|^#+ ([^\n]*)$", text, flags=re.M | re.S)
+    found, heading = [], ""
+    for kind, body, title in parts:
+        if kind:
+            found.append(Block(kind, body, heading))
+        else:
+            heading = title
+    return found
+
+
+def commands(program: str, *paths: str) -> Iterator[list[str]]:
+    """The arguments of every line that calls a program."""
+    for path in paths:
+        for block in blocks(path):
+            for line in block.lines() if block.kind == "sh" else ():
+                for part in line.split(" | "):
+                    words = shlex.split(part)
+                    if words[0] == program:
+                        yield words[1:]
+
+
+def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, str]:
+    """Run blocks one after the other, as a reader would who begins in an empty folder.
+
+    Parameters
+    ----------
+    names : of the Python blocks
+    slow : whether lines that take minutes are run too
+
+    Returns
+    -------
+    What each command line wrote to standard output, where it ran in a shell; a line that fails is an error.
+    """
+    written = {}
+    for block in chosen:
+        if block.kind == "python":
+            exec(compile(block.text, "document", "exec"), names)
+        for line in block.lines() if block.kind == "sh" else ():
+            if not line.startswith(NOT_RUN) and (slow or not line.startswith(SLOW)):
+                written[line] = run_line(line)
+    return written
+
+
+def run_line(line: str) -> str:
+    """Run a line: in this process, since imports take longer than most; in a shell where it needs one."""
+    program, *arguments = shlex.split(line)
+    if program in PROGRAMS and "|" not in arguments:
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
+            patch.setattr(sys, "argv", [program, *arguments])
+            PROGRAMS[program]()
+        assert not ended.value.code, line
+        return ""
+    known = "".join(f'{name}() {{ "{sys.executable}" -m {name} "$@"; }}\n' for name in PROGRAMS)
+    done = subprocess.run(["bash", "-c", f"set -o pipefail\n{known}{line}"], capture_output=True, text=True)
+    assert done.returncode == 0, f"{line}\n{done.stderr}"
+    return done.stdout

@@ -1,0 +1,53 @@
+"""People whose parameters are known, for learning tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from graph_sampler import COUPLED, sample_graph
+
+from graphtrack.learning import Fit
+from graphtrack.model import LikelihoodParameters, Model, MotionParameters, OrientationParameters, Parameters
+from graphtrack.simulation.sampling import simulate
+from graphtrack.tracks import TrackSet
+
+TRUE = Parameters(
+    MotionParameters(0.4, 1.2, 1.0),
+    OrientationParameters(0.3, 0.4),
+    COUPLED,
+    likelihood=LikelihoodParameters(position_std=0.07, body_kappa=5.0, head_kappa=6.0),
+)
+
+BRISK = replace(TRUE, motion=MotionParameters(0.1, 2.5, 1.0))
+"""`TRUE` of people whose motion has a direction: the density of the couplings favours people who hardly move,
+about whom no Gaussian says where they go."""
+
+WITHOUT_TRUTH = {"true_position": None, "true_body": None, "true_head": None}
+
+
+def unknown(preset: str, seed: int, n_tracks: int = 8, n_steps: int = 50, truth: bool = False) -> TrackSet:
+    """People from `TRUE` who do not say how noisy they are, nor, without ``truth``, what is true.
+
+    Those of `joint` are `BRISK` and come from the graph's own density.
+    """
+    rng = np.random.default_rng(seed)
+    if preset == "joint":
+        tracks = sample_graph(BRISK, n_tracks=n_tracks, n_steps=n_steps, rng=rng)
+    else:
+        tracks = simulate(Model(preset, TRUE), n_tracks=n_tracks, n_steps=n_steps, rng=rng)
+    gone = {} if truth else WITHOUT_TRUTH
+    return tracks.map(
+        lambda track: replace(track, position_std=None, body_kappa=None, head_kappa=None, **gone)
+    )
+
+
+def inside(found: Fit) -> dict[str, bool]:
+    """Whether each interval holds the parameter that the people were made with, by its name."""
+    preset = found.model.preset
+    true = Model(preset, BRISK if preset == "joint" else TRUE).to_dict()
+    return {
+        one.name: one.low <= true[one.name.split(".")[0]][one.name.split(".")[1]] <= one.high
+        for one in found.learned
+        if not one.note
+    }
