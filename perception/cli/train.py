@@ -71,7 +71,7 @@ def card(
 ) -> None:
     """Print a model's card: what it was trained on, how good it is, when it fails."""
     from perception.models import NAMES, model_path
-    from perception.models.storage import load_model
+    from perception.storage import load_model
 
     print(printable(load_model(model_path(model) if model in NAMES else model)[0].text()))
 

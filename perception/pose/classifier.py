@@ -15,7 +15,6 @@ from scipy.special import log_softmax
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image
-from perception.models.storage import ModelCard, load_model, save_model
 from perception.pose.calibration import (
     fit_temperature,
     fit_temperature_and_share,
@@ -23,6 +22,7 @@ from perception.pose.calibration import (
     with_neighbours,
 )
 from perception.pose.classes import PoseClasses
+from perception.storage import ModelCard, load_model, save_model
 
 _HELD_OUT = 0.2
 _BATCH = 256

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, intersection_over_union
-from perception.models.storage import ModelCard, load_model, save_model
 from perception.pose.features.blocks import block_histograms, corner_sums, integral_histogram
 from perception.pose.head_detector import BoostedBlocks, Weak
+from perception.storage import ModelCard, load_model, save_model
 
 _HEIGHT = 128
 """Rows to which a person's box is resized."""

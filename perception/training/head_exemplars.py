@@ -12,10 +12,10 @@ from scipy.special import logsumexp
 
 from graphtrack.geometry.angles import FloatArray, difference
 from perception.images.pixels import enlarged, grey_stack
-from perception.models.storage import ModelCard
 from perception.pose.classes import TILT_EDGE, PoseClasses
 from perception.pose.features.gabor import SIDE, gabor_features
 from perception.pose.head_pose.exemplars import SMALLEST_DEVIATION, Exemplars
+from perception.storage import ModelCard
 from perception.synthetic import (
     HeadVariation,
     PedestrianSet,

@@ -14,7 +14,6 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from perception.detection.boxes import PersonBox
 from perception.models import NAMES, load_classifier, load_head_localiser, model_path
-from perception.models.storage import load_model
 from perception.observe.pipeline import (
     Models,
     Seen,
@@ -25,6 +24,7 @@ from perception.observe.pipeline import (
 )
 from perception.pose.classes import PoseClasses
 from perception.pose.heads import HeadCandidates
+from perception.storage import load_model
 from perception.synthetic import Camera
 
 STREET = Camera((0.0, -9.0, 3.0), np.pi / 2, -0.2, 500.0, (320, 240))

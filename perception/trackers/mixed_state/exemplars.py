@@ -17,7 +17,6 @@ from scipy.special import logsumexp
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, difference
-from perception.models.storage import ModelCard, load_model, save_model
 from perception.pose.classes import PoseClasses
 from perception.pose.head_pose.exemplars import (
     CENTRE_STEP,
@@ -26,6 +25,7 @@ from perception.pose.head_pose.exemplars import (
     filter_log_densities,
     whole_steps,
 )
+from perception.storage import ModelCard, load_model, save_model
 
 KIND = "head_exemplars"
 
