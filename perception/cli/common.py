@@ -1,18 +1,83 @@
-"""What `perception observe` and `perception follow` share."""
+"""What `perception observe` and `perception follow` share: options, checks of places, and what they say."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from graphtrack.cli.console import console
+from graphtrack.cli.options import check_outputs
+from graphtrack.display import counted
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
+    from perception.images.frames import FrameSource
 
 _SHOWN = 5
+_FPS = 25.0
+FILE = {"exists": True, "dir_okay": False}
+"""Of options that name a file to read."""
+
+Source = Annotated[
+    Path, typer.Argument(help="A video, or a folder of images.", metavar="VIDEO|FOLDER", exists=True)
+]
+Homography = Annotated[
+    Path | None,
+    typer.Option("--homography", help="File with 3×3 numbers: image → ground in metres.", **FILE),
+]
+Calibration = Annotated[Path | None, typer.Option("--calibration", help="Camera calibration (.ci).", **FILE)]
+Fps = Annotated[
+    float | None,
+    typer.Option("--fps", min=0.1, help=f"Frames a second, if not the video's (else {_FPS:g})."),
+]
+Render = Annotated[
+    Path | None,
+    typer.Option("--render", help="Draw it all: a video .mp4 or .avi, or else a folder of images."),
+]
+
+
+def check_places(
+    outputs: Mapping[str, Path | Sequence[Path] | None],
+    render: Path | None,
+    source: Path,
+    inputs: Mapping[str, Path | None],
+    *,
+    table: Path | None = None,
+) -> None:
+    """Refuse, before the work, what could not be written in the end, as `check_outputs` does.
+
+    Parameters
+    ----------
+    outputs, inputs, table : as there, besides the two that follow
+    render : a video or a folder of images to write
+    source : a video or a folder of images to read
+
+    Raises
+    ------
+    InputError
+        As there.
+    """
+    from perception.images.drawing.output import check_render, is_video
+    from perception.images.frames import FrameSource
+
+    if render is not None:
+        check_render(render)
+    in_folder = render is not None and not is_video(render)
+    check_outputs(
+        {**outputs, "--render": None if in_folder else render},
+        {"the input": FrameSource.files(source), **inputs},
+        folders={"--render": render if in_folder else None},
+        table=table,
+    )
+
+
+def frame_rate(frames: FrameSource, fps: float | None) -> float:
+    """Frames a second: those that are asked for, or else the video's."""
+    return fps or frames.fps or _FPS
 
 
 def read_camera(homography: Path | None, calibration: Path | None) -> GroundCamera | None:
@@ -33,9 +98,25 @@ def read_camera(homography: Path | None, calibration: Path | None) -> GroundCame
     return None if homography is None else GroundCamera.from_homography(read_homography(homography))
 
 
+def in_time(count: int, seconds: float) -> str:
+    """How long so many frames took."""
+    return f"{counted(count, 'frame')} in {seconds:.1f} s ({count / max(seconds, 1e-9):.1f} a second)"
+
+
 def print_skipped(reasons: Sequence[str]) -> None:
     """Say what was left out: the first few reasons, and how many more there are."""
     for reason in reasons[:_SHOWN]:
         console.print(f"  skipped: {reason}", markup=False)
     if len(reasons) > _SHOWN:
         console.print(f"  skipped: {len(reasons) - _SHOWN} more", markup=False)
+
+
+def print_camera_note(camera: GroundCamera | None) -> None:
+    """Say what positions are if no camera is known."""
+    if camera is None:
+        console.print("  note: no camera is known: positions are pixels times a scale", markup=False)
+
+
+def print_written(output: Path, render: Path | None) -> None:
+    """Say where everything is."""
+    console.print(f"wrote {output}" + ("" if render is None else f" and {render}"), markup=False)

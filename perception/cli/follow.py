@@ -12,9 +12,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli.console import console, progress_bar
-from graphtrack.cli.options import Seed, check_outputs
-from graphtrack.display import counted
-from perception.cli.common import print_skipped, read_camera
+from graphtrack.cli.options import Seed
+from perception.cli.common import (
+    Calibration,
+    Fps,
+    Homography,
+    Render,
+    Source,
+    check_places,
+    frame_rate,
+    in_time,
+    print_camera_note,
+    print_skipped,
+    print_written,
+    read_camera,
+)
 
 if TYPE_CHECKING:
     from perception.follow.guidance import GraphGuide
@@ -22,13 +34,9 @@ if TYPE_CHECKING:
     from perception.observe.world import BoxCamera
     from perception.trackers.tracker import Box, BoxEstimate
 
-_FILE = {"exists": True, "dir_okay": False}
-
 
 def follow(
-    source: Annotated[
-        Path, typer.Argument(help="A video, or a folder of images.", metavar="VIDEO|FOLDER", exists=True)
-    ],
+    source: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv.")],
     tracker: Annotated[
         str, typer.Option("--tracker", help="mixed-state, sigma-pi or color.")
@@ -45,21 +53,13 @@ def follow(
     guided: Annotated[
         bool, typer.Option("--guided", help="The graph tells the tracker where to look next.")
     ] = False,
-    render: Annotated[
-        Path | None,
-        typer.Option("--render", help="Draw it all: a video .mp4 or .avi, or else a folder of images."),
-    ] = None,
+    render: Render = None,
     particles: Annotated[
         int | None, typer.Option("--particles", min=2, help="Number of particles.", show_default=False)
     ] = None,
     seed: Seed = 0,
-    homography: Annotated[
-        Path | None,
-        typer.Option("--homography", help="File with 3×3 numbers: image → ground in metres.", **_FILE),
-    ] = None,
-    calibration: Annotated[
-        Path | None, typer.Option("--calibration", help="Camera calibration (.ci).", **_FILE)
-    ] = None,
+    homography: Homography = None,
+    calibration: Calibration = None,
     foot_at: Annotated[
         float | None,
         typer.Option(
@@ -81,9 +81,7 @@ def follow(
             "never turn their backs.",
         ),
     ] = 180.0,
-    fps: Annotated[
-        float | None, typer.Option("--fps", min=0.1, help="Frames a second, if not the video's (else 25).")
-    ] = None,
+    fps: Fps = None,
     head_pose: Annotated[
         str,
         typer.Option(
@@ -94,8 +92,7 @@ def follow(
     """Follow one person or head through a video, and write its boxes as observations for graphtrack."""
     from graphtrack.errors import InputError
     from perception.follow import following
-    from perception.images.drawing import check_render, draw, pictures
-    from perception.images.drawing.output import is_video
+    from perception.images.drawing import draw, pictures
     from perception.images.frames import FrameSource
     from perception.observe.world import PERSON_IN_HEADS, BoxCamera
     from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
@@ -105,21 +102,11 @@ def follow(
         raise InputError(f"--head-pose {head_pose}", "frame or filtered")
     if output.suffix.lower() != ".csv":
         raise InputError(f"{output.name}", "a file to write that ends in .csv", path=output)
-    if render is not None:
-        check_render(render)
-    in_folder = render is not None and not is_video(render)
-    check_outputs(
-        {"--output": output, "--render": None if in_folder else render},
-        {
-            "the input": FrameSource.files(source),
-            "--homography": homography,
-            "--calibration": calibration,
-        },
-        folders={"--render": render if in_folder else None},
-    )
+    cameras = {"--homography": homography, "--calibration": calibration}
+    check_places({"--output": output}, render, source, cameras)
     box = None if init is None else following.parse_box(init)
     frames = FrameSource.open(source)
-    rate = fps or frames.fps or 25.0
+    rate = frame_rate(frames, fps)
     camera = read_camera(homography, calibration)
     parameters = None
     if tracker == MixedStateTracker.name:
@@ -169,14 +156,9 @@ def follow(
     print_skipped(refused)
     for note in following.notes(found, track):
         console.print(f"  note: {note}", markup=False)
-    if camera is None:
-        console.print("  note: no camera is known: positions are pixels times a scale", markup=False)
-    console.print(
-        f"followed {counted(len(found), 'frame')} in {seconds:.1f} s "
-        f"({len(found) / max(seconds, 1e-9):.1f} a second)",
-        markup=False,
-    )
-    console.print(f"wrote {output}" + ("" if render is None else f" and {render}"), markup=False)
+    print_camera_note(camera)
+    console.print(f"followed {in_time(len(found), seconds)}", markup=False)
+    print_written(output, render)
 
 
 def _start(box: Box | None, tracker: str, image: Image) -> Box | None:

@@ -11,9 +11,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from graphtrack.cli.console import console, progress_bar
-from graphtrack.cli.options import check_outputs
 from graphtrack.display import counted
-from perception.cli.common import print_skipped, read_camera
+from perception.cli.common import (
+    FILE,
+    Calibration,
+    Fps,
+    Homography,
+    Render,
+    Source,
+    check_places,
+    frame_rate,
+    in_time,
+    print_camera_note,
+    print_skipped,
+    print_written,
+    read_camera,
+)
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
@@ -23,48 +36,34 @@ if TYPE_CHECKING:
     from perception.observe.journal import Journal
     from perception.observe.pipeline import Seen
 
-_FILE = {"exists": True, "dir_okay": False}
-
 
 def observe(
-    source: Annotated[
-        Path, typer.Argument(help="A video, or a folder of images.", metavar="VIDEO|FOLDER", exists=True)
-    ],
+    source: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv, .csv.gz or .parquet.")],
     boxes: Annotated[
         Path | None,
         typer.Option(
             "--boxes",
             help="MOT text or CAVIAR XML with people's boxes; without it they are detected.",
-            **_FILE,
+            **FILE,
         ),
     ] = None,
-    homography: Annotated[
-        Path | None,
-        typer.Option("--homography", help="File with 3×3 numbers: image → ground in metres.", **_FILE),
-    ] = None,
-    calibration: Annotated[
-        Path | None, typer.Option("--calibration", help="Camera calibration (.ci).", **_FILE)
-    ] = None,
-    fps: Annotated[
-        float | None, typer.Option("--fps", min=0.1, help="Frames a second, if not the video's (else 25).")
-    ] = None,
+    homography: Homography = None,
+    calibration: Calibration = None,
+    fps: Fps = None,
     head_pose: Annotated[
         str, typer.Option("--head-pose", help="deep_belief, templates or exemplars.")
     ] = "deep_belief",
     head_pose_model: Annotated[
-        Path | None, typer.Option("--head-pose-model", help="A model of your own (.npz).", **_FILE)
+        Path | None, typer.Option("--head-pose-model", help="A model of your own (.npz).", **FILE)
     ] = None,
     body_pose_model: Annotated[
-        Path | None, typer.Option("--body-pose-model", help="A model of your own (.npz).", **_FILE)
+        Path | None, typer.Option("--body-pose-model", help="A model of your own (.npz).", **FILE)
     ] = None,
     write_boxes_to: Annotated[
         Path | None, typer.Option("--write-boxes", help="Write the detected boxes here, as MOT text.")
     ] = None,
-    render: Annotated[
-        Path | None,
-        typer.Option("--render", help="Draw it all: a video .mp4 or .avi, or else a folder of images."),
-    ] = None,
+    render: Render = None,
 ) -> None:
     """Find people and say where they are and how their bodies and heads point, frame by frame.
 
@@ -73,7 +72,6 @@ def observe(
     from graphtrack.errors import InputError
     from graphtrack.io import write
     from perception.detection.boxes import read_boxes, write_boxes
-    from perception.images.drawing import check_render
     from perception.images.drawing.output import is_video
     from perception.images.frames import FrameSource, of_one_size
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser
@@ -82,31 +80,29 @@ def observe(
 
     if head_pose not in HEAD_POSE:
         raise InputError(f"--head-pose {head_pose}", " or ".join(HEAD_POSE))
-    if render is not None:
-        check_render(render)
-    in_folder = render is not None and not is_video(render)
+    if boxes is not None and write_boxes_to is not None:
+        raise InputError("--write-boxes beside --boxes", "one of them: given boxes are not detected")
     found_so_far = output.with_name(f"{output.name}.detections")
     known_so_far = output.with_name(f"{output.name}.journal")
-    check_outputs(
+    check_places(
         {
             "--output": output,
             "the journals of --output": [found_so_far, known_so_far],
             "--write-boxes": write_boxes_to,
-            "--render": None if in_folder else render,
         },
+        render,
+        source,
         {
-            "the input": FrameSource.files(source),
             "--boxes": boxes,
             "--homography": homography,
             "--calibration": calibration,
             "--head-pose-model": head_pose_model,
             "--body-pose-model": body_pose_model,
         },
-        folders={"--render": render if in_folder else None},
         table=output,
     )
     frames = FrameSource.open(source)
-    rate = fps or frames.fps or 25.0
+    rate = frame_rate(frames, fps)
     models = pipeline.Models(
         load_head_localiser(),
         load_classifier("body_pose", body_pose_model),
@@ -147,14 +143,13 @@ def observe(
     print_skipped(refused)
     for reason, times in tracks.summary.refused.items():
         console.print(f"  refused {times}: {reason}", markup=False)
-    if camera is None:
-        console.print("  note: no camera is known: positions are pixels times a scale", markup=False)
+    print_camera_note(camera)
     console.print(
         f"observed {counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}; "
-        f"{counted(count, 'frame')} in {seconds:.1f} s ({count / max(seconds, 1e-9):.1f} a second)",
+        f"{in_time(count, seconds)}",
         markup=False,
     )
-    console.print(f"wrote {output}" + ("" if render is None else f" and {render}"), markup=False)
+    print_written(output, render)
 
 
 def _stamp(path: Path | None) -> object:
@@ -211,11 +206,7 @@ def _detect(
     finally:
         journal.close(remove=False)
     seconds = time.perf_counter() - start
-    console.print(
-        f"looked for people in {counted(count, 'frame')} in {seconds:.1f} s "
-        f"({count / max(seconds, 1e-9):.1f} a second)",
-        markup=False,
-    )
+    console.print(f"looked for people in {in_time(count, seconds)}", markup=False)
     if tracker.passing:
         refuse(
             f"{tracker.passing} of {detected} detected boxes, in tracks of less than {tracker.least} boxes"

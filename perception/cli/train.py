@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from graphtrack.cli.console import console, printable
+from graphtrack.cli.console import console, printable, progress_bar
 from graphtrack.cli.options import Seed, check_outputs
 
 Name = Annotated[
@@ -49,7 +49,7 @@ def train(
     """Train a model on your labelled images, or on rendered ones."""
     from graphtrack.errors import InputError
     from perception.images.frames import FrameSource
-    from perception.training.models import train_on_files, train_on_rendered
+    from perception.training.models import COUNTS, train_on_files, train_on_rendered
 
     check_outputs(
         {"--output": output},
@@ -60,7 +60,9 @@ def train(
     if images is not None and labels is not None:
         model = train_on_files(name, images, labels, seed=seed)
     else:
-        model = train_on_rendered(name, images=count, seed=seed)
+        total = count or COUNTS.get(name, 0)  # another name is refused
+        with progress_bar(total, "images to train on") as advance:
+            model = train_on_rendered(name, images=count, seed=seed, advance=advance)
     model.save(output)
     console.print(model.card.text(), markup=False)
     console.print(f"wrote {output}", markup=False)

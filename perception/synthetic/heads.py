@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -82,6 +83,7 @@ def make_heads(
     pan: FloatArray | None = None,
     tilt: FloatArray | None = None,
     people: list[Appearance] | None = None,
+    advance: Callable[[int], None] = lambda count: None,
 ) -> HeadSet:
     """Draw ``count`` heads; every one is another person under another light, before another camera.
 
@@ -89,6 +91,7 @@ def make_heads(
     ----------
     pan, tilt : (count,) radians, to set them instead of drawing them
     people : the person of each head, to set them instead of drawing them
+    advance : is told of each head that is done
     """
     pan = rng.uniform(*variation.pan, count) if pan is None else np.asarray(pan, float)
     if tilt is None:
@@ -96,10 +99,11 @@ def make_heads(
         if variation.tilt_deviation is not None:
             tilt = np.clip(rng.normal(0.0, variation.tilt_deviation, count), *variation.tilt)
     tilt = np.asarray(tilt, float)
-    made = [
-        render_head(pan[i], tilt[i], random_appearance(rng) if people is None else people[i], rng, variation)
-        for i in range(count)
-    ]
+    made = []
+    for i in range(count):
+        look = random_appearance(rng) if people is None else people[i]
+        made.append(render_head(pan[i], tilt[i], look, rng, variation))
+        advance(1)
     return HeadSet([image for image, _ in made], pan, tilt, [skin for _, skin in made])
 
 

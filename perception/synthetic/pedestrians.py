@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -91,17 +92,22 @@ def make_pedestrians(
     variation: PedestrianVariation = PedestrianVariation(),
     *,
     body: FloatArray | None = None,
+    advance: Callable[[int], None] = lambda count: None,
 ) -> PedestrianSet:
     """Draw ``count`` people; every one is another person under another light, before another camera.
 
     Parameters
     ----------
     body : (count,) radians, to set the body's angle instead of drawing it
+    advance : is told of each person who is done
     """
     body = rng.uniform(-np.pi, np.pi, count) if body is None else np.asarray(body, float)
     head = body + rng.normal(0.0, variation.head_turn, count)
     tilt = rng.normal(0.0, variation.tilt, count)
-    made = [_pedestrian(body[i], head[i], tilt[i], rng, variation) for i in range(count)]
+    made = []
+    for i in range(count):
+        made.append(_pedestrian(body[i], head[i], tilt[i], rng, variation))
+        advance(1)
     return PedestrianSet(
         [image for image, _ in made],
         body,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -51,7 +52,13 @@ class _Scenes:
 
 
 def train_head_exemplars(
-    *, people: int = 160, scenes: int = 600, exemplars: int = 8, background: int = 64, seed: int = 0
+    *,
+    people: int = 160,
+    scenes: int = 600,
+    exemplars: int = 8,
+    background: int = 64,
+    seed: int = 0,
+    advance: Callable[[int], None] = lambda count: None,
 ) -> HeadExemplars:
     """Learn exemplars, the table of shared people and the weights of the filters.
 
@@ -62,10 +69,11 @@ def train_head_exemplars(
         the weights and the figures of the card
     exemplars : K for each pose class
     background : exemplars of what is no head
+    advance : is told how many more heads are rendered
     """
     rng = np.random.default_rng(seed)
     classes = PoseClasses.circle(16, 3)
-    features, labels, who = _heads(classes, people, rng)
+    features, labels, who = _heads(classes, people, rng, advance)
     model = Exemplars(classes, seed=seed, exemplars=exemplars)
     model.fit_features(np.asarray(features, float), labels, rng)
     found = _of_scenes(make_pedestrians(scenes, rng, _SCENES), classes, rng)
@@ -99,7 +107,7 @@ def train_head_exemplars(
 
 
 def _heads(
-    classes: PoseClasses, people: int, rng: np.random.Generator
+    classes: PoseClasses, people: int, rng: np.random.Generator, advance: Callable[[int], None]
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
     """Responses, labels and people of heads: every person at every pose, and mirrored."""
     looks = [random_appearance(rng) for _ in range(people)]
@@ -109,7 +117,7 @@ def _heads(
     level = labels // classes.n_pan - 1
     middle = np.clip(rng.normal(0.0, 0.25, n), -TILT_EDGE, TILT_EDGE)
     tilt = np.where(level == 0, middle, level * rng.uniform(TILT_EDGE, TILT_EDGE + 0.33, n))
-    heads = make_heads(n, rng, _HEADS, pan=pan, tilt=tilt, people=[looks[i] for i in who])
+    heads = make_heads(n, rng, _HEADS, pan=pan, tilt=tilt, people=[looks[i] for i in who], advance=advance)
     images = [*heads.images, *(np.ascontiguousarray(image[:, ::-1]) for image in heads.images)]
     features = gabor_features(grey_stack(images, SIDE, SIDE, equalise=True)).astype(np.float32)
     return features, np.concatenate([labels, classes.reflected(labels)]), np.tile(who, 2)

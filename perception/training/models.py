@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from perception.pose.features.skin import SkinColours
 from perception.pose.head_pose import DeepBelief, Exemplars, Templates
 from perception.pose.heads import HeadLocaliser
 from perception.synthetic import (
+    HeadSet,
     HeadVariation,
     PedestrianSet,
     PedestrianVariation,
@@ -71,13 +73,19 @@ Trained = FeatureClassifier | HeadLocaliser | HeadExemplars
 
 
 def train_on_rendered(
-    name: str, *, images: int | None = None, test_images: int = 1000, seed: int = 0
+    name: str,
+    *,
+    images: int | None = None,
+    test_images: int = 1000,
+    seed: int = 0,
+    advance: Callable[[int], None] = lambda count: None,
 ) -> Trained:
     """Train a model by name on rendered crops; its card tells of ``test_images`` other ones.
 
     Parameters
     ----------
     images : how many to train on; by default as many as for the package's model
+    advance : is told how many more images to train on are rendered
 
     Raises
     ------
@@ -91,26 +99,29 @@ def train_on_rendered(
     count = images or COUNTS[name]
     rng, other = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
     if name == HeadLocaliser.kind:
-        return _localiser(make_pedestrians(count, rng), make_pedestrians(test_images, other), seed)
+        return _localiser(
+            make_pedestrians(count, rng, advance=advance), make_pedestrians(test_images, other), seed
+        )
     if name == BodyPose.kind:
-        people = make_pedestrians(count - count // 3, rng) + make_pedestrians(count // 3, rng, FAR)
+        people = make_pedestrians(count - count // 3, rng, advance=advance)
+        people += make_pedestrians(count // 3, rng, FAR, advance=advance)
         return _body_pose(people, make_pedestrians(test_images, other), seed)
     if name not in CLASSIFIERS:
-        return train_head_exemplars(people=max(2, count // len(PoseClasses.circle(16, 3))), seed=seed)
-    return _head_pose(name, count, test_images, rng, other, seed)
-
-
-def _head_pose(
-    name: str,
-    count: int,
-    test_images: int,
-    rng: np.random.Generator,
-    other: np.random.Generator,
-    seed: int,
-) -> FeatureClassifier:
+        return train_head_exemplars(
+            people=max(2, count // len(PoseClasses.circle(16, 3))), seed=seed, advance=advance
+        )
     # The two that are means and exemplars are best at what they were trained on; the network holds both.
     found = count // 2 if name == DeepBelief.kind else 0
-    heads = make_heads(count - found, rng, _EXACT) + make_heads(found, rng, FOUND)
+    heads = make_heads(count - found, rng, _EXACT, advance=advance)
+    heads += make_heads(found, rng, FOUND, advance=advance)
+    model = _head_pose(name, heads, seed)
+    calibrate_for_use(model, seed)
+    figures = head_pose_figures(model, test_images, other)
+    _complete_card(model, _HEADS + (_FOUND_TOO if found else ""), figures)
+    return model
+
+
+def _head_pose(name: str, heads: HeadSet, seed: int) -> FeatureClassifier:
     model: FeatureClassifier
     if name == Templates.kind:
         skin = SkinColours.fit(heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES])
@@ -119,11 +130,7 @@ def _head_pose(
         model = Exemplars(seed=seed, exemplars=40, weigh_filters=True)
     else:
         model = DeepBelief(seed=seed)
-    model.fit(heads.images, model.classes.index(heads.pan, heads.tilt))
-    calibrate_for_use(model, seed)
-    figures = head_pose_figures(model, test_images, other)
-    _complete_card(model, _HEADS + (_FOUND_TOO if found else ""), figures)
-    return model
+    return model.fit(heads.images, model.classes.index(heads.pan, heads.tilt))
 
 
 def calibrate_for_use(model: FeatureClassifier, seed: int) -> None:

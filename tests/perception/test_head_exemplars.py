@@ -175,7 +175,9 @@ def test_people_share_exemplars_with_themselves(exemplars: HeadExemplars) -> Non
 
 
 def test_training_on_few_people_gives_a_model_that_knows_its_heads() -> None:
-    model = train_head_exemplars(people=5, scenes=24, exemplars=2, background=4, seed=3)
+    told: list[int] = []
+    model = train_head_exemplars(people=5, scenes=24, exemplars=2, background=4, seed=3, advance=told.append)
+    assert sum(told) == 5 * len(model.classes)
     assert model.labels == 48 * 2
     assert model.slope > 0.0
     # Ten images, mirrored ones too, of five people in each class.

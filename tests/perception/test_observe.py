@@ -126,6 +126,13 @@ def test_two_cameras_are_one_too_many(clip: Path, tmp_path: Path) -> None:
     assert done.returncode == 2 and "--homography and --calibration" in done.stderr
 
 
+def test_given_boxes_are_not_written_again(clip: Path, tmp_path: Path) -> None:
+    arguments = "observe", clip / "frames", "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv"
+    done = run(*arguments, "--write-boxes", tmp_path / "again.txt")
+    assert done.returncode == 2 and "--write-boxes beside --boxes" in done.stderr
+    assert done.stderr.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
 def test_what_is_left_out_is_told(clip: Path, tmp_path: Path) -> None:
     ignored, large = "2,9,10,10,30,80,0,-1,-1,-1\n", "3,8,-60000,-60000,120000,120000,1,-1,-1,-1\n"
     beyond = "4,6,10,-70,30,80,1,-1,-1,-1\n"
