@@ -21,7 +21,7 @@ from perception.images.pixels import Image, crop
 from perception.models import load_head_localiser
 from perception.observe.world import BoxCamera
 from perception.pose.classes import PoseClasses
-from perception.trackers.tracker import Box, BoxEstimate, Tracker, check_box
+from perception.trackers.tracker import Box, BoxEstimate, Tracker
 
 if TYPE_CHECKING:
     from perception.follow.guidance import GraphGuide
@@ -46,12 +46,12 @@ def parse_box(text: str) -> Box:
     Raises
     ------
     InputError
-        If it is not four finite numbers with a size above 0.
+        If it is not four finite numbers. Trackers refuse those that are no box of a target.
     """
     values = [parse_number(cell) for cell in text.split(",")]
     numbers = [value for value in values if value is not None]
-    if len(values) != 4 or len(numbers) != 4 or min(numbers[2:]) <= 0.0:
-        raise InputError(f"a box {text!r}", "LEFT,TOP,WIDTH,HEIGHT in pixels, with a size above 0")
+    if len(values) != 4 or len(numbers) != 4:
+        raise InputError(f"a box {text!r}", "LEFT,TOP,WIDTH,HEIGHT in pixels")
     left, top, width, height = numbers
     return left, top, width, height
 
@@ -73,21 +73,16 @@ def find_head(image: Image) -> Box:
     return round(people[0, 0]) + left, round(people[0, 1]) + top, width, height
 
 
-def check_start(image: Image, box: Box | None) -> None:
-    """Refuse a first frame in which nothing can be followed.
+def check_start(image: Image) -> None:
+    """Refuse a first frame in which nothing can be followed, as it is all of one colour.
 
     Raises
     ------
     InputError
-        If the image is all of one colour, or the box is none to begin with.
+        If it is.
     """
     if float(image.reshape(-1, 3).astype(np.float32).std(axis=0).max()) < _EVEN:
         raise InputError("no target in the first frame, which is all of one colour", "a frame with a target")
-    if box is not None:
-        try:
-            check_box(box, image)
-        except InputError as error:
-            raise InputError(f"no target in the first frame: {error.found}", error.expected) from error
 
 
 def follow(
@@ -123,10 +118,8 @@ def follow(
             refuse(frame.reason)
             continue
         if not found:
-            check_start(frame.image, None)
-            box = start(frame.image)
-            check_start(frame.image, box)
-            estimate = tracker.start(frame.image, box)
+            check_start(frame.image)
+            estimate = tracker.start(frame.image, start(frame.image))
         else:
             t = frame.number / fps
             estimate = tracker.step(frame.image, None if graph is None else graph.predict(t))

@@ -170,18 +170,21 @@ def grey_frame(image: Image, shape: tuple[int, int] | None) -> NDArray[np.uint8]
 
 
 def check_box(box: Box, image: Image) -> FloatArray:
-    """A box (4,) to begin with.
+    """The box (4,) of a target in the first frame.
 
     Raises
     ------
     InputError
         If it is no `checked_box`, smaller than 2 pixels, or its middle is outside the image.
     """
-    left, top, width, height = values = checked_box(box, image.shape)
-    h, w = image.shape[:2]
-    if min(width, height) < 2.0:
-        raise InputError(box_text(values), "a width and height of at least 2 pixels")
-    if not (0.0 <= left + width / 2.0 <= w and 0.0 <= top + height / 2.0 <= h):
-        expected = f"one with its middle inside the image of {w} × {h} pixels"
-        raise InputError(box_text(values), expected)
+    try:
+        left, top, width, height = values = checked_box(box, image.shape)
+        h, w = image.shape[:2]
+        if min(width, height) < 2.0:
+            raise InputError(box_text(values), "a width and height of at least 2 pixels")
+        if not (0.0 <= left + width / 2.0 <= w and 0.0 <= top + height / 2.0 <= h):
+            expected = f"one with its middle inside the image of {w} × {h} pixels"
+            raise InputError(box_text(values), expected)
+    except InputError as error:
+        raise InputError(f"no target in the first frame: {error.found}", error.expected) from error
     return values

@@ -8,7 +8,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from perception.pose.classes import PoseClasses
-from perception.trackers.tracker import Box, BoxEstimate, Proposal
+from perception.trackers.tracker import Box, BoxEstimate, Proposal, check_box
 
 SIZE = (160, 120)
 BLOB = (16.0, 20.0)
@@ -38,6 +38,7 @@ class BlobTracker:
     def start(self, image: np.ndarray, box: Box | None) -> BoxEstimate:
         if box is None:
             raise InputError("no target in the first frame", "a box")
+        check_box(box, image)
         self._last = box
         return self.step(image)
 

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.particles import generator, resample
-from perception.images.pixels import Image, as_uint8, checked_box
+from perception.images.pixels import Image, as_uint8
 from perception.pose.classes import PoseClasses
 from perception.trackers.dynamics import predict
 from perception.trackers.sigma_pi.cues import ColourCue, Cue, MotionCue, ShapeCue
 from perception.trackers.sigma_pi.network import CUES, TERM_NAMES, TERMS, adapted, output
 from perception.trackers.sigma_pi.parameters import SigmaPiParameters
 from perception.trackers.sigma_pi.windows import covered, cut_off, kernel
-from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes_of, states_of
+from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes_of, check_box, states_of
 
 __all__ = ["SigmaPiParameters", "SigmaPiTracker"]
 
@@ -64,7 +64,7 @@ class SigmaPiTracker:
         Raises
         ------
         InputError
-            If the box is not finite, has no size or lies outside the image.
+            If the box cannot be used.
         """
         p = self.parameters
         image = as_uint8(image)
@@ -72,7 +72,7 @@ class SigmaPiTracker:
         self._scale = min(1.0, p.width / image.shape[1])
         small = self._reduced(image)
         self._shape = np.array([small.shape[1], small.shape[0]], float)
-        first = None if box is None else checked_box(box, image.shape) * self._scale
+        first = None if box is None else check_box(box, image) * self._scale
         used = np.array([all(self._used[c] for c in term) for term in TERMS])
         self.reliabilities = np.where(used, p.reliability, 0.0)
         self._offset = p.offset * used
