@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from graphtrack.learning import journal as learning
-from perception.observe import journal as perception
+from graphtrack.learning.journal import EvaluationJournal
+from perception.observe.journal import FrameJournal
 
 
 @pytest.mark.parametrize("kind", ["learning", "perception"])
@@ -19,18 +19,18 @@ def test_a_journal_that_cannot_be_taken_up_stays_as_it_was(
 ) -> None:
     path = tmp_path / "journal"
 
-    def take_up() -> learning.Journal | perception.Journal[str]:
+    def take_up() -> EvaluationJournal | FrameJournal[str]:
         if kind == "learning":
-            return learning.Journal(path, "key")
-        found = perception.Journal(path, "key", str, str)
+            return EvaluationJournal(path, "key")
+        found = FrameJournal(path, "key", str, str)
         found.open()
         return found
 
     first = take_up()
-    if isinstance(first, learning.Journal):
+    if isinstance(first, EvaluationJournal):
         first.put("stage", np.zeros(1), np.ones(1))
     else:
-        first.add(7, ["seen"])
+        first.add(7, "seen")
         first.close(remove=False)
     written = path.read_bytes()
     really = Path.open
@@ -49,5 +49,5 @@ def test_a_journal_that_cannot_be_taken_up_stays_as_it_was(
     assert path.read_bytes() == written
     again = take_up()
     assert (
-        again.get("stage", np.zeros(1)) == 1.0 if isinstance(again, learning.Journal) else 7 in again.frames
+        again.get("stage", np.zeros(1)) == 1.0 if isinstance(again, EvaluationJournal) else 7 in again.frames
     )

@@ -17,7 +17,7 @@ from graphtrack.inference.offline import engine_of
 from graphtrack.io.given import tracks_of
 from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature, definite
 from graphtrack.learning.free import Free, free_parameters, with_values
-from graphtrack.learning.journal import Journal
+from graphtrack.learning.journal import EvaluationJournal
 from graphtrack.learning.objective import Criterion, Objective, in_blocks
 from graphtrack.model import Model
 from graphtrack.tracks import Track
@@ -137,7 +137,7 @@ def fit(
     training, held = _split(usable, hold_out, seed, max_frames)
     free = every = free_parameters(model, training)
     mark = _fingerprint(training, model, criterion, tracks.camera)
-    search = _Search(training, model, tracks.camera, criterion, Journal(journal, mark), progress)
+    search = _Search(training, model, tracks.camera, criterion, EvaluationJournal(journal, mark), progress)
     start = np.array([one.to_scale(one.get(model)) for one in free])
     shown = search.shown_by_data(free, start)
     free = tuple(one for one, good in zip(free, shown, strict=True) if good)
@@ -177,7 +177,7 @@ class _Search:
         model: Model,
         camera: GroundCamera | None,
         criterion: Criterion,
-        journal: Journal,
+        journal: EvaluationJournal,
         progress: Callable[[int], None] | None,
     ) -> None:
         self.tracks, self.model, self.camera, self.journal = tracks, model, camera, journal

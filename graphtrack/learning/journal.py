@@ -11,7 +11,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path
 
 
-class Journal:
+class EvaluationJournal:
     """Evaluations by their stage and place, appended to a file of JSON lines.
 
     An evaluation depends on nothing but its place, so that replaying ends where an uninterrupted run does.

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,11 +31,11 @@ from perception.cli.common import (
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from graphtrack.tracks import TrackSet
     from perception.detection.boxes import PersonBox
-    from perception.images.frames import FrameSource
-    from perception.observe.journal import Journal
-    from perception.observe.pipeline import Seen
+    from perception.detection.people import Detections
+    from perception.images.frames import Frame, FrameSource
+    from perception.observe.journal import FrameJournal
+    from perception.observe.pipeline import SeenTracks
 
 
 def observe(
@@ -72,11 +73,12 @@ def observe(
     from graphtrack.errors import InputError
     from graphtrack.io import write
     from perception.detection.boxes import read_boxes, write_boxes
+    from perception.detection.people import Detections
     from perception.images.drawing.output import is_video
-    from perception.images.frames import FrameSource, of_one_size
+    from perception.images.frames import FrameSource
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser
     from perception.observe import pipeline
-    from perception.observe.journal import Journal
+    from perception.observe.journal import FrameJournal
 
     if head_pose not in HEAD_POSE:
         raise InputError(f"--head-pose {head_pose}", " or ".join(HEAD_POSE))
@@ -109,25 +111,30 @@ def observe(
         load_classifier(head_pose, head_pose_model),
     )
     camera = read_camera(homography, calibration)
-    refused: list[str] = []
-    detections = Journal(found_so_far, _key(frames.stamp()), list, _detection)
+    refused: dict[str, None] = {}  # what cannot be decoded may be told twice
+    refuse = refused.setdefault
+    one_size = render is not None and is_video(render)
+    detections = FrameJournal(
+        found_so_far, _key(frames.stamp()), Detections.to_record, Detections.from_record
+    )
     if boxes is not None:
-        people = read_boxes(boxes, refused.append)
+        people = read_boxes(boxes, refuse)
     else:
-        people = _detect(frames, camera, detections, refused.append)
+        people = _detect(frames, camera, detections, refuse, one_size=one_size)
         if write_boxes_to is not None:
             write_boxes(people, write_boxes_to)
     looked = time.perf_counter()
     key = _key(frames.stamp(), head_pose, _stamp(head_pose_model), _stamp(body_pose_model), people)
-    journal = Journal(known_so_far, key, pipeline.Seen.to_record, pipeline.Seen.from_record)
+    journal = FrameJournal(known_so_far, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record)
     journal.open()
     _say_how_far(journal)
+    # Where people were detected, nothing new is to be found in frames without any.
+    empty = set() if boxes is not None else detections.frames.keys() - {item.frame for item in people}
     try:
-        shown = of_one_size(frames) if render is not None and is_video(render) else frames
-        with progress_bar(frames.count, "frames") as advance:
-            count = pipeline.observe(shown, people, models, journal, refuse=refused.append, advance=advance)
+        with _decoded(frames, journal.frames.keys() | empty, one_size=one_size) as decoded:
+            count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
         seen = pipeline.seen_in(journal)
-        tracks = pipeline.to_tracks(seen, models.head_pose.classes, camera, rate)
+        observed = pipeline.to_tracks(seen, models.head_pose.classes, camera, rate)
     except InputError:  # the same command would end in the same way
         journal.close(remove=True)
         detections.close(remove=True)
@@ -136,11 +143,12 @@ def observe(
         journal.close(remove=False)
     seconds = time.perf_counter() - looked
     if render is not None:
-        _render(frames, seen, tracks, render, rate)
+        _render(frames, observed, render, rate)
+    tracks = observed.tracks
     write(tracks, output)
     journal.close(remove=True)
     detections.close(remove=True)
-    print_skipped(refused)
+    print_skipped(list(refused))
     for reason, times in tracks.summary.refused.items():
         console.print(f"  refused {times}: {reason}", markup=False)
     print_camera_note(camera)
@@ -164,65 +172,79 @@ def _key(*asked: object) -> str:
     return hashlib.sha256(repr(asked).encode()).hexdigest()
 
 
-def _say_how_far(journal: Journal[Any]) -> None:
+def _say_how_far(journal: FrameJournal[Any]) -> None:
     if journal.frames:
         console.print(f"going on after {counted(len(journal.frames), 'frame')}", markup=False)
 
 
-def _detection(values: Any) -> list[float]:
-    """A detection as the journal has it: left, top, width, height and score."""
-    left, top, width, height, score = (float(value) for value in values)
-    return [left, top, width, height, score]
+@contextmanager
+def _decoded(
+    frames: FrameSource, known: Collection[int] = (), *, unit: str = "frames", one_size: bool = False
+) -> Iterator[Iterator[Frame]]:
+    """The frames but the known ones, with a progress bar.
+
+    Parameters
+    ----------
+    one_size : whether a frame of another size than the first is an `InputError`
+    """
+    from perception.images.frames import of_one_size
+
+    known = frozenset(known)
+    found = frames.where(lambda number: number not in known)
+    with progress_bar(frames.count - len(known), unit) as advance:
+
+        def told() -> Iterator[Frame]:
+            for frame in of_one_size(found) if one_size else found:
+                advance(1)
+                yield frame
+
+        yield told()
 
 
 def _detect(
     frames: FrameSource,
     camera: GroundCamera | None,
-    journal: Journal[list[float]],
-    refuse: Callable[[str], None],
+    journal: FrameJournal[Detections],
+    refuse: Callable[[str], object],
+    *,
+    one_size: bool,
 ) -> list[PersonBox]:
-    """Detected people as tracks; frames that the journal has are decoded for their colours only."""
-    import numpy as np
-
-    from perception.detection.people import PeopleDetector, PeopleTracker
+    """Detected people as tracks; frames that the journal has are not looked at again."""
+    from perception.detection.people import Detections, PeopleDetector, PeopleTracker
 
     detector, tracker = PeopleDetector(), PeopleTracker(camera)
     journal.open()
     _say_how_far(journal)
-    start, count, detected = time.perf_counter(), 0, 0
+    start, count = time.perf_counter(), 0
     try:
-        with progress_bar(frames.count, "frames") as advance:
-            for frame in frames:
-                advance(1)
+        with _decoded(frames, journal.frames, one_size=one_size) as decoded:
+            for frame in decoded:
                 if frame.image is None:
-                    continue
-                if frame.number not in journal.frames:
-                    found, scores = detector.detect(frame.image)
-                    journal.add(frame.number, np.column_stack([found, scores]).tolist())
+                    refuse(frame.reason)
+                else:
+                    journal.add(frame.number, Detections.of(frame.image, *detector.detect(frame.image)))
                     count += 1
-                boxes = np.array(journal.frames[frame.number], float).reshape(-1, 5)
-                tracker.update(frame.number, frame.image, boxes[:, :4], boxes[:, 4])
-                detected += len(boxes)
     finally:
         journal.close(remove=False)
-    seconds = time.perf_counter() - start
-    console.print(f"looked for people in {in_time(count, seconds)}", markup=False)
+    for number, found in sorted(journal.frames.items()):
+        tracker.update(number, found)
+    console.print(f"looked for people in {in_time(count, time.perf_counter() - start)}", markup=False)
     if tracker.passing:
+        detected = sum(len(found.scores) for found in journal.frames.values())
         refuse(
             f"{tracker.passing} of {detected} detected boxes, in tracks of less than {tracker.least} boxes"
         )
     return tracker.tracks()
 
 
-def _render(frames: FrameSource, seen: list[Seen], tracks: TrackSet, path: Path, fps: float) -> None:
-    """Decode the frames once more and draw what was seen in them."""
+def _render(frames: FrameSource, observed: SeenTracks, path: Path, fps: float) -> None:
+    """Decode the frames once more, now that all tracks are known, and draw what was seen in them."""
     from perception.images.drawing import draw_people, people_by_frame, pictures
 
-    people = people_by_frame(seen, tracks)
-    assert tracks.camera is not None
-    with pictures(path, fps) as write_picture, progress_bar(frames.count, "frames drawn") as advance:
-        for frame in frames:
-            advance(1)
+    people, camera = people_by_frame(observed), observed.tracks.camera
+    assert camera is not None
+    with pictures(path, fps) as write_picture, _decoded(frames, unit="frames drawn") as decoded:
+        for frame in decoded:
             if frame.image is not None:
-                shown = draw_people(frame.image, frame.number, people.get(frame.number, ()), tracks.camera)
+                shown = draw_people(frame.image, frame.number, people.get(frame.number, ()), camera)
                 write_picture(frame.number, shown)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ _PERSON_SHARE = (0.62, 0.80)
 """Width and height of the person in the detector's window of 64 × 128, which has a margin all around."""
 
 _HISTOGRAM_BINS = 6
+_COLOURS = _HISTOGRAM_BINS**3
 _ROWS = 720
 
 
@@ -38,6 +40,41 @@ class DetectorParameters:
     enlarge: float | None = None
     threshold: float = 0.3
     overlap: float = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """What was detected in a frame: all that joins it to other frames.
+
+    Attributes
+    ----------
+    boxes : (n, 4) left, top, width, height in pixels
+    scores : (n,)
+    colours : (n, 216) of each box, as from `colour_histogram`
+    """
+
+    boxes: FloatArray
+    scores: FloatArray
+    colours: FloatArray
+
+    @classmethod
+    def of(cls, image: Image, boxes: FloatArray, scores: FloatArray) -> Detections:
+        """Boxes (n, 4) and scores (n,) with the colours that the image has there."""
+        return cls(
+            boxes, scores, np.array([colour_histogram(image, box) for box in boxes]).reshape(-1, _COLOURS)
+        )
+
+    def to_record(self) -> dict[str, Any]:
+        """As JSON knows it."""
+        return {name: getattr(self, name).tolist() for name in ("boxes", "scores", "colours")}
+
+    @classmethod
+    def from_record(cls, values: dict[str, Any]) -> Detections:
+        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
+        scores = np.array(values["scores"], float).reshape(-1)
+        n = len(scores)
+        boxes = np.array(values["boxes"], float).reshape(n, 4)
+        return cls(boxes, scores, np.array(values["colours"], float).reshape(n, _COLOURS))
 
 
 class PeopleDetector:
@@ -119,14 +156,14 @@ class PeopleTracker:
         self._alive: list[_Track] = []
         self._ended: list[_Track] = []
 
-    def update(self, frame: int, image: Image, boxes: FloatArray, scores: FloatArray) -> list[int]:
-        """Take the boxes (n, 4) of a frame, after all earlier ones; the ids that they are given (n,)."""
+    def update(self, frame: int, found: Detections) -> list[int]:
+        """Take the boxes of a frame, after all earlier ones; the ids that they are given (n,)."""
         p = self.parameters
         late = [track for track in self._alive if frame - track.frame > p.patience]
         self._ended += late
         self._alive = [track for track in self._alive if frame - track.frame <= p.patience]
+        boxes, colours = found.boxes, found.colours
         places = [self._place(box) for box in boxes]
-        colours = [colour_histogram(image, box) for box in boxes]
         cost = np.full((len(self._alive), len(boxes)), np.inf)
         for i, track in enumerate(self._alive):
             expected = track.place + track.velocity * (frame - track.frame)
@@ -146,7 +183,9 @@ class PeopleTracker:
             track = matched.get(j) or self._born(frame, places[j], colours[j])
             self._extend(track, frame, places[j], colours[j])
             left, top, width, height = (float(value) for value in box)
-            track.boxes.append(PersonBox(frame, track.track_id, (left, top, width, height), float(scores[j])))
+            track.boxes.append(
+                PersonBox(frame, track.track_id, (left, top, width, height), float(found.scores[j]))
+            )
             ids.append(track.track_id)
         return ids
 
@@ -210,7 +249,7 @@ def colour_histogram(image: Image, box: FloatArray) -> FloatArray:
     try:
         part = crop(image, (left + 0.2 * width, top + 0.15 * height, 0.6 * width, 0.55 * height))
     except InputError:
-        return np.full(_HISTOGRAM_BINS**3, 1.0 / _HISTOGRAM_BINS**3)
+        return np.full(_COLOURS, 1.0 / _COLOURS)
     bins = (part.reshape(-1, 3).astype(np.int64) * _HISTOGRAM_BINS) // 256
     index = (bins[:, 0] * _HISTOGRAM_BINS + bins[:, 1]) * _HISTOGRAM_BINS + bins[:, 2]
-    return np.asarray(np.bincount(index, minlength=_HISTOGRAM_BINS**3) / len(index), float)
+    return np.asarray(np.bincount(index, minlength=_COLOURS) / len(index), float)

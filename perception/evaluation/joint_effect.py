@@ -20,7 +20,7 @@ def observed(clip: Clip, models: Models) -> TrackSet:
     for k, image in enumerate(clip.images):
         boxes = [item for item in clip.boxes if item.frame == k]
         seen += observe_frame(image, k, boxes, models, lambda reason: None)
-    return to_tracks(seen, models.head_pose.classes, clip.camera, clip.fps)
+    return to_tracks(seen, models.head_pose.classes, clip.camera, clip.fps).tracks
 
 
 def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, str | float]]:

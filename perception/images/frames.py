@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -83,7 +83,13 @@ class FrameSource:
         return [(str(path), state.st_size, state.st_mtime_ns) for path, state in states]
 
     def __iter__(self) -> Iterator[Frame]:
-        return _from_folder(self.path) if self.path.is_dir() else _from_video(self.path, self.count)
+        return self.where(lambda number: True)
+
+    def where(self, wanted: Callable[[int], bool]) -> Iterator[Frame]:
+        """The frames whose numbers are wanted; the pixels of others are not decoded."""
+        if self.path.is_dir():
+            return _from_folder(self.path, wanted)
+        return _from_video(self.path, self.count, wanted)
 
 
 def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -134,8 +140,10 @@ def _images(folder: Path) -> list[tuple[int, Path]]:
     return sorted(found_at.items())
 
 
-def _from_folder(folder: Path) -> Iterator[Frame]:
+def _from_folder(folder: Path, wanted: Callable[[int], bool]) -> Iterator[Frame]:
     for number, path in _images(folder):
+        if not wanted(number):
+            continue
         try:
             image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         except cv2.error:  # more pixels than OpenCV takes
@@ -154,22 +162,23 @@ def _capture(path: Path) -> cv2.VideoCapture:
     return cv2.VideoCapture(str(path.absolute()))
 
 
-def _from_video(path: Path, count: int) -> Iterator[Frame]:
+def _from_video(path: Path, count: int, wanted: Callable[[int], bool]) -> Iterator[Frame]:
     """Frames from 0. A frame that fails between good ones is told of; so is an end before the stated one."""
     video = _capture(path)
     try:
         number = 0
         failed: list[int] = []
         while len(failed) < _MOST_BAD:
-            good, image = video.read()
+            good, image = video.read() if wanted(number) else (video.grab(), None)
             if good:
-                yield from (Frame(k, None, f"frame {k} cannot be decoded") for k in failed)
+                yield from (Frame(k, None, f"frame {k} cannot be decoded") for k in failed if wanted(k))
                 failed = []
-                yield Frame(number, as_uint8(np.asarray(image)))
+                if image is not None:
+                    yield Frame(number, as_uint8(np.asarray(image)))
             else:
                 failed.append(number)
             number += 1
-        if failed and failed[0] < count:
+        if failed and failed[0] < count and wanted(failed[0]):
             yield Frame(failed[0], None, f"the video ends at frame {failed[0]} of {count}")
     finally:
         video.release()

@@ -12,23 +12,23 @@ T = TypeVar("T")
 
 
 @dataclass
-class Journal(Generic[T]):
-    """Records of frames: a line with the run's key, then a line for each frame.
+class FrameJournal(Generic[T]):
+    """A line with the run's key, then a line with what is known of each frame.
 
     Attributes
     ----------
     path : the file
     key : says which run it belongs to; a journal of another run is begun anew
-    encode, decode : from a record to what JSON knows, and back; ``decode`` raises ``ValueError``,
-        ``TypeError``, ``KeyError`` or ``IndexError`` for what is no record
-    frames : the records of every complete frame
+    encode, decode : to what JSON knows, and back; ``decode`` raises ``ValueError``, ``TypeError``,
+        ``KeyError`` or ``IndexError`` for anything else
+    frames : what is known of every frame that is complete
     """
 
     path: Path
     key: str
     encode: Callable[[T], Any]
     decode: Callable[[Any], T]
-    frames: dict[int, list[T]] = field(default_factory=dict)
+    frames: dict[int, T] = field(default_factory=dict)
     _stream: TextIO | None = None
 
     def open(self) -> None:
@@ -45,30 +45,29 @@ class Journal(Generic[T]):
         self._stream.flush()
 
     def _take(self, data: bytes, start: int) -> int:
-        """Take over the records from byte ``start`` on; the place after the last that can be used.
+        """Take over the frames from byte ``start`` on; the place after the last that can be used.
 
         A line that cannot be used, such as the one in which a run was broken off, ends them.
         """
         for line in data[start:].splitlines(keepends=True):
             try:
                 values = json.loads(line)
-                records = [self.decode(record) for record in values["records"]]
+                known = self.decode(values["known"])
                 number = int(values["frame"])
             except (ValueError, KeyError, TypeError, IndexError):
                 break
             if not line.endswith(b"\n"):
                 break
-            self.frames[number] = records
+            self.frames[number] = known
             start += len(line)
         return start
 
-    def add(self, frame: int, records: list[T]) -> None:
+    def add(self, frame: int, known: T) -> None:
         """Write a frame down."""
         assert self._stream is not None
-        found = [self.encode(record) for record in records]
-        self._stream.write(json.dumps({"frame": frame, "records": found}) + "\n")
+        self._stream.write(json.dumps({"frame": frame, "known": self.encode(known)}) + "\n")
         self._stream.flush()
-        self.frames[frame] = records
+        self.frames[frame] = known
 
     def close(self, *, remove: bool) -> None:
         """End writing; ``remove`` when the run is complete."""

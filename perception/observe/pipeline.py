@@ -17,7 +17,7 @@ from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, ReadSummary, Track, Tr
 from perception.detection.boxes import PersonBox, foot_point
 from perception.images.frames import Frame
 from perception.images.pixels import Image, checked_box, crop
-from perception.observe.journal import Journal
+from perception.observe.journal import FrameJournal
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import Classifier
 from perception.pose.heads import HeadCandidates, HeadLocaliser, select_along_track
@@ -82,6 +82,40 @@ class Seen:
         return cls(*person, (left, top, width, height), body, HeadCandidates(boxes, scores), pan)
 
 
+@dataclass(frozen=True, eq=False)
+class SeenFrame:
+    """The people of one frame, and why other boxes hold nobody."""
+
+    people: list[Seen]
+    refused: list[str]
+
+    def to_record(self) -> dict[str, Any]:
+        """As JSON knows it."""
+        return {"people": [person.to_record() for person in self.people], "refused": self.refused}
+
+    @classmethod
+    def from_record(cls, values: dict[str, Any]) -> SeenFrame:
+        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
+        people = [Seen.from_record(person) for person in values["people"]]
+        return cls(people, [str(reason) for reason in values["refused"]])
+
+
+@dataclass(frozen=True, eq=False)
+class SeenTracks:
+    """Tracks with positions and likelihoods in the world, and what they were made of.
+
+    Attributes
+    ----------
+    tracks : with a row for each frame
+    seen : by the id of a track, what was seen in each of its rows
+    heads : by the id of a track, which candidate is the head, (n,)
+    """
+
+    tracks: TrackSet
+    seen: dict[int, list[Seen]]
+    heads: dict[int, NDArray[np.int64]]
+
+
 def observe_frame(
     image: Image, frame: int, boxes: Iterable[PersonBox], models: Models, refuse: Callable[[str], None]
 ) -> list[Seen]:
@@ -143,30 +177,33 @@ def observe(
     frames: Iterable[Frame],
     boxes: Iterable[PersonBox],
     models: Models,
-    journal: Journal[Seen],
+    journal: FrameJournal[SeenFrame],
     *,
-    refuse: Callable[[str], None],
-    advance: Callable[[int], None] = lambda count: None,
+    refuse: Callable[[str], object],
 ) -> int:
     """Look at all boxes, frame by frame, into the journal; the number of frames that were looked at.
 
-    Frames that the journal has are not looked at again. Frames that cannot be decoded, boxes that hold
-    nothing and boxes of frames that do not come are told to ``refuse``.
+    Frames that the journal has need not come again. Frames that cannot be decoded, boxes that hold nothing
+    and boxes of frames that do not come are told to ``refuse``.
     """
     by_frame: dict[int, list[PersonBox]] = {}
     for item in boxes:
         by_frame.setdefault(item.frame, []).append(item)
-    count, came = 0, set()
+    count, came = 0, set(journal.frames)
+    for known in journal.frames.values():
+        for reason in known.refused:
+            refuse(reason)
     for frame in frames:
-        advance(1)
         came.add(frame.number)
         of_frame = by_frame.get(frame.number, [])
         if frame.image is None:
             refuse(frame.reason)
-        elif frame.number in journal.frames:
-            list(_usable(frame.image, frame.number, of_frame, refuse))
-        else:
-            journal.add(frame.number, observe_frame(frame.image, frame.number, of_frame, models, refuse))
+        elif frame.number not in journal.frames:
+            refused: list[str] = []
+            people = observe_frame(frame.image, frame.number, of_frame, models, refused.append)
+            journal.add(frame.number, SeenFrame(people, refused))
+            for reason in refused:
+                refuse(reason)
             count += 1
     missing = sorted(set(by_frame) - came)
     if missing:
@@ -176,14 +213,14 @@ def observe(
     return count
 
 
-def seen_in(journal: Journal[Seen]) -> list[Seen]:
+def seen_in(journal: FrameJournal[SeenFrame]) -> list[Seen]:
     """Everything that a journal of `observe` has, frame by frame."""
-    return [person for frame in sorted(journal.frames) for person in journal.frames[frame]]
+    return [person for frame in sorted(journal.frames) for person in journal.frames[frame].people]
 
 
 def to_tracks(
     seen: list[Seen], head_classes: PoseClasses, camera: GroundCamera | None, fps: float
-) -> TrackSet:
+) -> SeenTracks:
     """Tracks with positions in metres and class likelihoods in the world frame.
 
     Who is at or beyond the camera's horizon is left out, and counted by the summary.
@@ -204,8 +241,8 @@ def to_tracks(
     if camera is None:
         camera = GroundCamera.from_scale(PERSON_HEIGHT / float(np.median([item.height for item in seen])))
     pans = head_classes.pans
-    tracks = []
-    for track_id, items in by_track(seen).items():
+    tracks, rows, heads = [], {}, {}
+    for track_id, items in _by_track(seen).items():
         pixel = np.array([foot_point(item.box) for item in items])
         position = camera.image_to_ground(pixel)
         ahead = np.asarray(np.isfinite(position).all(axis=1))  # not beyond the horizon
@@ -214,7 +251,8 @@ def to_tracks(
             continue
         pixel, position = pixel[ahead], position[ahead]
         frame = np.array([item.frame for item in items])
-        head = np.array([item.pan[k] for item, k in zip(items, chosen_heads(items), strict=True)])
+        rows[track_id], heads[track_id] = items, _chosen_heads(items)
+        head = np.array([item.pan[k] for item, k in zip(items, heads[track_id], strict=True)])
         body = np.array([item.body for item in items])
         tracks.append(
             Track(
@@ -231,10 +269,11 @@ def to_tracks(
         raise InputError("people beyond the horizon only", "a homography that fits the pictures")
     beyond = len(seen) - sum(len(track) for track in tracks)
     refused = {BEYOND_HORIZON: beyond} if beyond else {}
-    return TrackSet(tuple(tracks), camera, ReadSummary("video", len(seen), refused))
+    found = TrackSet(tuple(tracks), camera, ReadSummary("video", len(seen), refused))
+    return SeenTracks(found, rows, heads)
 
 
-def by_track(seen: Iterable[Seen]) -> dict[int, list[Seen]]:
+def _by_track(seen: Iterable[Seen]) -> dict[int, list[Seen]]:
     """What was seen of each person, by id and then by frame."""
     groups: dict[int, list[Seen]] = {}
     for item in sorted(seen, key=lambda item: (item.track_id, item.frame)):
@@ -242,7 +281,7 @@ def by_track(seen: Iterable[Seen]) -> dict[int, list[Seen]]:
     return groups
 
 
-def chosen_heads(items: Sequence[Seen]) -> NDArray[np.int64]:
+def _chosen_heads(items: Sequence[Seen]) -> NDArray[np.int64]:
     """Which candidate (n,) is the head of a person in each of the frames (n) of their track."""
     # Relative to the person's height, so that a person who comes nearer does not jump.
     return select_along_track(

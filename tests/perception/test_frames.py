@@ -128,6 +128,19 @@ def test_numbered_images_come_in_the_order_of_their_numbers(tmp_path: Path) -> N
     assert [frame.number for frame in FrameSource.open(tmp_path)] == [8, 9, 10]
 
 
+@pytest.mark.parametrize("video", [True, False])
+def test_frames_that_are_not_wanted_are_left_out_and_not_told_of(tmp_path: Path, video: bool) -> None:
+    path = written(tmp_path / "a.avi") if video else tmp_path
+    for k in range(5):
+        (tmp_path / f"{k}.png").write_bytes(cv2.imencode(".png", np.roll(IMAGE, k, axis=0))[1].tobytes())
+    (tmp_path / "1.png").write_bytes(b"no picture")
+    source = FrameSource.open(path)
+    every, some = {frame.number: frame for frame in source}, list(source.where(lambda k: k in (0, 3)))
+    assert [frame.number for frame in some] == [0, 3]
+    for frame in some:
+        np.testing.assert_array_equal(frame.image, every[frame.number].image)
+
+
 def test_the_stamp_changes_with_the_images_and_with_nothing_else(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "1.png"), IMAGE)
     frames = FrameSource.open(tmp_path)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perception.observe.journal import Journal
-from perception.observe.pipeline import Seen, seen_in
+from perception.observe.journal import FrameJournal
+from perception.observe.pipeline import Seen, SeenFrame, seen_in
 from perception.pose.heads import HeadCandidates
 
 
@@ -18,8 +18,12 @@ def seen(frame: int, left: float) -> Seen:
     return Seen(frame, 1, (left, 2.0, 30.0, 80.0), np.zeros(8), heads, np.zeros((1, 12)))
 
 
-def opened(path: Path, key: str = "a") -> Journal[Seen]:
-    journal = Journal(path, key, Seen.to_record, Seen.from_record)
+def of_frame(*people: Seen, refused: str = "") -> SeenFrame:
+    return SeenFrame(list(people), [refused] if refused else [])
+
+
+def opened(path: Path, key: str = "a") -> FrameJournal[SeenFrame]:
+    journal = FrameJournal(path, key, SeenFrame.to_record, SeenFrame.from_record)
     journal.open()
     return journal
 
@@ -27,14 +31,15 @@ def opened(path: Path, key: str = "a") -> Journal[Seen]:
 def test_a_journal_goes_on_after_the_last_whole_frame(tmp_path: Path) -> None:
     path = tmp_path / "journal"
     journal = opened(path)
-    journal.add(0, [seen(0, 1.0)])
-    journal.add(1, [])
+    journal.add(0, of_frame(seen(0, 1.0)))
+    journal.add(1, of_frame(refused="a box of nobody"))
     journal.close(remove=False)
     with path.open("a") as stream:
-        stream.write('{"frame": 2, "records": [{"frame": 2, "tr')  # broken off
+        stream.write('{"frame": 2, "known": {"people": [{"frame": 2, "tr')  # broken off
     again = opened(path)
     assert set(again.frames) == {0, 1} and [item.frame for item in seen_in(again)] == [0]
-    again.add(2, [seen(2, 3.0)])
+    assert again.frames[1].refused == ["a box of nobody"]
+    again.add(2, of_frame(seen(2, 3.0)))
     again.close(remove=False)
     third = opened(path)
     assert set(third.frames) == {0, 1, 2} and [item.frame for item in seen_in(third)] == [0, 2]
@@ -54,12 +59,12 @@ def test_a_journal_goes_on_after_the_last_whole_frame(tmp_path: Path) -> None:
 def test_records_that_nothing_can_be_made_of_are_looked_at_again(tmp_path: Path, record: object) -> None:
     path = tmp_path / "journal"
     journal = opened(path)
-    journal.add(0, [seen(0, 1.0)])
+    journal.add(0, of_frame(seen(0, 1.0)))
     journal.close(remove=False)
     with path.open("a") as stream:
-        stream.write(json.dumps({"frame": 1, "records": [record]}) + "\n")
+        stream.write(json.dumps({"frame": 1, "known": {"people": [record], "refused": []}}) + "\n")
     again = opened(path)
     assert set(again.frames) == {0}
-    again.add(1, [])
+    again.add(1, of_frame())
     again.close(remove=False)
     assert set(opened(path).frames) == {0, 1}

@@ -46,6 +46,19 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def images_read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the images that are decoded from here on."""
+    names: list[str] = []
+    read = cv2.imread
+
+    def told(path: str, *rest: object) -> object:
+        names.append(Path(path).stem)
+        return read(path, *rest)
+
+    monkeypatch.setattr(cv2, "imread", told)
+    return names
+
+
 def test_observe_writes_what_smooth_reads(clip: Path, tmp_path: Path) -> None:
     out = tmp_path / "observations.csv"
     options = ["--boxes", clip / "boxes.txt", "--homography", clip / "homography.txt", "--fps", 5]
@@ -79,7 +92,9 @@ def test_detection_that_was_broken_off_goes_on(
     arguments = "observe", clip / "frames", "--homography", clip / "homography.txt", "-o", tmp_path / "o.csv"
     assert run(*arguments).returncode != 0
     assert (tmp_path / "o.csv.detections").exists() and not (tmp_path / "o.csv").exists()
+    decoded = images_read(monkeypatch)
     done = run(*arguments)
+    assert decoded == ["0003", "0004", "0005", *(f"{k:04d}" for k in range(6))]
     assert done.returncode == 0, done.stderr
     assert "going on after 3 frames" in done.stderr and "looked for people in 3 frames" in done.stderr
     assert len(looked) == 4 + 3
@@ -183,7 +198,7 @@ def test_an_error_leaves_nothing_that_the_next_run_trips_over(
                 run(*arguments)
     journal = tmp_path / "o.csv.journal"
     with journal.open("a") as stream:
-        stream.write('{"frame": 77, "records": [{"frame": 77}]}\n')
+        stream.write('{"frame": 77, "known": {"people": [{"frame": 77}], "refused": []}}\n')
     done = run(*arguments)
     assert done.returncode == 0, done.stderr
     assert looked == ([0, 1, 2, 3, 3, 4, 5] if where == "observing" else [0, 1, 2, 3, 4, 5])
@@ -252,9 +267,10 @@ def test_where_no_pictures_can_be_is_told_before_the_work(clip: Path, tmp_path: 
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_without_people_is_one_line(tmp_path: Path) -> None:
+def test_a_folder_without_people_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cv2.imwrite(str(tmp_path / "0001.png"), np.full((200, 200, 3), 90, np.uint8))
+    decoded = images_read(monkeypatch)
     done = run("observe", tmp_path, "-o", tmp_path / "out.csv")
-    assert done.returncode == 2
+    assert done.returncode == 2 and decoded == ["0001"]
     assert done.stderr.strip().splitlines()[-1].startswith("error: found a video without people")
     assert not (tmp_path / "out.csv").exists()

@@ -8,7 +8,13 @@ import pytest
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from perception.detection.people import DetectorParameters, PeopleDetector, PeopleTracker, colour_histogram
+from perception.detection.people import (
+    Detections,
+    DetectorParameters,
+    PeopleDetector,
+    PeopleTracker,
+    colour_histogram,
+)
 
 RED, BLUE = (20, 20, 200), (200, 40, 20)
 
@@ -23,9 +29,13 @@ def frame_of(*people: tuple[float, tuple[int, int, int]]) -> tuple[np.ndarray, n
     return image, np.array(boxes).reshape(-1, 4)
 
 
+def detections(*people: tuple[float, tuple[int, int, int]]) -> Detections:
+    return Detections.of(*frame_of(*people), np.ones(len(people)))
+
+
 def run(frames: list[list[tuple[float, tuple[int, int, int]]]], **options: object) -> list[list[int]]:
     tracker = PeopleTracker(**options)  # type: ignore[arg-type]
-    return [tracker.update(k, *frame_of(*people), np.ones(len(people))) for k, people in enumerate(frames)]
+    return [tracker.update(k, detections(*people)) for k, people in enumerate(frames)]
 
 
 def test_a_person_keeps_the_id_and_a_second_one_gets_another() -> None:
@@ -63,8 +73,7 @@ def test_short_tracks_are_dropped_and_gaps_are_filled() -> None:
     for k in range(9):
         people = [] if k in (4, 5) else [(50 + 3 * k, RED)]
         people = people + ([(300, BLUE)] if k == 2 else [])
-        image, boxes = frame_of(*people)
-        tracker.update(k, image, boxes, np.ones(len(people)))
+        tracker.update(k, detections(*people))
     found = tracker.tracks()
     assert [(item.frame, item.track_id) for item in found] == [(k, 1) for k in range(9)]
     np.testing.assert_allclose([item.box[0] for item in found], 50 + 3 * np.arange(9))

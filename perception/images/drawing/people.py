@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, TrackSet
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 from perception.images.drawing import marks
 from perception.images.drawing.marks import Place
 from perception.images.pixels import Image
-from perception.observe.pipeline import Seen, by_track, chosen_heads, head_in_image
+from perception.observe.pipeline import SeenTracks, head_in_image
 from perception.pose.classes import PoseClasses
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
@@ -41,20 +41,17 @@ class DrawnPerson:
     head: FloatArray
 
 
-def people_by_frame(seen: Iterable[Seen], tracks: TrackSet) -> dict[int, list[DrawnPerson]]:
-    """What to draw in each frame: the people of tracks that `to_tracks` made of what was seen."""
+def people_by_frame(observed: SeenTracks) -> dict[int, list[DrawnPerson]]:
+    """What to draw in each frame."""
     found: dict[int, list[DrawnPerson]] = {}
-    seen_of = by_track(seen)
-    for track in tracks:
-        rows = {frame: row for row, frame in enumerate(track.frame.tolist())}
-        items = [item for item in seen_of[track.track_id] if item.frame in rows]
-        for item, k in zip(items, chosen_heads(items), strict=True):
-            row = rows[item.frame]
-            assert track.body_likelihood is not None and track.head_likelihood is not None
+    for track in observed.tracks:
+        assert track.body_likelihood is not None and track.head_likelihood is not None
+        items, heads = observed.seen[track.track_id], observed.heads[track.track_id].tolist()
+        for row, (item, head) in enumerate(zip(items, heads, strict=True)):
             person = DrawnPerson(
                 track.track_id,
                 np.array(item.box),
-                head_in_image(item, int(k)),
+                head_in_image(item, head),
                 track.position[row],
                 track.body_likelihood[row],
                 track.head_likelihood[row],
