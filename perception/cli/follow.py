@@ -30,8 +30,8 @@ from perception.cli.common import (
 
 if TYPE_CHECKING:
     from perception.follow.guidance import GraphGuide
+    from perception.follow.world import BoxCamera
     from perception.images.pixels import Image
-    from perception.observe.world import BoxCamera
     from perception.trackers.tracker import Box, BoxEstimate
 
 
@@ -92,9 +92,9 @@ def follow(
     """Follow one person or head through a video, and write its boxes as observations for graphtrack."""
     from graphtrack.errors import InputError
     from perception.follow import following
+    from perception.follow.world import PERSON_IN_HEADS, BoxCamera
     from perception.images.drawing import draw, pictures
     from perception.images.frames import FrameSource
-    from perception.observe.world import PERSON_IN_HEADS, BoxCamera
     from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
     from perception.trackers.registry import OF_HEADS, make_tracker
 
@@ -124,7 +124,7 @@ def follow(
     def guide(first: Box) -> GraphGuide:
         from perception.follow.guidance import GraphGuide
 
-        return GraphGuide(on_ground(first), follower.pan_classes)
+        return GraphGuide(on_ground(first), follower.pan_classes, fps=rate)
 
     refused: list[str] = []
     with (
@@ -142,7 +142,6 @@ def follow(
             frames,
             partial(_start, box, tracker),
             guide=guide if guided else None,
-            fps=rate,
             refuse=refused.append,
             advance=advance,
             show=show,

@@ -16,10 +16,10 @@ from graphtrack.io.schema import BOX_COLUMNS
 from graphtrack.io.table import to_columns
 from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet
 from perception.detection.people import PeopleDetector
+from perception.follow.world import BoxCamera
 from perception.images.frames import Frame, of_one_size
 from perception.images.pixels import Image, crop
 from perception.models import load_head_localiser
-from perception.observe.world import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import Box, BoxEstimate, Tracker
 
@@ -91,7 +91,6 @@ def follow(
     start: Callable[[Image], Box | None],
     *,
     guide: Callable[[Box], GraphGuide] | None = None,
-    fps: float = 25.0,
     refuse: Callable[[str], None] = lambda reason: None,
     show: Callable[[int, Image, BoxEstimate], None] | None = None,
     advance: Callable[[int], None] = lambda count: None,
@@ -102,7 +101,6 @@ def follow(
     ----------
     start : the box to begin with, of the first image; None lets the tracker look for a target by itself
     guide : made with the first box, it tells the tracker where the graph expects the target
-    fps : frames a second, for the guide
     show : is given the number, image and estimate of every frame
 
     Raises
@@ -121,12 +119,12 @@ def follow(
             check_start(frame.image)
             estimate = tracker.start(frame.image, start(frame.image))
         else:
-            t = frame.number / fps
-            estimate = tracker.step(frame.image, None if graph is None else graph.predict(t))
+            proposal = None if graph is None else graph.predict(frame.number)
+            estimate = tracker.step(frame.image, proposal)
         if guide is not None and graph is None and estimate.found:
             graph = guide(estimate.box)
         if graph is not None:
-            graph.observe(estimate, frame.number / fps)
+            graph.observe(frame.number, estimate)
         found.append(Followed(frame.number, estimate))
         if show is not None:
             show(frame.number, frame.image, estimate)
@@ -135,7 +133,7 @@ def follow(
     if not any(item.estimate.found for item in found):
         raise InputError(f"no target in any of {len(found)} frames", "frames in which something moves")
     if graph is not None:
-        found = [replace(item, believed=item.frame / fps not in graph.rejected) for item in found]
+        found = [replace(item, believed=item.frame not in graph.rejected) for item in found]
     return found
 
 
@@ -157,21 +155,17 @@ def to_track(
     ----------
     pan_classes : of the tracker; None for one without pans
     filtered : whether the likelihoods are the tracker's own distribution of the pan, rather than what each
-        frame says by itself, to which the graph adds what comes before and after
+        frame says by itself, to which the graph adds what comes before and after; see `BoxCamera.sighting`
     """
     n = len(found)
     frame = np.array([item.frame for item in found])
     pixel, position = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
     std, head = np.full(n, np.nan), np.full((n, HEAD_CLASSES), np.nan)
-    for k, estimate in enumerate(item.estimate for item in found):
-        place = boxes.position(estimate.box)
-        if not (estimate.found and found[k].believed) or not np.isfinite(place).all():
-            continue
-        pixel[k], position[k] = boxes.foot(estimate.box), place
-        std[k] = boxes.position_std(estimate.box, estimate.particles, estimate.weights)
-        pan = estimate.pan if filtered else estimate.pan_likelihood
-        if pan is not None and pan_classes is not None:
-            head[k] = boxes.head_likelihood(pan[None], pan_classes, place[None])[0]
+    for k, item in enumerate(found):
+        seen = boxes.sighting(item.estimate, pan_classes, filtered=filtered) if item.believed else None
+        if seen is not None:
+            pixel[k], position[k], std[k] = seen.pixel, seen.position, seen.position_std
+            head[k] = np.nan if seen.head_likelihood is None else seen.head_likelihood
     return Track(
         track_id,
         frame,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.model import Model, Observation, Parameters
 from graphtrack.model.motion import process_noise, transition_matrix
 from graphtrack.model.parameters import MotionParameters
-from perception.observe.world import BoxCamera
+from perception.follow.world import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate, Proposal
 
@@ -118,13 +118,14 @@ class GraphGuide:
     ----------
     boxes : from boxes to the ground
     pan_classes : of the tracker; None for one without pans
+    fps : frames a second
     model : of the graph; by default `GUIDE_MODEL`
     lag : seconds of history that the graph keeps open
     doubt : when estimates are not taken in
 
     Attributes
     ----------
-    rejected : times (seconds) of the frames of which the graph took nothing in, or has forgotten it
+    rejected : numbers of the frames of which the graph took nothing in, or has forgotten it
     """
 
     def __init__(
@@ -132,40 +133,35 @@ class GraphGuide:
         boxes: BoxCamera,
         pan_classes: PoseClasses | None = None,
         *,
+        fps: float = 25.0,
         model: Model | str | Path = GUIDE_MODEL,
         lag: float = 2.0,
         doubt: DoubtParameters = DoubtParameters(),
     ) -> None:
-        self.boxes, self.pan_classes = boxes, pan_classes
+        self.boxes, self.pan_classes, self.fps = boxes, pan_classes, fps
         self._doubt = Doubt(doubt)
         self._new_smoother = lambda: OnlineSmoother(model, engine="chain", lag=lag)
         self._smoother = self._new_smoother()
         self._last: Estimate | None = None
         self._height = 0.0
-        self.rejected: set[float] = set()
+        self.rejected: set[int] = set()
         self._lost_at: float | None = None
         self._again: list[Observation] = []
-        self._seen: deque[tuple[Observation, FloatArray]] = deque()
-        """Observations of the last ``lag`` seconds and the middles of their boxes."""
+        self._seen: deque[tuple[int, Observation, FloatArray]] = deque()
+        """Frames of the last ``lag`` seconds: numbers, observations and the middles of their boxes."""
 
-    def observe(self, estimate: BoxEstimate, t: float) -> None:
-        """Take in what the tracker says of the frame at ``t`` seconds."""
+    def observe(self, frame: int, estimate: BoxEstimate) -> None:
+        """Take in what the tracker says of a frame, by its number."""
+        t = frame / self.fps
         observation = Observation(t)
-        place = self.boxes.position(estimate.box)
-        sure = estimate.found and self._doubt.sure(estimate.confidence, t)
-        if sure and np.isfinite(place).all():
-            x, y = place.tolist()
-            std = self.boxes.position_std(estimate.box, estimate.particles, estimate.weights)
-            observation = replace(observation, position=(x, y), position_std=std)
-            if estimate.pan_likelihood is not None and self.pan_classes is not None:
-                head = self.boxes.head_likelihood(
-                    estimate.pan_likelihood[None], self.pan_classes, place[None]
+        if estimate.found and self._doubt.sure(estimate.confidence, t):
+            seen = self.boxes.sighting(estimate, self.pan_classes)
+            if seen is not None:
+                x, y = seen.position.tolist()
+                head = None if seen.head_likelihood is None else tuple(seen.head_likelihood.tolist())
+                observation = Observation(
+                    t, position=(x, y), position_std=seen.position_std, head_likelihood=head
                 )
-                observation = replace(observation, head_likelihood=tuple(head[0].tolist()))
-        self._take_in(observation, estimate)
-
-    def _take_in(self, observation: Observation, estimate: BoxEstimate) -> None:
-        t = observation.t
         if observation.position is None and self._lost_at is None and self._seen:
             self._lost_at = t
             self._forget(self._doubt.parameters.forget * estimate.box[2])
@@ -185,10 +181,10 @@ class GraphGuide:
             self._doubt.learn()
             self._again.clear()
         else:
-            self.rejected.add(t)
+            self.rejected.add(frame)
         self._last = self._smoother.update(observation)
-        self._seen.append((observation, estimate.centre))
-        while self._seen[0][0].t < t - self._smoother.lag:
+        self._seen.append((frame, observation, estimate.centre))
+        while self._seen[0][1].t < t - self._smoother.lag:
             self._seen.popleft()
 
     def _is_target(self) -> bool:
@@ -212,21 +208,21 @@ class GraphGuide:
     def _forget(self, width: float) -> None:
         """Go back to when the target was ``width`` pixels from where it was last seen."""
         seen = list(self._seen)
-        last, centre = seen[-1]
+        _, last, centre = seen[-1]
         from_there = last.t - self._doubt.parameters.forget_at_most
-        for observation, before in seen:
+        for _, observation, before in seen:
             if np.linalg.norm(before - centre) > width:
                 from_there = max(from_there, observation.t)
         self._smoother = self._new_smoother()
-        for place, (observation, middle) in enumerate(seen):
+        for place, (frame, observation, middle) in enumerate(seen):
             if observation.t > from_there and place > 0:
                 observation = Observation(observation.t)
-                self.rejected.add(observation.t)
-                self._seen[place] = observation, middle
+                self.rejected.add(frame)
+                self._seen[place] = frame, observation, middle
             self._last = self._smoother.update(observation)
 
-    def predict(self, t: float) -> Proposal | None:
-        """Where the middle of the box will be at ``t`` seconds; None where that cannot be said.
+    def predict(self, frame: int) -> Proposal | None:
+        """Where the middle of the box will be in a frame; None where that cannot be said.
 
         By the velocity of the last estimate and the white noise of the model's acceleration. The box is
         taken to be as high as when it was last found.
@@ -234,7 +230,7 @@ class GraphGuide:
         if self._last is None or self._last.status == "waiting":
             return None
         density = self._smoother.model.parameters.motion.acceleration_density
-        position, covariance = _moved(self._last, t - self._last.t, density)
+        position, covariance = _moved(self._last, frame / self.fps - self._last.t, density)
         centre = self.boxes.box_centre(position, self._height)
         if not np.isfinite(centre).all():
             return None

@@ -12,8 +12,8 @@ from graphtrack.inference import smooth
 from graphtrack.model import Model
 from graphtrack.tracks import TrackSet
 from perception.follow.following import Followed, to_track
+from perception.follow.world import BoxCamera
 from perception.images.pixels import intersection_over_union
-from perception.observe.world import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from graphtrack.geometry.angles import FloatArray, difference
 from perception.follow.following import follow
 from perception.follow.guidance import GraphGuide
+from perception.follow.world import PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Frame
 from perception.models import load_head_exemplars
-from perception.observe.world import PERSON_IN_HEADS, BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.reproduce.graph_on_top import GraphOnTop, graph_on_top, survives
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
@@ -127,14 +127,13 @@ def followed(tracker: Tracker, clip: HeadClip, *, guided: bool = False) -> list[
     left, top, width, height = (float(value) for value in clip.boxes[0])
 
     def guide(first: Box) -> GraphGuide:
-        return GraphGuide(_ground(first), tracker.pan_classes)
+        return GraphGuide(_ground(first), tracker.pan_classes, fps=clip.fps)
 
     found = follow(
         tracker,
         _frames(clip),
         lambda image: (left, top, width, height),
         guide=guide if guided else None,
-        fps=clip.fps,
     )
     return [item.estimate for item in found]
 

@@ -13,8 +13,8 @@ from graphtrack.inference import OnlineSmoother
 from graphtrack.model import Observation
 from perception.follow.following import Followed, follow, to_track
 from perception.follow.guidance import GUIDE_MODEL, Doubt, DoubtParameters, GraphGuide
+from perception.follow.world import PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Frame
-from perception.observe.world import PERSON_IN_HEADS, BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.reproduce.graph_on_top import graph_on_top, survives
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
@@ -43,7 +43,7 @@ def course(k: int) -> np.ndarray:
 def guided(frames: int, **options: object) -> GraphGuide:
     guide = GraphGuide(BOXES, **options)
     for k in range(frames):
-        guide.observe(estimate(course(k)), k / FPS)
+        guide.observe(k, estimate(course(k)))
     return guide
 
 
@@ -56,7 +56,7 @@ def test_the_prediction_is_that_of_a_graph_with_an_empty_frame_more() -> None:
         smoother.update(Observation(k / FPS, position=(float(x), float(y)), position_std=std))
     for ahead in (20, 30):
         expected = smoother.update(Observation(ahead / FPS))
-        proposal = guide.predict(ahead / FPS)
+        proposal = guide.predict(ahead)
         centre = BOXES.box_centre(expected.position, 40.0)
         np.testing.assert_allclose(proposal.centre, centre, atol=1e-6)
         covariance = BOXES.pixel_covariance(expected.position, expected.covariance[:2, :2])
@@ -68,10 +68,10 @@ def test_while_hidden_it_goes_on_and_becomes_less_sure() -> None:
     guide = guided(30)
     sizes = []
     for k in range(30, 55):
-        proposal = guide.predict(k / FPS)
+        proposal = guide.predict(k)
         assert np.linalg.norm(proposal.centre - course(k)) < 2.0
         sizes.append(np.trace(proposal.covariance))
-        guide.observe(estimate(np.zeros(2), found=False), k / FPS)
+        guide.observe(k, estimate(np.zeros(2), found=False))
     assert np.all(np.diff(sizes) > 0.0)
 
 
@@ -81,10 +81,10 @@ def test_what_a_tracker_says_as_its_target_is_covered_is_forgotten() -> None:
     for forget in (0.0, 0.4):
         guide = guided(30, doubt=DoubtParameters(forget=forget))
         for k in range(30, 40):
-            guide.observe(estimate(course(29) + (k - 29) * 0.3 * STEP), k / FPS)
+            guide.observe(k, estimate(course(29) + (k - 29) * 0.3 * STEP))
         for k in range(40, 60):
-            guide.observe(estimate(np.zeros(2), found=False), k / FPS)
-        errors[forget] = np.linalg.norm(guide.predict(60 / FPS).centre - course(60))
+            guide.observe(k, estimate(np.zeros(2), found=False))
+        errors[forget] = np.linalg.norm(guide.predict(60).centre - course(60))
     assert errors[0.4] < 0.4 * errors[0.0]
 
 
@@ -96,10 +96,10 @@ def test_a_tracker_that_is_much_less_sure_is_not_believed() -> None:
         sure = 0.95 + rng.uniform(-0.01, 0.01)
         seen = estimate(course(min(k, 35)), confidence=sure if k <= 35 else 0.7)
         for one in (guide, trusting):
-            one.observe(seen, k / FPS)
-    assert np.linalg.norm(guide.predict(60 / FPS).centre - course(60)) < 8.0
-    assert guide.rejected.issuperset(k / FPS for k in range(40, 60)) and not trusting.rejected
-    assert 20 / FPS not in guide.rejected
+            one.observe(k, seen)
+    assert np.linalg.norm(guide.predict(60).centre - course(60)) < 8.0
+    assert guide.rejected.issuperset(range(40, 60)) and not trusting.rejected
+    assert 20 not in guide.rejected
     assert np.linalg.norm(trusting.predict(60 / FPS).centre - course(35)) < 8.0
 
 
@@ -107,29 +107,29 @@ def test_a_tracker_that_is_much_less_sure_is_not_believed() -> None:
 def test_a_target_is_found_again_where_it_is_expected(on_course: bool) -> None:
     guide = guided(30)
     for k in range(30, 45):
-        guide.observe(estimate(np.zeros(2), found=False), k / FPS)
+        guide.observe(k, estimate(np.zeros(2), found=False))
     for k in range(45, 60):
         # Off the course something like the target stands still.
-        guide.observe(estimate(course(k) if on_course else course(45)), k / FPS)
-    size = np.sqrt(np.trace(guide.predict(60 / FPS).covariance))
+        guide.observe(k, estimate(course(k) if on_course else course(45)))
+    size = np.sqrt(np.trace(guide.predict(60).covariance))
     assert (size < 8.0) == on_course
-    assert np.linalg.norm(guide.predict(60 / FPS).centre - course(60)) < (3.0 if on_course else 8.0)
+    assert np.linalg.norm(guide.predict(60).centre - course(60)) < (3.0 if on_course else 8.0)
 
 
 def test_patience_ends() -> None:
     guide = guided(30, doubt=DoubtParameters(patience=1.0))
     for k in range(30, 90):
-        guide.observe(estimate(np.array([20.0, 20.0]), found=k > 35), k / FPS)
-    assert np.linalg.norm(guide.predict(90 / FPS).centre - 20.0) < 3.0
+        guide.observe(k, estimate(np.array([20.0, 20.0]), found=k > 35))
+    assert np.linalg.norm(guide.predict(90).centre - 20.0) < 3.0
 
 
 def test_nothing_is_said_before_anything_is_known() -> None:
     guide = GraphGuide(BOXES)
-    assert guide.predict(0.0) is None
-    guide.observe(estimate(np.zeros(2), found=False), 0.0)
-    assert guide.predict(0.04) is None
-    guide.observe(estimate(course(1)), 0.04)
-    assert guide.predict(0.08) is not None
+    assert guide.predict(0) is None
+    guide.observe(0, estimate(np.zeros(2), found=False))
+    assert guide.predict(1) is None
+    guide.observe(1, estimate(course(1)))
+    assert guide.predict(2) is not None
 
 
 def test_doubt_learns_what_is_usual() -> None:
@@ -213,10 +213,9 @@ def test_guided_the_colour_tracker_finds_a_head_again_behind_a_wall() -> None:
             tracker,
             (Frame(k, image) for k, image in enumerate(clip.images)),
             lambda image: first,
-            guide=(lambda box: GraphGuide(BoxCamera.from_box(box, PERSON_IN_HEADS, 0.5)))
+            guide=(lambda box: GraphGuide(BoxCamera.from_box(box, PERSON_IN_HEADS, 0.5), fps=clip.fps))
             if is_guided
             else None,
-            fps=clip.fps,
         )
         boxes = np.array([item.estimate.box for item in estimates])
         found[is_guided] = survives(boxes, clip.boxes, clip.visible, after=5)

@@ -14,6 +14,7 @@ from graphtrack.io.cameras import PERSON_HEIGHT
 from graphtrack.tracks import HEAD_CLASSES
 from perception.observe.pipeline import world_likelihood
 from perception.pose.classes import PoseClasses
+from perception.trackers.tracker import BoxEstimate
 
 PERSON_IN_HEADS = 7.3
 """Height of a person over that of the box of their head (skull, hair and face)."""
@@ -23,6 +24,23 @@ _LEVEL = 0.3
 _HEAD = PoseClasses.circle(HEAD_CLASSES)
 _ELSEWHERE = 1e-3
 """Likelihood, over the greatest, of pans that classes of a part of the circle leave out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A target on the ground, by what a tracker says of one frame.
+
+    Attributes
+    ----------
+    pixel, position : (2,) of its foot point, pixels and metres
+    position_std : 1-σ of each axis of the position, metres
+    head_likelihood : (12,) of the head in the world, which sums to 1; None without a pan
+    """
+
+    pixel: FloatArray
+    position: FloatArray
+    position_std: float
+    head_likelihood: FloatArray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +82,27 @@ class BoxCamera:
     def position(self, boxes: ArrayLike) -> FloatArray:
         """Places (..., 2) on the ground in metres of boxes (..., 4); NaN at and beyond the horizon."""
         return self.camera.image_to_ground(self.foot(boxes))
+
+    def sighting(
+        self, estimate: BoxEstimate, pan_classes: PoseClasses | None, *, filtered: bool = False
+    ) -> Sighting | None:
+        """Where a tracker sees its target; None if it does not, or at and beyond the horizon.
+
+        Parameters
+        ----------
+        pan_classes : of the tracker; None for one without pans
+        filtered : whether the likelihoods are the tracker's own distribution of the pan, rather than what
+            the frame says by itself
+        """
+        place = self.position(estimate.box)
+        if not estimate.found or not np.isfinite(place).all():
+            return None
+        std = self.position_std(estimate.box, estimate.particles, estimate.weights)
+        pan = estimate.pan if filtered else estimate.pan_likelihood
+        head = None
+        if pan is not None and pan_classes is not None:
+            head = self.head_likelihood(pan[None], pan_classes, place[None])[0]
+        return Sighting(self.foot(estimate.box), place, std, head)
 
     def position_std(self, box: ArrayLike, particles: FloatArray, weights: FloatArray) -> float:
         """1-σ (metres) of each axis of a box's place, by the foot points of weighed boxes (n, 4), (n,).
