@@ -38,18 +38,21 @@ def as_uint8(image: NDArray[Any]) -> Image:
     return np.ascontiguousarray(image[..., :3])
 
 
+def grey(image: Image) -> Image:
+    """The grey values (h, w) of an image (h, w, 3) or (h, w)."""
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
 def grey_stack(
     images: Sequence[Image], width: int, height: int, *, equalise: bool = False
 ) -> NDArray[np.uint8]:
     """Grey images (n, height, width) uint8, resized by area where they shrink."""
     stack = np.empty((len(images), height, width), np.uint8)
     for k, image in enumerate(images):
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        shrinks = grey.shape[0] > height
-        grey = cv2.resize(
-            grey, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        )
-        stack[k] = cv2.equalizeHist(grey) if equalise else grey
+        values = grey(image)
+        method = cv2.INTER_AREA if values.shape[0] > height else cv2.INTER_LINEAR
+        resized = cv2.resize(values, (width, height), interpolation=method)
+        stack[k] = cv2.equalizeHist(resized) if equalise else resized
     return stack
 
 

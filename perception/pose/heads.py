@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from perception.images.pixels import Image, enlarged, intersection_over_union
+from perception.images.pixels import Image, enlarged, grey, intersection_over_union
 from perception.pose.features.blocks import block_histograms, corner_sums, integral_histogram
 from perception.pose.head_detector import BoostedBlocks, Weak
 from perception.storage import ModelCard, load_model, save_model
@@ -235,11 +235,11 @@ def select_along_track(candidates: Sequence[HeadCandidates], *, smoothness: floa
 
 def _prepared(image: Image) -> tuple[NDArray[np.float32], tuple[float, float]]:
     """Integral histogram of the resized crop, and the factors of its width and height."""
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    h, w = grey.shape
+    values = grey(image)
+    h, w = values.shape
     width = min(max(16, round(w * _HEIGHT / h)), _WIDEST)
     method = cv2.INTER_AREA if h > _HEIGHT else cv2.INTER_LINEAR
-    resized: Any = cv2.resize(grey, (width, _HEIGHT), interpolation=method)
+    resized: Any = cv2.resize(values, (width, _HEIGHT), interpolation=method)
     return integral_histogram(resized), (width / w, _HEIGHT / h)
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.particles import effective_sample_size, resample
 from perception.trackers.tracker import Cloud, Proposal
 
 
@@ -30,6 +32,32 @@ class BoxDynamics:
     size_std: float = 0.02
     reversion: float = 0.01
     guided_share: float = 0.8
+
+
+def resampled(cloud: Cloud, below: float, rng: np.random.Generator) -> tuple[Cloud, NDArray[np.int64]]:
+    """A cloud whose weights do their work, and the particles (n,) that it is made of.
+
+    It is drawn anew where its effective sample size is less than a share ``below`` of its particles.
+    """
+    n = len(cloud.weights)
+    if effective_sample_size(cloud.weights) >= below * n:
+        return cloud, np.arange(n)
+    ancestors = resample(cloud.weights, rng)
+    return cloud.chosen(ancestors), ancestors
+
+
+def moved(
+    cloud: Cloud,
+    reference: FloatArray,
+    dynamics: BoxDynamics,
+    shape: tuple[int, ...],
+    rng: np.random.Generator,
+    proposal: Proposal | None,
+) -> Cloud:
+    """The same as `predict`, with the centres kept within an image of a shape (h, w)."""
+    after = predict(cloud, reference, dynamics, rng, proposal)
+    np.clip(after.now[:, :2], 0.0, shape[::-1], out=after.now[:, :2])
+    return after
 
 
 def predict(

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -163,10 +162,18 @@ def check_frame(image: Image, shape: tuple[int, int] | None) -> None:
         raise InputError(f"a frame of {found} pixels", f"{first}, as the first one")
 
 
-def grey_frame(image: Image, shape: tuple[int, int] | None) -> NDArray[np.uint8]:
-    """The grey values (h, w) of a frame, which is checked as by `check_frame`."""
-    check_frame(image, shape)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+def first_state(image: Image, box: Box | None) -> FloatArray:
+    """The state (4,) of the box that a tracker begins with in a frame.
+
+    Raises
+    ------
+    InputError
+        If there is no box, it is refused by `check_box`, or the frame by `check_frame`.
+    """
+    if box is None:
+        raise InputError("no target in the first frame", "the target's box")
+    check_frame(image, None)
+    return states_of(check_box(box, image)[None])[0]
 
 
 def check_box(box: Box, image: Image) -> FloatArray:

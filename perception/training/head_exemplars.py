@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
 from graphtrack.geometry.angles import FloatArray, difference
-from perception.images.pixels import enlarged, grey_stack
+from perception.images.pixels import enlarged, grey, grey_stack
 from perception.pose.classes import TILT_EDGE, PoseClasses
 from perception.pose.features.gabor import SIDE, gabor_features
 from perception.pose.head_pose.exemplars import SMALLEST_DEVIATION, Exemplars
@@ -126,14 +125,13 @@ def _heads(
 def _of_scenes(people: PedestrianSet, classes: PoseClasses, rng: np.random.Generator) -> _Scenes:
     features, off = [], []
     for image, box in zip(people.images, people.head_box, strict=True):
-        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        height, width = grey.shape
+        height, width = image.shape[:2]
         size = box[2:] * np.exp(rng.normal(0.0, _SCALE, (_BOXES, 2)))
         middle = box[:2] + box[2:] / 2.0 + rng.normal(0.0, _OFFSET, (_BOXES, 2)) * box[2:]
         middle[_BOXES // 2 :] = rng.uniform(0.0, 1.0, (_BOXES - _BOXES // 2, 2)) * (width, height)
         size[0], middle[0] = box[2:], box[:2] + box[2:] / 2.0
         boxes = np.hstack([middle - size / 2.0, size])
-        patches = cut(np.asarray(grey, np.uint8), enlarged(boxes, PATCH_MARGIN), SIDE)
+        patches = cut(grey(image), enlarged(boxes, PATCH_MARGIN), SIDE)
         features.append(gabor_features(equalised(patches)).astype(np.float32))
         moved = (middle - middle[0]) / box[2:], np.log(size / box[2:])
         off.append(np.abs(np.hstack(moved)).max(axis=1))

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perception.images.pixels import enlarged
-from perception.trackers.sigma_pi import colour, motion, shape
+from perception.trackers import colours
+from perception.trackers.sigma_pi import motion, shape
 from perception.trackers.sigma_pi.sums import activation, integral, overlap, sums
 
 
@@ -74,10 +75,10 @@ def test_what_stays_still_is_absorbed_after_the_time_that_its_contrast_takes() -
 def test_every_pixel_is_in_the_bin_of_its_hue_saturation_and_value() -> None:
     image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV).astype(float)
-    hues, saturations, values = colour.BINS
+    hues, saturations, values = colours.BINS
     expected = np.floor(hsv[..., 0] / 180 * hues) * saturations * values
     expected += np.floor(hsv[..., 1] / 256 * saturations) * values + np.floor(hsv[..., 2] / 256 * values)
-    np.testing.assert_array_equal(colour.bins(image), expected)
+    np.testing.assert_array_equal(colours.pixel_bins(image), expected)
 
 
 def test_back_projection_finds_the_colour_of_the_target() -> None:
@@ -85,12 +86,15 @@ def test_back_projection_finds_the_colour_of_the_target() -> None:
     image[20:40, 30:50] = (40, 40, 200)
     inside = np.zeros((60, 80), np.float32)
     inside[20:40, 30:50] = 1.0
-    numbers = colour.bins(image)
-    target, background = colour.histogram(numbers, inside), colour.histogram(numbers, 1.0 - inside)
+    numbers = colours.pixel_bins(image)
+    target, background = (
+        colours.weighed_histogram(numbers, inside),
+        colours.weighed_histogram(numbers, 1.0 - inside),
+    )
     assert target.sum() == pytest.approx(1.0) and background.sum() == pytest.approx(1.0)
-    share = colour.ratio(target, background, 3.0)[numbers]
+    share = colours.target_share(target, background, 3.0)[numbers]
     assert share[inside > 0.0].min() > 0.95 and share[inside == 0.0].max() < 0.05
-    assert colour.histogram(numbers, 0.0 * inside).sum() == 0.0
+    assert colours.weighed_histogram(numbers, 0.0 * inside).sum() == 0.0
 
 
 def descriptors(count: int, seed: int) -> np.ndarray:

@@ -14,13 +14,8 @@ from perception.pose.features.gabor import gabor_features
 from perception.reproduce.head_runs import followed, tracking_error
 from perception.reproduce.side_by_side import run_all
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
-from perception.trackers.color import (
-    ColourParameters,
-    ColourTracker,
-    bhattacharyya,
-    colour_bins,
-    histograms,
-)
+from perception.trackers.color import ColourTracker
+from perception.trackers.colours import BoxColours, bhattacharyya
 from perception.trackers.dynamics import BoxDynamics, predict
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
@@ -83,18 +78,18 @@ def test_a_proposal_draws_its_share_of_the_centres() -> None:
 
 def test_histograms_count_the_pixels_of_their_boxes() -> None:
     rng = np.random.default_rng(2)
-    p = ColourParameters(samples=12)
+    colours = BoxColours(samples=12)
     bins = rng.integers(0, 110, (40, 50))
     boxes = np.array([[5.0, 6.0, 12.0, 12.0], [30.0, 20.0, 12.0, 12.0]])
-    for found, (left, top, width, height) in zip(histograms(bins, boxes, p), boxes.astype(int), strict=True):
+    histograms = colours.of_boxes(bins, boxes)
+    for found, (left, top, width, height) in zip(histograms, boxes.astype(int), strict=True):
         inside = bins[top : top + height, left : left + width]
         np.testing.assert_allclose(found, np.bincount(inside.ravel(), minlength=110) / inside.size)
 
 
 def test_pale_pixels_have_no_hue() -> None:
-    p = ColourParameters()
     image = np.array([[[0, 0, 255], [128, 128, 128], [4, 0, 0], [255, 0, 0]]], np.uint8)
-    red, grey, dark, blue = colour_bins(image, p)[0]
+    red, grey, dark, blue = BoxColours().of_pixels(image)[0]
     assert red < 100 and blue < 100 and red != blue
     assert grey == 100 + 5 and dark == 100
 

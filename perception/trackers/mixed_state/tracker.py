@@ -11,13 +11,13 @@ from scipy.special import logsumexp
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.particles import effective_sample_size, generator, resample
-from perception.images.pixels import Image, enlarged
+from graphtrack.particles import generator
+from perception.images.pixels import Image, enlarged, grey
 from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
 from perception.pose.features.gabor import SIDE, gabor_features
-from perception.trackers.color import ColourParameters, bhattacharyya, colour_bins, histograms
-from perception.trackers.dynamics import BoxDynamics, predict
+from perception.trackers.colours import BoxColours, bhattacharyya
+from perception.trackers.dynamics import BoxDynamics, moved, resampled
 from perception.trackers.mixed_state.exemplars import HeadExemplars
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import (
@@ -26,9 +26,8 @@ from perception.trackers.tracker import (
     Cloud,
     Proposal,
     boxes_of,
-    check_box,
-    grey_frame,
-    states_of,
+    check_frame,
+    first_state,
 )
 
 Labels = Literal["sampled", "summed"]
@@ -40,14 +39,14 @@ class ColourMemory:
 
     Attributes
     ----------
-    histogram : how colours are counted
+    colours : how they are counted
     sharpness : per unit of the Bhattacharyya coefficient
     typical : the coefficient that says nothing; rendered heads have 0.88 or more for 95 % of the frames,
         boxes elsewhere 0.83 or less for 95 %
     rate : share of the remembered histogram that a frame replaces, while the head is seen
     """
 
-    histogram: ColourParameters = field(default_factory=ColourParameters)
+    colours: BoxColours = field(default_factory=BoxColours)
     sharpness: float = 20.0
     typical: float = 0.8
     rate: float = 0.05
@@ -141,13 +140,10 @@ class MixedStateTracker:
         InputError
             If there is no box, or it cannot be used.
         """
-        if box is None:
-            raise InputError("no target in the first frame", "the box of a head")
-        grey = grey_frame(image, None)
-        self._shape = grey.shape
+        first = first_state(image, box)
+        self._shape = image.shape[0], image.shape[1]
         self._colours = None
         n, p = self.parameters.particles, self.parameters
-        first = states_of(np.array([check_box(box, image)]))[0]
         self._reference = first[2:]
         self._cloud = Cloud.about(first, n, p.start_std, self._rng)
         self._label = self._rng.choice(self.exemplars.labels, n, p=self.exemplars.prior())
@@ -155,9 +151,9 @@ class MixedStateTracker:
         # A given box is known to hold a head, however little it looks like one.
         self._seen = 1.0
         if p.colour is not None:
-            bins = colour_bins(image, p.colour.histogram)
-            self._colours = histograms(bins, boxes_of(first[None]), p.colour.histogram)[0]
-        return self._look(image, grey, 1.0)
+            colours = p.colour.colours
+            self._colours = colours.of_boxes(colours.of_pixels(image), boxes_of(first[None]))[0]
+        return self._look(image, 1.0)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
         """Go on to the next frame.
@@ -167,29 +163,25 @@ class MixedStateTracker:
         InputError
             If the frame's size is not that of the first.
         """
-        grey = grey_frame(image, self._shape)
+        check_frame(image, self._shape)
         p = self.parameters
-        if effective_sample_size(self._cloud.weights) < p.resample_below * p.particles:
-            ancestors = resample(self._cloud.weights, self._rng)
-            self._cloud = self._cloud.chosen(ancestors)
-            self._label, self._belief = self._label[ancestors], self._belief[ancestors]
-        cloud = predict(self._cloud, self._reference, p.dynamics, self._rng, proposal)
-        np.clip(cloud.now[:, :2], 0.0, grey.shape[::-1], out=cloud.now[:, :2])
-        self._cloud = cloud
+        cloud, ancestors = resampled(self._cloud, p.resample_below, self._rng)
+        self._label, self._belief = self._label[ancestors], self._belief[ancestors]
+        self._cloud = moved(cloud, self._reference, p.dynamics, self._shape, self._rng, proposal)
         if p.labels == "sampled":
             drawn = self._rng.random((p.particles, 1))
             last = self.exemplars.labels - 1
             self._label = np.minimum((self._reach[self._label] < drawn).sum(axis=1), last)
         else:
             self._belief = self._belief @ self._transitions
-        return self._look(image, grey, self._seen * (1.0 - p.vanish) + (1.0 - self._seen) * p.appear)
+        return self._look(image, self._seen * (1.0 - p.vanish) + (1.0 - self._seen) * p.appear)
 
-    def _look(self, image: Image, grey: NDArray[np.uint8], visible: float) -> BoxEstimate:
+    def _look(self, image: Image, visible: float) -> BoxEstimate:
         """Weigh the particles by the frame; ``visible`` is the probability before it."""
         before = self._cloud.weights
-        patches = cut(grey, enlarged(self._cloud.boxes, PATCH_MARGIN), SIDE)
+        patches = cut(grey(image), enlarged(self._cloud.boxes, PATCH_MARGIN), SIDE)
         ratio = self.exemplars.log_ratio(gabor_features(equalised(patches)))
-        of_colour, bins = self._by_colour(image)
+        of_colour, pixels = self._by_colour(image)
         if self.parameters.labels == "sampled":
             likely = np.exp(ratio[np.arange(len(ratio)), self._label])
         else:
@@ -205,8 +197,8 @@ class MixedStateTracker:
         self._cloud = replace(self._cloud, weights=weights)
         box, spread = self._cloud.mean()
         cues = {"exemplars": by_shape / (1.0 + by_shape)}
-        if bins is not None:
-            cues["colour"] = self._remember(bins, box)
+        if pixels is not None:
+            cues["colour"] = self._remember(pixels, box)
         return BoxEstimate(
             box=box,
             spread=spread,
@@ -219,20 +211,20 @@ class MixedStateTracker:
             cues=cues,
         )
 
-    def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int64] | None]:
+    def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int32] | None]:
         """What the colours add to the log ratio (n,), and the bins (h, w) of the frame."""
         memory = self.parameters.colour
         if memory is None or self._colours is None:
             return np.zeros(len(self._cloud.weights)), None
-        bins = colour_bins(image, memory.histogram)
-        similarity = bhattacharyya(histograms(bins, self._cloud.boxes, memory.histogram), self._colours)
-        return memory.sharpness * (similarity - memory.typical), bins
+        pixels = memory.colours.of_pixels(image)
+        similarity = bhattacharyya(memory.colours.of_boxes(pixels, self._cloud.boxes), self._colours)
+        return memory.sharpness * (similarity - memory.typical), pixels
 
-    def _remember(self, bins: NDArray[np.int64], box: Box) -> float:
+    def _remember(self, pixels: NDArray[np.int32], box: Box) -> float:
         """Similarity of the colours at the estimate, which then are learned as far as the head is seen."""
         memory = self.parameters.colour
         assert memory is not None and self._colours is not None
-        here = histograms(bins, np.array([box]), memory.histogram)[0]
+        here = memory.colours.of_boxes(pixels, np.array([box]))[0]
         similarity = float(bhattacharyya(here[None], self._colours)[0])
         rate = memory.rate * self._seen
         self._colours = (1.0 - rate) * self._colours + rate * here

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from perception.images.pixels import Image, enlarged
-from perception.trackers.sigma_pi import colour, motion, shape
+from perception.images.pixels import Image, enlarged, grey
+from perception.trackers import colours
+from perception.trackers.sigma_pi import motion, shape
 from perception.trackers.sigma_pi.sums import activation, integral, overlap, sums
 
 
@@ -123,7 +124,7 @@ class ColourCue:
 
     def __init__(self, parameters: CueParameters, image: Image) -> None:
         self._parameters = parameters
-        self._numbers = colour.bins(image)
+        self._numbers = colours.pixel_bins(image)
         self._target: FloatArray | None = None
         self.frames = 0
         """Of which the target's histogram is made."""
@@ -138,10 +139,10 @@ class ColourCue:
 
     def look(self, image: Image) -> None:
         """Take in a frame."""
-        self._numbers = colour.bins(image)
+        self._numbers = colours.pixel_bins(image)
         if self._target is None or self._background is None:
             return
-        share = colour.ratio(self._target, self._background, self._parameters.colour_odds)
+        share = colours.target_share(self._target, self._background, self._parameters.colour_odds)
         self.saliency = share.astype(np.float32)[self._numbers]
         self._table = integral(self.saliency)
 
@@ -152,13 +153,13 @@ class ColourCue:
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
         """Adapt the background's histogram to where the target is not (h, w)."""
-        found = colour.histogram(self._numbers, outside.astype(np.float32))
+        found = colours.weighed_histogram(self._numbers, outside.astype(np.float32))
         rate = self._parameters.surroundings_rate
         self._background = found if self._background is None else _mixed(self._background, found, rate)
 
     def adapt(self, weights: NDArray[np.float32]) -> None:
         """Adapt the target's histogram to pixels with weights (h, w)."""
-        found = colour.histogram(self._numbers, weights)
+        found = colours.weighed_histogram(self._numbers, weights)
         if found.sum() > 0.0:
             self.frames += 1
             rate = max(self._parameters.colour_rate, 1.0 / self.frames)
@@ -195,7 +196,7 @@ class ShapeCue:
 
     def give(self, images: list[Image]) -> None:
         """Images of what is never the target, such as furniture."""
-        found = [shape.detect(self._sift, _grey(image)).descriptors for image in images]
+        found = [shape.detect(self._sift, grey(image)).descriptors for image in images]
         self._given = np.concatenate([self._given, *found])
 
     def focus(self, window: FloatArray | None) -> None:
@@ -213,7 +214,7 @@ class ShapeCue:
         p = self._parameters
         self._looked += 1
         part = None if self._looked % p.everywhere == 0 else self._focus
-        self._features = shape.detect(self._sift, _grey(image), part)
+        self._features = shape.detect(self._sift, grey(image), part)
         descriptors = self._features.descriptors
         self._of_background = np.maximum(
             shape.similarity(descriptors, self._background), shape.similarity(descriptors, self._given)
@@ -270,7 +271,3 @@ def _overlap(table: FloatArray, windows: FloatArray, surround: float) -> FloatAr
 
 def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:
     return np.asarray(before + rate * (now - before))
-
-
-def _grey(image: Image) -> Image:
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
