@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import zipfile
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,3 +85,53 @@ def load_model(path: str | Path, kind: str | None = None) -> tuple[ModelCard, di
     if kind is not None and card.kind != kind:
         raise InputError(f"a model of kind {card.kind!r}", f"kind {kind!r}", path=path)
     return card, arrays
+
+
+class Stored(ABC):
+    """A model that is written to a file and read from it; ``card`` says how it came about."""
+
+    kind: ClassVar[str]
+    card: ModelCard
+
+    @abstractmethod
+    def parameters(self) -> dict[str, Any]:
+        """Numbers and words that the file keeps on the card."""
+
+    @abstractmethod
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What was learned, for the file."""
+
+    @classmethod
+    @abstractmethod
+    def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
+        """The model of which `parameters`, on the card, and `arrays` are.
+
+        ``KeyError``, ``TypeError`` or ``ValueError`` where something is missing.
+        """
+
+    def save(self, path: str | Path) -> None:
+        """Write a model file (.npz) that `load` reads.
+
+        Raises
+        ------
+        InputError
+            If nothing was learned yet, or the place cannot be written to.
+        """
+        arrays = self.arrays()
+        parameters = {**self.card.parameters, **self.parameters()}
+        save_model(path, replace(self.card, kind=self.kind, parameters=parameters), arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a model file.
+
+        Raises
+        ------
+        InputError
+            If it is no model file, or one of another kind.
+        """
+        card, arrays = load_model(path, cls.kind)
+        try:
+            return cls.restored(card, arrays)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError("an incomplete model", f"a model of kind {cls.kind!r}", path=path) from error

@@ -9,7 +9,7 @@ from perception.pose.body import BodyPose
 from perception.pose.classifier import FeatureClassifier
 from perception.pose.head_pose import DeepBelief, Exemplars, Templates
 from perception.pose.heads import HeadLocaliser
-from perception.trackers.mixed_state.exemplars import KIND, HeadExemplars
+from perception.trackers.mixed_state.exemplars import HeadExemplars
 
 CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "templates": Templates,
@@ -18,7 +18,7 @@ CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "body_pose": BodyPose,
 }
 HEAD_POSE = ("deep_belief", "templates", "exemplars")
-NAMES = (*CLASSIFIERS, HeadLocaliser.kind, KIND)
+NAMES = (*CLASSIFIERS, HeadLocaliser.kind, HeadExemplars.kind)
 
 
 def model_path(name: str) -> Path:
@@ -54,4 +54,4 @@ def load_head_localiser(path: str | Path | None = None) -> HeadLocaliser:
 
 def load_head_exemplars(path: str | Path | None = None) -> HeadExemplars:
     """The exemplars of the mixed-state tracker, of the package or of a file."""
-    return HeadExemplars.load(path or model_path(KIND))
+    return HeadExemplars.load(path or model_path(HeadExemplars.kind))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +22,7 @@ from perception.pose.calibration import (
     with_neighbours,
 )
 from perception.pose.classes import PoseClasses
-from perception.storage import ModelCard, load_model, save_model
+from perception.storage import ModelCard, Stored
 
 _HELD_OUT = 0.2
 _BATCH = 256
@@ -51,7 +51,7 @@ class Classifier(Protocol):
         ...
 
 
-class FeatureClassifier(ABC):
+class FeatureClassifier(Stored):
     """A classifier that scores feature vectors, calibrated by a temperature and a share for neighbours.
 
     A fifth of the images is held out of the fit; on it the two are chosen and the figures of the card are
@@ -65,8 +65,6 @@ class FeatureClassifier(ABC):
     classes : the classes of the labels
     seed : of everything random in the fit
     """
-
-    kind: ClassVar[str]
 
     def __init__(self, classes: PoseClasses, *, seed: int = 0) -> None:
         self.classes, self.seed = classes, seed
@@ -84,10 +82,6 @@ class FeatureClassifier(ABC):
     @abstractmethod
     def scores(self, features: FloatArray) -> FloatArray:
         """Log likelihoods (n, n_classes) before calibration."""
-
-    @abstractmethod
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """What was learned, for the file."""
 
     @abstractmethod
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -158,38 +152,24 @@ class FeatureClassifier(ABC):
         spread = with_neighbours(levels, self.neighbour_share).reshape(log_p.shape)
         return np.asarray(np.log(np.maximum(spread, 1e-300)), float)
 
-    def save(self, path: str | Path) -> None:
-        """Write a model file (.npz) that `load` reads."""
-        parameters = {
-            **self.card.parameters,
+    def parameters(self) -> dict[str, Any]:
+        """Classes, arguments of the constructor and calibration."""
+        return {
             "classes": asdict(self.classes),
             "settings": self.settings(),
             "seed": self.seed,
             "temperature": self.temperature,
             "neighbour_share": self.neighbour_share,
         }
-        save_model(path, replace(self.card, kind=self.kind, parameters=parameters), self.arrays())
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a model file.
-
-        Raises
-        ------
-        InputError
-            If it is no model file, or one of another classifier.
-        """
-        card, arrays = load_model(path, cls.kind)
-        try:
-            parameters = card.parameters
-            model = cls(
-                PoseClasses(**parameters["classes"]), seed=parameters["seed"], **parameters["settings"]
-            )
-            model.temperature, model.card = float(parameters["temperature"]), card
-            model.neighbour_share = float(parameters.get("neighbour_share", 0.0))
-            model.set_arrays(arrays)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError("an incomplete model", f"a model of kind {cls.kind!r}", path=path) from error
+    def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
+        """The classifier of a file."""
+        parameters = card.parameters
+        model = cls(PoseClasses(**parameters["classes"]), seed=parameters["seed"], **parameters["settings"])
+        model.temperature, model.card = float(parameters["temperature"]), card
+        model.neighbour_share = float(parameters.get("neighbour_share", 0.0))
+        model.set_arrays(arrays)
         return model
 
     def _all_scores(self, images: Sequence[Image]) -> FloatArray:

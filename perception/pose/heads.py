@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import cv2
 import numpy as np
@@ -18,7 +17,7 @@ from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, grey, intersection_over_union
 from perception.pose.features.blocks import block_histograms, corner_sums, integral_histogram
 from perception.pose.head_detector import BoostedBlocks, Weak
-from perception.storage import ModelCard, load_model, save_model
+from perception.storage import ModelCard, Stored
 
 _HEIGHT = 128
 """Rows to which a person's box is resized."""
@@ -49,7 +48,7 @@ class HeadCandidates:
     scores: FloatArray
 
 
-class HeadLocaliser:
+class HeadLocaliser(Stored):
     """Finds heads in crops of people; there is always at least one.
 
     A window's score is the detector's, less a cost for a place where heads seldom are in the box of a person
@@ -62,7 +61,7 @@ class HeadLocaliser:
     seed : of the choice of training windows
     """
 
-    kind = "head_localiser"
+    kind: ClassVar[str] = "head_localiser"
 
     def __init__(self, weak: Weak = "differential", *, rounds: int = 500, seed: int = 0) -> None:
         self.weak, self.rounds, self.seed = weak, rounds, seed
@@ -142,34 +141,25 @@ class HeadLocaliser:
         boxes = np.array([_refined(windows, scores, k) for k in kept])
         return HeadCandidates(boxes / (*factor, *factor), scores[kept])
 
-    def save(self, path: str | Path) -> None:
-        """Write a model file (.npz) that `load` reads."""
+    def parameters(self) -> dict[str, Any]:
+        """Arguments of the constructor, threshold and weight of the place."""
+        settings = {"weak": self.weak, "rounds": self.rounds, "seed": self.seed}
+        return {"settings": settings, "threshold": self.threshold, "place_weight": self._place_weight}
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The detector and the usual place of heads."""
         if self._detector is None:
             raise InputError("a head localiser that was not fitted", "fit it first")
-        settings = {"weak": self.weak, "rounds": self.rounds, "seed": self.seed}
-        parameters = {"settings": settings, "threshold": self.threshold, "place_weight": self._place_weight}
-        card = replace(self.card, parameters=parameters)
         names = ("block", "direction", "threshold", "weight")
-        arrays = {name: getattr(self._detector, name) for name in names}
-        save_model(path, card, arrays | {"place": self._place})
+        return {name: getattr(self._detector, name) for name in names} | {"place": self._place}
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a model file.
-
-        Raises
-        ------
-        InputError
-            If it is no model file, or one of another kind.
-        """
-        card, arrays = load_model(path, cls.kind)
-        try:
-            model = cls(**card.parameters["settings"])
-            model.threshold, model.card = float(card.parameters["threshold"]), card
-            model._place_weight, model._place = float(card.parameters["place_weight"]), arrays.pop("place")
-            model._detector = BoostedBlocks(**arrays)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError("an incomplete model", f"a model of kind {cls.kind!r}", path=path) from error
+    def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
+        """The localiser of a file."""
+        model = cls(**card.parameters["settings"])
+        model.threshold, model.card = float(card.parameters["threshold"]), card
+        model._place_weight, model._place = float(card.parameters["place_weight"]), arrays.pop("place")
+        model._detector = BoostedBlocks(**arrays)
         return model
 
 

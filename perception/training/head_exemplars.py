@@ -24,7 +24,7 @@ from perception.synthetic import (
     make_pedestrians,
 )
 from perception.synthetic.appearance import random_appearance
-from perception.trackers.mixed_state.exemplars import KIND, HeadExemplars, combined
+from perception.trackers.mixed_state.exemplars import HeadExemplars, combined
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 
 _HEADS = HeadVariation(size=(16, 40), offset=0.02, scale=0.03)
@@ -95,7 +95,7 @@ def train_head_exemplars(
     trained = replace(trained, shared=_shared(trained, features, labels, who, people))
     figures = _figures(trained, found, slice(rest, scenes))
     card = ModelCard(
-        KIND,
+        HeadExemplars.kind,
         f"{people} rendered people at all of {len(classes)} poses, {scenes} others with surroundings",
         _FAILS,
         len(labels),

@@ -26,7 +26,7 @@ from perception.synthetic import (
     make_heads,
     make_pedestrians,
 )
-from perception.trackers.mixed_state.exemplars import KIND, HeadExemplars
+from perception.trackers.mixed_state.exemplars import HeadExemplars
 from perception.training.head_exemplars import train_head_exemplars
 from perception.training.labels import read_labelled
 
@@ -166,7 +166,7 @@ def train_on_files(name: str, folder: str | Path, labels: str | Path, *, seed: i
         If there is no model of that name that learns from such files, or they cannot be used.
     """
     # The labels do not say who is who, which the tracker's exemplars need.
-    known = [known for known in NAMES if known != KIND]
+    known = [known for known in NAMES if known != HeadExemplars.kind]
     if name not in known:
         raise InputError(f"model {name!r}", f"one of {', '.join(known)}")
     model: FeatureClassifier | HeadLocaliser

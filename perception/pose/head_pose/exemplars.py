@@ -118,8 +118,7 @@ class Exemplars(FeatureClassifier):
                 spread = cluster.std(axis=0) if len(cluster) > _FEW else pooled
                 deviation[m, j] = np.maximum(spread, SMALLEST_DEVIATION)
                 weight[m, j] = len(cluster) / len(members)
-        in_steps = whole_steps(centre, CENTRE_STEP, np.int8), whole_steps(deviation, DEVIATION_STEP, np.uint8)
-        self._set_exemplars(*in_steps)
+        self.centre, self.deviation = from_steps(*in_steps(centre, deviation))
         with np.errstate(divide="ignore"):
             self.log_weight = np.log(weight).astype(np.float32)
 
@@ -134,22 +133,19 @@ class Exemplars(FeatureClassifier):
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Centres and deviations in whole steps, weights of exemplars and filters."""
+        centre, deviation = in_steps(self.centre, self.deviation)
         return {
-            "centre": whole_steps(self.centre, CENTRE_STEP, np.int8),
-            "deviation": whole_steps(self.deviation, DEVIATION_STEP, np.uint8),
+            "centre": centre,
+            "deviation": deviation,
             "log_weight": self.log_weight,
             "exponent": self._exponent,
         }
 
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Take over what `arrays` gave."""
-        self._set_exemplars(arrays["centre"], arrays["deviation"])
+        self.centre, self.deviation = from_steps(arrays["centre"], arrays["deviation"])
         self.log_weight = arrays["log_weight"]
         self._exponent = arrays["exponent"].astype(float)
-
-    def _set_exemplars(self, centre: NDArray[Any], deviation: NDArray[Any]) -> None:
-        self.centre = centre.astype(np.float32) * np.float32(CENTRE_STEP)
-        self.deviation = deviation.astype(np.float32) * np.float32(DEVIATION_STEP)
 
 
 def filter_log_densities(
@@ -171,10 +167,24 @@ def filter_log_densities(
     return np.asarray(found + np.log(inverse).reshape(shape).sum(axis=3), np.float32)
 
 
-def whole_steps(values: NDArray[np.float32], step: float, kind: type[np.integer]) -> NDArray[Any]:
-    """Values as whole numbers of steps, as far as the kind of number reaches, for a file."""
-    limits = np.iinfo(kind)
-    return np.asarray(np.clip(np.rint(values / step), limits.min, limits.max).astype(kind))
+def in_steps(
+    centre: NDArray[np.float32], deviation: NDArray[np.float32]
+) -> tuple[NDArray[np.int8], NDArray[np.uint8]]:
+    """Exemplars as whole numbers of steps, as far as the kinds of numbers reach, for a file."""
+    return (
+        np.clip(np.rint(centre / CENTRE_STEP), -128, 127).astype(np.int8),
+        np.clip(np.rint(deviation / DEVIATION_STEP), 0, 255).astype(np.uint8),
+    )
+
+
+def from_steps(
+    centre: NDArray[Any], deviation: NDArray[Any]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The inverse of `in_steps`."""
+    return (
+        centre.astype(np.float32) * np.float32(CENTRE_STEP),
+        deviation.astype(np.float32) * np.float32(DEVIATION_STEP),
+    )
 
 
 def _mixed(

@@ -9,31 +9,25 @@ one was on the head for 83 % of them, 55 % without the division.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, difference
 from perception.pose.classes import PoseClasses
 from perception.pose.head_pose.exemplars import (
-    CENTRE_STEP,
-    DEVIATION_STEP,
     SATURATION,
     filter_log_densities,
-    whole_steps,
+    from_steps,
+    in_steps,
 )
-from perception.storage import ModelCard, load_model, save_model
-
-KIND = "head_exemplars"
-
-_ARRAYS = ("centre", "deviation", "background_centre", "background_deviation")
+from perception.storage import ModelCard, Stored
 
 
 @dataclass(frozen=True, eq=False)
-class HeadExemplars:
+class HeadExemplars(Stored):
     """Labels k = (θ, l): exemplar l of pose class θ, in the order of classes.
 
     Attributes
@@ -49,6 +43,8 @@ class HeadExemplars:
     card : how it came about
     """
 
+    kind: ClassVar[str] = "head_exemplars"
+
     classes: PoseClasses
     centre: NDArray[np.float32]
     deviation: NDArray[np.float32]
@@ -60,7 +56,7 @@ class HeadExemplars:
     shared: NDArray[np.float32]
     slope: float = 1.0
     intercept: float = 0.0
-    card: ModelCard = field(default_factory=lambda: ModelCard(KIND))
+    card: ModelCard = field(default_factory=lambda: ModelCard(HeadExemplars.kind))
 
     @property
     def labels(self) -> int:
@@ -125,59 +121,43 @@ class HeadExemplars:
         possible = both * np.isfinite(self.log_weight).ravel()
         return np.asarray(possible / possible.sum(axis=1, keepdims=True), float)
 
-    def save(self, path: str | Path) -> None:
-        """Write a model file (.npz) that `load` reads."""
-        parameters = {
-            **self.card.parameters,
-            "classes": asdict(self.classes),
-            "slope": self.slope,
-            "intercept": self.intercept,
-        }
-        arrays = {
-            name: whole_steps(
-                getattr(self, name),
-                CENTRE_STEP if name.endswith("centre") else DEVIATION_STEP,
-                np.int8 if name.endswith("centre") else np.uint8,
-            )
-            for name in _ARRAYS
-        }
-        arrays |= {
+    def parameters(self) -> dict[str, Any]:
+        """Classes and calibration."""
+        return {"classes": asdict(self.classes), "slope": self.slope, "intercept": self.intercept}
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Exemplars in whole steps, weights, and shared people."""
+        centre, deviation = in_steps(self.centre, self.deviation)
+        background_centre, background_deviation = in_steps(self.background_centre, self.background_deviation)
+        return {
+            "centre": centre,
+            "deviation": deviation,
+            "background_centre": background_centre,
+            "background_deviation": background_deviation,
             "log_weight": self.log_weight,
             "background_log_weight": self.background_log_weight,
             "exponent": self.exponent,
             "shared": np.minimum(self.shared, 255.0).astype(np.uint8),
         }
-        save_model(path, replace(self.card, parameters=parameters), arrays)
 
     @classmethod
-    def load(cls, path: str | Path) -> HeadExemplars:
-        """Read a model file.
-
-        Raises
-        ------
-        InputError
-            If it is no model file, or one of another kind.
-        """
-        card, arrays = load_model(path, KIND)
-        try:
-            steps = {
-                name: arrays[name].astype(np.float32)
-                * np.float32(CENTRE_STEP if name.endswith("centre") else DEVIATION_STEP)
-                for name in _ARRAYS
-            }
-            return cls(
-                classes=PoseClasses(**card.parameters["classes"]),
-                log_weight=arrays["log_weight"].astype(float),
-                background_log_weight=arrays["background_log_weight"].astype(float),
-                exponent=arrays["exponent"].astype(float),
-                shared=arrays["shared"].astype(np.float32),
-                slope=float(card.parameters["slope"]),
-                intercept=float(card.parameters["intercept"]),
-                card=card,
-                **steps,
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError("an incomplete model", f"a model of kind {KIND!r}", path=path) from error
+    def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
+        """The exemplars of a file."""
+        centre, deviation = from_steps(arrays["centre"], arrays["deviation"])
+        of_background = from_steps(arrays["background_centre"], arrays["background_deviation"])
+        return cls(
+            PoseClasses(**card.parameters["classes"]),
+            centre,
+            deviation,
+            arrays["log_weight"].astype(float),
+            *of_background,
+            arrays["background_log_weight"].astype(float),
+            arrays["exponent"].astype(float),
+            arrays["shared"].astype(np.float32),
+            slope=float(card.parameters["slope"]),
+            intercept=float(card.parameters["intercept"]),
+            card=card,
+        )
 
 
 def combined(
