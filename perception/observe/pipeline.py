@@ -35,7 +35,7 @@ class Models:
 
 
 @dataclass(eq=False)
-class Seen:
+class SeenPerson:
     """What the models say of one person in one frame.
 
     Attributes
@@ -71,7 +71,7 @@ class Seen:
         }
 
     @classmethod
-    def from_record(cls, values: dict[str, Any]) -> Seen:
+    def from_record(cls, values: dict[str, Any]) -> SeenPerson:
         """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
         left, top, width, height = (float(value) for value in values["box"])
         boxes, scores, pan = (np.array(values[name], float) for name in ("boxes", "scores", "pan"))
@@ -86,7 +86,7 @@ class Seen:
 class SeenFrame:
     """The people of one frame, and why other boxes hold nobody."""
 
-    people: list[Seen]
+    people: list[SeenPerson]
     refused: list[str]
 
     def to_record(self) -> dict[str, Any]:
@@ -96,7 +96,7 @@ class SeenFrame:
     @classmethod
     def from_record(cls, values: dict[str, Any]) -> SeenFrame:
         """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        people = [Seen.from_record(person) for person in values["people"]]
+        people = [SeenPerson.from_record(person) for person in values["people"]]
         return cls(people, [str(reason) for reason in values["refused"]])
 
 
@@ -112,15 +112,15 @@ class SeenTracks:
     """
 
     tracks: TrackSet
-    seen: dict[int, list[Seen]]
+    seen: dict[int, list[SeenPerson]]
     heads: dict[int, NDArray[np.int64]]
 
 
 def observe_frame(
     image: Image, frame: int, boxes: Iterable[PersonBox], models: Models, refuse: Callable[[str], None]
-) -> list[Seen]:
+) -> list[SeenPerson]:
     """What the models say of the people of one frame; ``refuse`` is told of boxes that hold nothing."""
-    seen: list[Seen] = []
+    seen: list[SeenPerson] = []
     people: list[tuple[PersonBox, Image]] = []
     for item in _usable(image, frame, boxes, refuse):
         people.append((item, crop(image, item.box)))
@@ -144,7 +144,7 @@ def _usable(
             yield item
 
 
-def _look(people: list[tuple[PersonBox, Image]], models: Models) -> list[Seen]:
+def _look(people: list[tuple[PersonBox, Image]], models: Models) -> list[SeenPerson]:
     """What the models say of people and the pictures of their boxes."""
     if not people:
         return []
@@ -159,7 +159,9 @@ def _look(people: list[tuple[PersonBox, Image]], models: Models) -> list[Seen]:
     seen, start = [], 0
     for (item, _), found, of_body in zip(people, candidates, body, strict=True):
         stop = start + len(found.boxes)
-        seen.append(Seen(item.frame, item.track_id, item.box, of_body, found, np.asarray(pan[start:stop])))
+        seen.append(
+            SeenPerson(item.frame, item.track_id, item.box, of_body, found, np.asarray(pan[start:stop]))
+        )
         start = stop
     return seen
 
@@ -213,13 +215,13 @@ def observe(
     return count
 
 
-def seen_in(journal: FrameJournal[SeenFrame]) -> list[Seen]:
+def seen_in(journal: FrameJournal[SeenFrame]) -> list[SeenPerson]:
     """Everything that a journal of `observe` has, frame by frame."""
     return [person for frame in sorted(journal.frames) for person in journal.frames[frame].people]
 
 
 def to_tracks(
-    seen: list[Seen], head_classes: PoseClasses, camera: GroundCamera | None, fps: float
+    seen: list[SeenPerson], head_classes: PoseClasses, camera: GroundCamera | None, fps: float
 ) -> SeenTracks:
     """Tracks with positions in metres and class likelihoods in the world frame.
 
@@ -228,7 +230,7 @@ def to_tracks(
     Parameters
     ----------
     seen : of all frames, each person once a frame
-    head_classes : pan classes of ``Seen.pan``
+    head_classes : pan classes of ``SeenPerson.pan``
     camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
 
     Raises
@@ -273,15 +275,15 @@ def to_tracks(
     return SeenTracks(found, rows, heads)
 
 
-def _by_track(seen: Iterable[Seen]) -> dict[int, list[Seen]]:
+def _by_track(seen: Iterable[SeenPerson]) -> dict[int, list[SeenPerson]]:
     """What was seen of each person, by id and then by frame."""
-    groups: dict[int, list[Seen]] = {}
+    groups: dict[int, list[SeenPerson]] = {}
     for item in sorted(seen, key=lambda item: (item.track_id, item.frame)):
         groups.setdefault(item.track_id, []).append(item)
     return groups
 
 
-def _chosen_heads(items: Sequence[Seen]) -> NDArray[np.int64]:
+def _chosen_heads(items: Sequence[SeenPerson]) -> NDArray[np.int64]:
     """Which candidate (n,) is the head of a person in each of the frames (n) of their track."""
     # Relative to the person's height, so that a person who comes nearer does not jump.
     return select_along_track(
@@ -289,7 +291,7 @@ def _chosen_heads(items: Sequence[Seen]) -> NDArray[np.int64]:
     )
 
 
-def head_in_image(item: Seen, candidate: int) -> FloatArray:
+def head_in_image(item: SeenPerson, candidate: int) -> FloatArray:
     """The box (4,) of a candidate of the head in the image: crops begin at whole pixels."""
     left, top, _, _ = item.box
     return item.heads.boxes[candidate] + np.array([round(left), round(top), 0.0, 0.0])

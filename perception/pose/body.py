@@ -13,8 +13,7 @@ from perception.images.pixels import Image, grey_stack
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import FeatureClassifier
 from perception.pose.features.hog import multi_level_hog
-from perception.pose.features.projection import fisher_projection
-from perception.pose.features.sparse import sparse_weights
+from perception.pose.features.linear import fisher_projection, sparse_weights
 
 _WIDTH, _HEIGHT = 64, 128
 _LEVELS = ((4, 2), (8, 4))

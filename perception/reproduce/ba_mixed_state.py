@@ -23,7 +23,7 @@ from perception.reproduce.head_runs import (
     JOINT,
     METHODS,
     SEQUENTIAL,
-    Job,
+    HeadJob,
     Run,
     run_job,
     run_occlusion,
@@ -58,24 +58,24 @@ def _effort(settings: Settings) -> tuple[int, int, int]:
     return (2, 1, 40) if settings.quick else (10, 4, 100)
 
 
-def _jobs(settings: Settings) -> list[Job]:
+def _jobs(settings: Settings) -> list[HeadJob]:
     """Heads that face the camera, with the paper's own filter once a seed; then heads that turn around."""
     seeds, sequences, frames = _effort(settings)
     facing = [
-        Job((settings.seed, k, i), frames, methods=tuple(METHODS) if i == 0 else (SEQUENTIAL, JOINT))
+        HeadJob((settings.seed, k, i), frames, methods=tuple(METHODS) if i == 0 else (SEQUENTIAL, JOINT))
         for k in range(seeds)
         for i in range(sequences)
     ]
-    return facing + [Job((settings.seed, k, sequences), frames, all_around=True) for k in range(seeds)]
+    return facing + [HeadJob((settings.seed, k, sequences), frames, all_around=True) for k in range(seeds)]
 
 
-def _occlusions(settings: Settings) -> list[Job]:
+def _occlusions(settings: Settings) -> list[HeadJob]:
     seeds, _, _ = _effort(settings)
     if settings.quick:
-        return [Job((settings.seed, 0, 100), 80, occlusion=(25, _HIDDEN), clutter=_SOME)]
+        return [HeadJob((settings.seed, 0, 100), 80, occlusion=(25, _HIDDEN), clutter=_SOME)]
     # Two sequences a seed with some clutter, and one with much.
     return [
-        Job((settings.seed, k, 100 + i), 110, occlusion=(35, _HIDDEN), clutter=1.0 if i == 2 else _SOME)
+        HeadJob((settings.seed, k, 100 + i), 110, occlusion=(35, _HIDDEN), clutter=1.0 if i == 2 else _SOME)
         for k in range(seeds)
         for i in range(3)
     ]
@@ -113,7 +113,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     return Reproduction("ba-mixed-state", tables, _figure(_median(facing)), notes)
 
 
-def _on_top(facing: Sequence[tuple[Job, Result]]) -> Table:
+def _on_top(facing: Sequence[tuple[HeadJob, Result]]) -> Table:
     records: list[dict[str, Cell]] = []
     for name in (SEQUENTIAL, JOINT):
         runs = [result[1][name].on_top for _, result in facing]
@@ -136,7 +136,7 @@ def _on_top(facing: Sequence[tuple[Job, Result]]) -> Table:
     return Table.of("Graph on top of the trackers, heads that face the camera", records)
 
 
-def _survived(hidden: Sequence[tuple[Job, dict[tuple[str, bool], bool]]]) -> Table:
+def _survived(hidden: Sequence[tuple[HeadJob, dict[tuple[str, bool], bool]]]) -> Table:
     records: list[dict[str, Cell]] = []
     for clutter in sorted({job.clutter for job, _ in hidden}):
         found = [survived for job, survived in hidden if job.clutter == clutter]
@@ -169,7 +169,7 @@ def _identification(settings: Settings, progress: Progress) -> Table:
     return Table.of("Identification of nine pans, in brackets people learned from", records)
 
 
-def _rows(pans: str, done: Sequence[tuple[Job, Result]]) -> list[dict[str, Cell]]:
+def _rows(pans: str, done: Sequence[tuple[HeadJob, Result]]) -> list[dict[str, Cell]]:
     rows: list[dict[str, Cell]] = []
     for name in METHODS:
         runs = [(job.seed[1], result[1][name]) for job, result in done if name in result[1]]
@@ -195,7 +195,7 @@ def _by_seed(values: Sequence[tuple[int, float]]) -> FloatArray:
     return np.array([np.mean([value for k, value in values if k == seed]) for seed in seeds])
 
 
-def _beside(facing: Sequence[tuple[Job, Result]]) -> Table:
+def _beside(facing: Sequence[tuple[HeadJob, Result]]) -> Table:
     def mean(name: str, attribute: str) -> float:
         return float(np.mean([getattr(result[1][name], attribute).mean() for _, result in facing]))
 
@@ -215,7 +215,7 @@ def _beside(facing: Sequence[tuple[Job, Result]]) -> Table:
     return Table.of("Paper / ours: joint against sequential, heads that face the camera", records)
 
 
-def _median(facing: Sequence[tuple[Job, Result]]) -> Result:
+def _median(facing: Sequence[tuple[HeadJob, Result]]) -> Result:
     """Of the sequences with all methods, that in which the mixed-state tracker's error is the median one."""
     whole = [result for job, result in facing if len(job.methods) == len(METHODS)]
     return sorted(whole, key=lambda result: float(result[1][JOINT].error.mean()))[len(whole) // 2]

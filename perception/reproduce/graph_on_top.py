@@ -36,13 +36,27 @@ class GraphOnTop:
     graph_pan: float
 
 
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Where the target is in n frames.
+
+    Attributes
+    ----------
+    boxes : (n, 4) pixels
+    pan : (n,) of the head, radians in the image frame
+    fps : frames a second
+    """
+
+    boxes: FloatArray
+    pan: FloatArray
+    fps: float
+
+
 def graph_on_top(
     estimates: Sequence[BoxEstimate],
-    true_boxes: FloatArray,
-    true_pan: FloatArray,
+    truth: Truth,
     boxes: BoxCamera,
     pan_classes: PoseClasses | None,
-    fps: float,
     model: Model | str | None = None,
     *,
     filtered: bool = False,
@@ -53,8 +67,8 @@ def graph_on_top(
 
     Parameters
     ----------
-    estimates : of n frames
-    true_boxes, true_pan : (n, 4) pixels, (n,) radians in the image frame
+    estimates : of all frames
+    truth : of the same
     boxes : to the ground and back
     model : of the graph; by default the package's
     filtered : whether the graph is given the tracker's own distribution of the pan; see `to_track`
@@ -67,14 +81,14 @@ def graph_on_top(
         Followed(k, estimate, bool(is_true))
         for k, (estimate, is_true) in enumerate(zip(estimates, believed, strict=True))
     ]
-    observed = to_track(followed, boxes, pan_classes, fps, filtered=filtered)
+    observed = to_track(followed, boxes, pan_classes, truth.fps, filtered=filtered)
     smoothed = smooth(TrackSet((observed,)), model).tracks[0]
     found = np.asarray(np.isfinite(observed.position).all(axis=1) | hidden)
     middle = np.array([estimate.centre for estimate in estimates])
     height = np.array([estimate.box[3] for estimate in estimates])
-    true_middle = true_boxes[:, :2] + true_boxes[:, 2:] / 2.0
+    true_middle = truth.boxes[:, :2] + truth.boxes[:, 2:] / 2.0
     of_centre = [
-        np.linalg.norm(place - true_middle, axis=1) / true_boxes[:, 2]
+        np.linalg.norm(place - true_middle, axis=1) / truth.boxes[:, 2]
         for place in (middle, boxes.box_centre(smoothed.position, height))
     ]
     of_pan = [np.full(len(found), np.nan)] * 2
@@ -82,7 +96,7 @@ def graph_on_top(
     if pan_classes is not None and smoothed.head is not None and len(pans) == len(estimates):
         of_tracker = pan_classes.mean_of(np.array(pans))
         of_graph = boxes.camera.image_angle(smoothed.head, smoothed.position)
-        of_pan = [np.abs(difference(pan, true_pan)) for pan in (of_tracker, of_graph)]
+        of_pan = [np.abs(difference(pan, truth.pan)) for pan in (of_tracker, of_graph)]
     means = [float(error[found].mean()) for error in (*of_centre, *of_pan)]
     return GraphOnTop(*means)
 

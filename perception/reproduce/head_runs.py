@@ -15,7 +15,7 @@ from perception.follow.world import PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Frame
 from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
-from perception.reproduce.graph_on_top import GraphOnTop, graph_on_top, survives
+from perception.reproduce.graph_on_top import GraphOnTop, Truth, graph_on_top, survives
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import ColourTracker
 from perception.trackers.mixed_state.exemplars import HeadExemplars
@@ -39,7 +39,7 @@ PAN_LIMIT = float(np.pi / 2.0)
 
 
 @dataclass(frozen=True)
-class Job:
+class HeadJob:
     """One sequence.
 
     Attributes
@@ -100,7 +100,7 @@ class Run:
         return bool((self.error >= 1.0).any())
 
 
-def run_job(job: Job) -> tuple[HeadClip, dict[str, Run]]:
+def run_job(job: HeadJob) -> tuple[HeadClip, dict[str, Run]]:
     """Render a sequence, follow the head with every method, and smooth that in the graph."""
     clip = job.render()
     runs = {}
@@ -110,7 +110,7 @@ def run_job(job: Job) -> tuple[HeadClip, dict[str, Run]]:
     return clip, runs
 
 
-def run_occlusion(job: Job) -> dict[tuple[str, bool], bool]:
+def run_occlusion(job: HeadJob) -> dict[tuple[str, bool], bool]:
     """Whether each method, without and with the graph's guidance, is on the head after it was hidden."""
     clip = job.render()
     survived = {}
@@ -151,7 +151,7 @@ def scored(found: Sequence[BoxEstimate], classes: PoseClasses | None, clip: Head
     assert classes is not None
     pan = mean_pan(np.array([item.pan for item in found]), classes)
     error = tracking_error(np.array([item.box for item in found]), clip.boxes)
-    on_top = graph_on_top(found, clip.boxes, clip.pan, _ground(found[0].box), classes, clip.fps)
+    on_top = graph_on_top(found, Truth(clip.boxes, clip.pan, clip.fps), _ground(found[0].box), classes)
     return Run(error, pan, np.abs(difference(pan, clip.pan)), on_top)
 
 

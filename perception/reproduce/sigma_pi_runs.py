@@ -195,7 +195,7 @@ def on_recording(recording: Recording, seed: Sequence[int], frames: int | None =
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class PersonJob:
     """One sequence with one seed.
 
     Attributes
@@ -218,7 +218,7 @@ class Job:
         return f"{one.name} {one.numbers[0]}–{one.numbers[-1]}, person {one.person}"
 
 
-def run_job(job: Job) -> dict[str, Tally]:
+def run_job(job: PersonJob) -> dict[str, Tally]:
     """Every method on one sequence."""
     if isinstance(job.sequence, str):
         return rendered(job.sequence, job.seed, job.frames or 0)

@@ -19,7 +19,7 @@ from graphtrack.evaluation.reproduce.experiment import (
 from perception.reproduce.side_by_side import run_all
 from perception.reproduce.sigma_pi_runs import (
     METHODS,
-    Job,
+    PersonJob,
     Recording,
     Score,
     Tally,
@@ -68,12 +68,14 @@ def _people(settings: Settings) -> list[Recording]:
     return recordings(Path(settings.data) / "caviar", REAL, _FEWEST)
 
 
-def _jobs(settings: Settings) -> tuple[list[Job], list[Job]]:
+def _jobs(settings: Settings) -> tuple[list[PersonJob], list[PersonJob]]:
     """Rendered sequences and real ones, each with every seed."""
     seeds, frames = _effort(settings)
-    drawn = [Job(kind, (settings.seed, i, k), frames) for i, kind in enumerate(KINDS) for k in range(seeds)]
+    drawn = [
+        PersonJob(kind, (settings.seed, i, k), frames) for i, kind in enumerate(KINDS) for k in range(seeds)
+    ]
     most = 60 if settings.quick else None
-    real = [Job(person, (settings.seed, k), most) for person in _people(settings) for k in range(seeds)]
+    real = [PersonJob(person, (settings.seed, k), most) for person in _people(settings) for k in range(seeds)]
     return drawn, real
 
 

@@ -6,11 +6,10 @@ from perception.synthetic.cameras import Camera
 from perception.synthetic.contact_sheet import contact_sheet
 from perception.synthetic.heads import HeadSet, HeadVariation, make_heads
 from perception.synthetic.pedestrians import PedestrianSet, PedestrianVariation, make_pedestrians
-from perception.synthetic.scene import Frame, Furniture, Label, Person, Scene, render_frame
+from perception.synthetic.scene import Furniture, Label, Person, RenderedFrame, Scene, render_frame
 
 __all__ = [
     "Camera",
-    "Frame",
     "Furniture",
     "HeadSet",
     "HeadVariation",
@@ -18,6 +17,7 @@ __all__ = [
     "PedestrianSet",
     "PedestrianVariation",
     "Person",
+    "RenderedFrame",
     "Scene",
     "contact_sheet",
     "make_heads",

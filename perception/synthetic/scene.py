@@ -92,7 +92,7 @@ class Scene:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class RenderedFrame:
     """An image (h, w, 3) uint8, the labels of its people in their order, and the skin mask (h, w)."""
 
     image: Image
@@ -108,7 +108,7 @@ def render_frame(
     *,
     oversampling: int = 2,
     backdrop: NDArray[np.float32] | None = None,
-) -> Frame:
+) -> RenderedFrame:
     """One frame.
 
     Parameters
@@ -148,7 +148,7 @@ def developed(
     *,
     oversampling: int,
     backdrop: NDArray[np.float32] | None = None,
-) -> Frame:
+) -> RenderedFrame:
     """The frame of what the rays of `cast_scene` met."""
     camera = scene.camera
     w, h = camera.size
@@ -160,7 +160,7 @@ def developed(
     light = colour + (1.0 - covered[..., None]) * behind
     skin = cv2.resize(shown.skin.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA) > 0.5
     labels = tuple(_label(k, person, shown, camera, oversampling) for k, person in enumerate(people))
-    return Frame(develop(light, sensor, rng), labels, skin)
+    return RenderedFrame(develop(light, sensor, rng), labels, skin)
 
 
 def furniture_solids(item: Furniture) -> Solids:

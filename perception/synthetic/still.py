@@ -10,9 +10,9 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from perception.synthetic.person import person_solids
 from perception.synthetic.scene import (
-    Frame,
     Furniture,
     Person,
+    RenderedFrame,
     Scene,
     cast_scene,
     developed,
@@ -48,7 +48,7 @@ class StillScene:
         rng: np.random.Generator,
         *,
         moving: Sequence[Furniture] = (),
-    ) -> Frame:
+    ) -> RenderedFrame:
         """One frame with people, and with furniture that is not part of the scene itself."""
         scene = replace(self._scene, furniture=(*self._scene.furniture, *moving))
         solids = [person_solids(person.look, person.posture) for person in people]

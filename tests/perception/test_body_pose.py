@@ -10,8 +10,7 @@ from sklearn.decomposition import sparse_encode
 
 from perception.evaluation.measures import evaluate
 from perception.pose.body import BodyPose
-from perception.pose.features.projection import fisher_projection
-from perception.pose.features.sparse import sparse_weights
+from perception.pose.features.linear import fisher_projection, sparse_weights
 from perception.synthetic import PedestrianVariation, make_pedestrians
 
 EASY = PedestrianVariation(size=(80, 100), occluded=0.0, elevation=(0.0, 0.1), offset=0.01, scale=0.02)

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from perception.images.pixels import enlarged
 from perception.trackers import colours
-from perception.trackers.sigma_pi import motion, shape
-from perception.trackers.sigma_pi.sums import activation, integral, overlap, sums
+from perception.trackers.sigma_pi import shape
+from perception.trackers.sigma_pi.cues import foreground, running_average
+from perception.trackers.sigma_pi.windows import activation, integral, overlap, sums
 
 
 def test_sums_over_windows_are_direct_sums() -> None:
@@ -54,7 +55,7 @@ def test_the_running_average_has_its_closed_form() -> None:
     first, image = (rng.uniform(0, 255, (8, 9, 3)).astype(np.float32) for _ in range(2))
     background = first
     for _ in range(30):
-        background = motion.running_average(background, image, 0.07)
+        background = running_average(background, image, 0.07)
     np.testing.assert_allclose(background, image + 0.93**30 * (first - image), rtol=1e-4, atol=1e-3)
 
 
@@ -63,11 +64,11 @@ def test_what_stays_still_is_absorbed_after_the_time_that_its_contrast_takes() -
     image = background.copy()
     image[1:3, 1:3, 2] = 150.0
     frames = 0
-    while motion.foreground(background, image, 20.0).any():
+    while foreground(background, image, 20.0).any():
         expected = np.zeros((4, 4))
         expected[1:3, 1:3] = 1.0
-        np.testing.assert_array_equal(motion.foreground(background, image, 20.0), expected)
-        background = motion.running_average(background, image, 0.05)
+        np.testing.assert_array_equal(foreground(background, image, 20.0), expected)
+        background = running_average(background, image, 0.05)
         frames += 1
     assert frames == int(np.ceil(np.log(20.0 / 100.0) / np.log(0.95)))
 

@@ -16,7 +16,7 @@ from perception.follow.guidance import GUIDE_MODEL, Doubt, DoubtParameters, Grap
 from perception.follow.world import PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Frame
 from perception.pose.classes import PoseClasses
-from perception.reproduce.graph_on_top import graph_on_top, survives
+from perception.reproduce.graph_on_top import Truth, graph_on_top, survives
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
 from perception.trackers.color import ColourTracker
 from perception.trackers.tracker import BoxEstimate
@@ -158,7 +158,7 @@ def test_the_graph_lowers_the_errors_of_noisy_boxes_and_pans() -> None:
         likelihood = np.exp(-0.5 * (about / 0.5) ** 2) + 0.01
         seen = replace(seen, pan=likelihood / likelihood.sum(), pan_likelihood=likelihood)
         said.append(seen)
-    figures = graph_on_top(said, true, pan, BOXES, classes, FPS, "separate")
+    figures = graph_on_top(said, Truth(true, pan, FPS), BOXES, classes, "separate")
     assert figures.tracker_centre == pytest.approx(4.0 * np.sqrt(np.pi / 2.0) / 30.0, rel=0.15)
     assert figures.graph_centre < 0.7 * figures.tracker_centre
     assert figures.graph_pan < 0.8 * figures.tracker_pan
@@ -172,11 +172,10 @@ def test_what_the_graph_rejects_is_no_observation_but_counts_where_it_is_asked_f
     ]
     observed = to_track(said, BOXES, None, FPS)
     np.testing.assert_array_equal(np.isnan(observed.position[:, 0]), [not item.believed for item in said])
+    truth = Truth(true, np.zeros(40), FPS)
     estimates, believed = [item.estimate for item in said], [item.believed for item in said]
     seen, everywhere = (
-        graph_on_top(
-            estimates, true, np.zeros(40), BOXES, None, FPS, "position", believed=believed, hidden=hidden
-        )
+        graph_on_top(estimates, truth, BOXES, None, "position", believed=believed, hidden=hidden)
         for hidden in (False, True)
     )
     assert seen.tracker_centre < 1e-9 and np.isnan(seen.graph_pan)

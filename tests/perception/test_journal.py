@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from perception.observe.journal import FrameJournal
-from perception.observe.pipeline import Seen, SeenFrame, seen_in
+from perception.observe.pipeline import SeenFrame, SeenPerson, seen_in
 from perception.pose.heads import HeadCandidates
 
 
-def seen(frame: int, left: float) -> Seen:
+def seen(frame: int, left: float) -> SeenPerson:
     heads = HeadCandidates(np.array([[5.0, 2.0, 10.0, 14.0]]), np.array([0.4]))
-    return Seen(frame, 1, (left, 2.0, 30.0, 80.0), np.zeros(8), heads, np.zeros((1, 12)))
+    return SeenPerson(frame, 1, (left, 2.0, 30.0, 80.0), np.zeros(8), heads, np.zeros((1, 12)))
 
 
-def of_frame(*people: Seen, refused: str = "") -> SeenFrame:
+def of_frame(*people: SeenPerson, refused: str = "") -> SeenFrame:
     return SeenFrame(list(people), [refused] if refused else [])
 
 

@@ -14,7 +14,7 @@ from graphtrack import io
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
 from perception.detection.people import PeopleDetector
 from perception.images.frames import FrameSource
-from perception.observe.pipeline import Seen, observe_frame
+from perception.observe.pipeline import SeenPerson, observe_frame
 from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera, Person, Scene, render_frame
 from perception.synthetic.appearance import random_appearance
@@ -179,7 +179,7 @@ def test_an_error_leaves_nothing_that_the_next_run_trips_over(
     arguments = "observe", clip / "frames", "--boxes", clip / "boxes.txt", "-o", tmp_path / "o.csv"
     looked: list[int] = []
 
-    def look(image: np.ndarray, frame: int, *rest: object) -> list[Seen]:
+    def look(image: np.ndarray, frame: int, *rest: object) -> list[SeenPerson]:
         looked.append(frame)
         if where == "observing" and len(looked) == 4:
             raise MemoryError
@@ -217,7 +217,7 @@ def test_a_run_that_was_broken_off_is_drawn_whole(
 ) -> None:
     looked: list[int] = []
 
-    def look(image: np.ndarray, frame: int, *rest: object) -> list[Seen]:
+    def look(image: np.ndarray, frame: int, *rest: object) -> list[SeenPerson]:
         looked.append(frame)
         if len(looked) == 4:
             raise KeyboardInterrupt

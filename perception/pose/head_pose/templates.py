@@ -20,7 +20,7 @@ from perception.images.pixels import Image, grey_stack
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import FeatureClassifier
 from perception.pose.features.hog import multi_level_hog
-from perception.pose.features.projection import fisher_projection
+from perception.pose.features.linear import fisher_projection
 from perception.pose.features.skin import MASK_SIDE, SkinColours
 
 _SIDE = 64

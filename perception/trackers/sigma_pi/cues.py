@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, grey
 from perception.trackers import colours
-from perception.trackers.sigma_pi import motion, shape
-from perception.trackers.sigma_pi.sums import activation, integral, overlap, sums
+from perception.trackers.sigma_pi import shape
+from perception.trackers.sigma_pi.windows import activation, integral, overlap, sums
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class CueParameters:
         frame is like it nothing moves, though the faster one still holds who has just left
     motion_threshold : grey levels from which a difference is motion
     motion_overlap, colour_overlap, shape_overlap : overlap of a window with what is salient, at which
-        the cue's activity rises, and how steeply (`perception.trackers.sigma_pi.sums.activation`)
+        the cue's activity rises, and how steeply (`perception.trackers.sigma_pi.windows.activation`)
     colour_rate : of adapting the target's histogram, for one frame
     surroundings_rate : of adapting the background's histogram
     colour_odds : of the background against the target, for a pixel of which nothing is known
@@ -84,7 +84,7 @@ class MotionCue:
 
     def __init__(self, parameters: CueParameters, image: Image, target: NDArray[np.bool_] | None) -> None:
         self._parameters = parameters
-        self._background = self._scene = motion.smoothed(image)
+        self._background = self._scene = smoothed(image)
         # What the target hides in the first frame is seen when it has gone from there.
         self._unknown = target
         self.saliency = np.zeros(image.shape[:2], np.float32)
@@ -95,8 +95,8 @@ class MotionCue:
 
     def look(self, image: Image) -> None:
         """Take in a frame."""
-        self._image = motion.smoothed(image)
-        self.saliency = motion.foreground(self._background, self._image, self._parameters.motion_threshold)
+        self._image = smoothed(image)
+        self.saliency = foreground(self._background, self._image, self._parameters.motion_threshold)
         if self._unknown is not None:
             self.saliency[self._unknown] = 0.0
         self._table = integral(self.saliency)
@@ -109,8 +109,8 @@ class MotionCue:
     def adapt(self, target: NDArray[np.bool_] | None) -> None:
         """Let the background follow; ``target`` (h, w) says where it may be hidden."""
         p = self._parameters
-        self._background = motion.running_average(self._background, self._image, p.background_rate)
-        self._scene = motion.running_average(self._scene, self._image, p.scene_rate)
+        self._background = running_average(self._background, self._image, p.background_rate)
+        self._scene = running_average(self._scene, self._image, p.scene_rate)
         if self._unknown is not None and target is not None:
             seen = self._unknown & ~target
             self._background[seen] = self._scene[seen] = self._image[seen]
@@ -271,3 +271,24 @@ def _overlap(table: FloatArray, windows: FloatArray, surround: float) -> FloatAr
 
 def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:
     return np.asarray(before + rate * (now - before))
+
+
+def smoothed(image: Image) -> NDArray[np.float32]:
+    """An image (h, w, 3) without most of its noise, as float."""
+    return np.asarray(cv2.blur(image, (3, 3)), np.float32)
+
+
+def running_average(
+    background: NDArray[np.float32], image: NDArray[np.float32], rate: float
+) -> NDArray[np.float32]:
+    """The background (h, w, 3) after one more frame (h, w, 3): B + rate · (I − B)."""
+    return np.asarray(cv2.addWeighted(background, 1.0 - rate, image, rate, 0.0), np.float32)
+
+
+def foreground(
+    background: NDArray[np.float32], image: NDArray[np.float32], threshold: float
+) -> NDArray[np.float32]:
+    """1 where any channel differs from the background by more than ``threshold`` grey levels (h, w)."""
+    difference = cv2.absdiff(image, background)
+    blue, green, red = cv2.split(difference)
+    return np.asarray(cv2.max(cv2.max(blue, green), red) > threshold, np.float32)

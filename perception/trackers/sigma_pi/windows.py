@@ -1,7 +1,8 @@
-"""Windows of the Sigma-Pi tracker as masks and weights of pixels."""
+"""Windows of the Sigma-Pi tracker: the pixels that they cover, and how active a saliency is in them."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,3 +33,55 @@ def covered(shape: tuple[int, ...], window: FloatArray, factor: float) -> NDArra
     rows = slice(max(round(top), 0), max(round(top + height), 0))
     mask[rows, max(round(left), 0) : max(round(left + width), 0)] = True
     return mask
+
+
+def integral(saliency: NDArray[np.float32]) -> FloatArray:
+    """Sums (h + 1, w + 1) of a saliency (h, w) over all rows above and columns to the left."""
+    return np.asarray(cv2.integral(saliency, sdepth=cv2.CV_64F), float)
+
+
+def sums(table: FloatArray, windows: FloatArray) -> FloatArray:
+    """Sums (n,) of a saliency over windows (n, 4): left, top, width, height in pixels.
+
+    The windows' edges are rounded to whole pixels; what lies outside the frame counts nothing.
+
+    Parameters
+    ----------
+    table : of `integral`
+    """
+    h, w = table.shape[0] - 1, table.shape[1] - 1
+    edges = np.rint(np.hstack([windows[:, :2], windows[:, :2] + windows[:, 2:]])).astype(np.int64)
+    left, right = np.clip(edges[:, 0], 0, w), np.clip(edges[:, 2], 0, w)
+    top, bottom = np.clip(edges[:, 1], 0, h), np.clip(edges[:, 3], 0, h)
+    return np.asarray(table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left])
+
+
+def overlap(inside: FloatArray, around: FloatArray, area: FloatArray) -> FloatArray:
+    """How well windows fit what is salient (n,), 0…1: inside / (area + what is salient around them).
+
+    A window on a part of something leaves much around it, one that is too large holds much that is not
+    salient: this is the intersection over union of the window with what is salient in it and around it.
+
+    Parameters
+    ----------
+    inside : (n,) sums of a saliency in 0…1 over the windows
+    around : (n,) sums over the surround
+    area : (n,) of the windows, in the unit of the sums
+    """
+    return np.asarray(np.maximum(inside, 0.0) / np.maximum(area + np.maximum(around, 0.0), 1e-9))
+
+
+def activation(value: FloatArray, middle: float, width: float) -> FloatArray:
+    """A logistic function of values in 0…1, stretched so that 0 gives 0 and 1 gives 1.
+
+    Parameters
+    ----------
+    middle : value at which it is steepest
+    width : change of the value over which it rises from a half to 73 %
+    """
+
+    def logistic(x: FloatArray) -> FloatArray:
+        return np.asarray(1.0 / (1.0 + np.exp(-(x - middle) / width)))
+
+    low, high = logistic(np.array(0.0)), logistic(np.array(1.0))
+    return np.asarray(np.clip((logistic(np.clip(value, 0.0, 1.0)) - low) / (high - low), 0.0, 1.0))
