@@ -8,6 +8,12 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+# Tests that run beside each other have the processors in use: more threads would wait for each other.
+# Here, since the libraries look at it when they are loaded.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+        os.environ.setdefault(library, "1")
+
 # The same examples at every run, so that CI fails on a change and not by chance.
 # HYPOTHESIS_PROFILE=default explores.
 settings.register_profile("repeatable", derandomize=True)

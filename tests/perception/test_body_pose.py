@@ -13,7 +13,7 @@ from perception.pose.body import BodyPose
 from perception.pose.features.linear import fisher_projection, sparse_weights
 from perception.synthetic import PedestrianVariation, make_pedestrians
 
-EASY = PedestrianVariation(size=(80, 100), occluded=0.0, elevation=(0.0, 0.1), offset=0.01, scale=0.02)
+EASY = PedestrianVariation(size=(64, 80), occluded=0.0, elevation=(0.0, 0.1), offset=0.01, scale=0.02)
 
 
 def test_sparse_weights_are_those_of_coordinate_descent() -> None:
@@ -42,13 +42,13 @@ def test_the_projection_finds_what_separates_and_makes_the_rest_unit() -> None:
 
 @pytest.fixture(scope="module")
 def fitted() -> BodyPose:
-    people = make_pedestrians(240, np.random.default_rng(1), EASY)
-    model = BodyPose(samples=25)
+    people = make_pedestrians(160, np.random.default_rng(1), EASY)
+    model = BodyPose(samples=15)
     return model.fit(people.images, model.classes.index(people.body))
 
 
 def test_it_learns_the_direction_of_the_body(fitted: BodyPose) -> None:
-    people = make_pedestrians(60, np.random.default_rng(2), EASY)
+    people = make_pedestrians(40, np.random.default_rng(2), EASY)
     scores = evaluate(fitted, people.images, people.body)
     assert scores.mean_error < 60.0  # by chance: 90°
     found = fitted.log_likelihoods(people.images)

@@ -175,9 +175,8 @@ def test_the_first_frames_number_is_no_delay(folder: Path, blobs: list[BlobTrack
     assert np.isfinite(blobs[0].proposals[1].centre).all()
 
 
-@pytest.mark.parametrize(
-    ("init", "message"),
-    [
+def test_a_start_that_cannot_be_is_one_error(folder: Path) -> None:
+    for init, message in (
         ("1,2,3", "LEFT,TOP,WIDTH,HEIGHT"),
         ("a,b,c,d", "LEFT,TOP,WIDTH,HEIGHT"),
         ("10,10,0,5", "above 0"),
@@ -185,12 +184,10 @@ def test_the_first_frames_number_is_no_delay(folder: Path, blobs: list[BlobTrack
         ("900,10,20,20", "no target in the first frame"),
         ("-100,10,20,20", "no target in the first frame"),
         ("-1e6,-1e6,2e6,2.0001e6", "at most 3 times as large as the image of 160 × 120"),
-    ],
-)
-def test_a_start_that_cannot_be_is_one_error(folder: Path, init: str, message: str) -> None:
-    done = follow(folder, "--init", init)
-    assert done.returncode == 2 and message in done.stderr and done.stderr.count("error:") == 1
-    assert not (folder.parent / "boxes.csv").exists()
+    ):
+        done = follow(folder, "--init", init)
+        assert done.returncode == 2 and message in done.stderr and done.stderr.count("error:") == 1
+        assert not (folder.parent / "boxes.csv").exists()
 
 
 def broken(folder: Path, case: str) -> None:
@@ -223,23 +220,18 @@ def test_frames_that_cannot_be_followed_are_one_error(folder: Path, case: str, m
     assert sorted(path.name for path in folder.parent.iterdir()) == ["images"]
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_wrong_options_are_told_before_the_work(folder: Path, blobs: list[BlobTracker]) -> None:
+    for arguments in (
         ("--head-pose", "guess"),
         ("-o", "boxes.parquet"),
         ("-o", "no/such/folder/boxes.csv"),
         ("--render", "film.mkv"),
         ("--render", "no/such/folder/film.mp4"),
         ("--foot-at", "99"),
-    ],
-)
-def test_wrong_options_are_told_before_the_work(
-    folder: Path, arguments: tuple[str, ...], blobs: list[BlobTracker]
-) -> None:
-    done = follow(folder, *arguments)
-    assert done.returncode == 2 and done.stderr.count("error:") == 1
-    assert not blobs or not blobs[0].proposals
+    ):
+        done = follow(folder, *arguments)
+        assert done.returncode == 2 and done.stderr.count("error:") == 1, arguments
+        assert not any(blob.proposals for blob in blobs)
 
 
 def test_without_a_box_only_some_trackers_begin(folder: Path) -> None:

@@ -54,7 +54,7 @@ def inside(mask: np.ndarray, box: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def around() -> HeadClip:
     return head_clip(
-        np.random.default_rng(4), replace(QUIET, frames=60, all_around=True, tilt=0.0), look=red_headed()
+        np.random.default_rng(4), replace(QUIET, frames=40, all_around=True, tilt=0.0), look=red_headed()
     )
 
 

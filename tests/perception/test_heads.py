@@ -83,8 +83,8 @@ def test_scores_are_the_weighted_votes(weak: Weak) -> None:
 
 @pytest.fixture(scope="module")
 def people() -> People:
-    return make_pedestrians(80, np.random.default_rng(1), EASY), make_pedestrians(
-        15, np.random.default_rng(2), EASY
+    return make_pedestrians(60, np.random.default_rng(1), EASY), make_pedestrians(
+        10, np.random.default_rng(2), EASY
     )
 
 

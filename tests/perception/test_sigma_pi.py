@@ -93,7 +93,7 @@ def test_reliabilities_stay_bounded(activities: list[tuple[float, float, float]]
 
 def test_who_moves_is_followed_from_a_box_and_found_without() -> None:
     for box, first in ((box_at(path(0)), 0), (None, 15)):
-        images = [shown(path(k) if k >= first else None, k) for k in range(70)]
+        images = [shown(path(k) if k >= first else None, k) for k in range(45)]
         estimates = follow(SigmaPiTracker(seed=1), images, box)
         assert all(is_on(estimate, path(k)) for k, estimate in enumerate(estimates) if k >= first + 10)
         assert box is not None or not any(estimate.found for estimate in estimates[:first])
@@ -190,10 +190,10 @@ def test_a_black_video_has_nobody_in_it() -> None:
     assert np.isfinite(estimates[-1].box).all() and estimates[-1].weights.sum() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("box", [(5.0, 5.0, 0.0, 9.0), (500.0, 5.0, 9.0, 9.0), (np.nan, 5.0, 9.0, 9.0)])
-def test_unusable_boxes_are_refused(box: Box) -> None:
-    with pytest.raises(InputError, match="box"):
-        SigmaPiTracker(seed=0).start(ROOM, box)
+def test_unusable_boxes_are_refused() -> None:
+    for box in ((5.0, 5.0, 0.0, 9.0), (500.0, 5.0, 9.0, 9.0), (np.nan, 5.0, 9.0, 9.0)):
+        with pytest.raises(InputError, match="box"):
+            SigmaPiTracker(seed=0).start(ROOM, box)
 
 
 def test_frames_of_another_size_and_steps_without_a_start_are_refused() -> None:
@@ -211,7 +211,7 @@ def test_frames_of_another_size_and_steps_without_a_start_are_refused() -> None:
 
 def test_somebody_who_comes_into_a_rendered_room_is_found() -> None:
     sequence = ceiling_sequence(
-        KINDS["person moving 1"], np.random.default_rng(0), frames=75, empty=8, oversampling=1
+        KINDS["person moving 1"], np.random.default_rng(0), frames=50, empty=8, oversampling=1
     )
     tracker = SigmaPiTracker(seed=0)
     good = []
