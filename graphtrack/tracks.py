@@ -9,49 +9,31 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import FIELDS, LARGEST_FRAME, LARGEST_ID
+from graphtrack.bounds import BODY_CLASSES, FIELDS, HEAD_CLASSES, LARGEST_FRAME, LARGEST_ID, SHAPES, STATE
 from graphtrack.display import html_of_track, html_of_tracks, line_of_track, line_of_tracks, listed
 from graphtrack.errors import InputError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.table.columns import rows_of_table, to_columns
+from graphtrack.table.rows import Rows, in_order
+from graphtrack.table.speeds import with_speeds_checked
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from graphtrack.geometry.camera import GroundCamera
 
-STATE = ("x", "y", "vx", "vy", "body", "head")
-"""Order of the state in ``Track.covariance``."""
-
-BODY_CLASSES, HEAD_CLASSES = 8, 12
-
-_SHAPES: dict[str, tuple[int, ...]] = {
-    "t": (),
-    "position": (2,),
-    "position_std": (),
-    "pixel": (2,),
-    "body": (),
-    "body_kappa": (),
-    "head": (),
-    "head_kappa": (),
-    "body_likelihood": (BODY_CLASSES,),
-    "head_likelihood": (HEAD_CLASSES,),
-    "velocity": (2,),
-    "covariance": (6, 6),
-    "aligned_p": (),
-    "gait_offset": (),
-    "true_position": (2,),
-    "true_body": (),
-    "true_head": (),
-}
+__all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet"]
 
 _KEPT = ("track_id", "frame", "t", "true_position", "true_body", "true_head", "label")
 """What estimates leave of a track that was observed."""
-_NOTHING_OBSERVED = dict.fromkeys(_SHAPES)
+_NOTHING_OBSERVED = dict.fromkeys(SHAPES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +96,7 @@ class Track:
                 f"whole numbers within ±{LARGEST_FRAME}",
             )
         self._set("frame", frame.astype(np.int64))
-        for name, tail in _SHAPES.items():
+        for name, tail in SHAPES.items():
             value = getattr(self, name)
             if value is None:
                 continue
@@ -324,21 +306,47 @@ class TrackSet:
 
     def to_table(self) -> pd.DataFrame:
         """One row per person and frame, with the columns of the native format (degrees in ``*_deg``)."""
-        from graphtrack.io.table import to_table
+        import pandas as pd
 
-        return to_table(self)
+        return pd.DataFrame(to_columns(self))
 
     @classmethod
     def from_table(cls, table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
-        """Tracks from a table with the columns of the native format: a DataFrame, or name → column.
+        """Tracks from a table with the columns of the native format; a missing cell is a missing observation.
 
-        Dates and times in ``t`` become seconds since 1970, UTC; the summary's notes say so.
+        Parameters
+        ----------
+        table : a DataFrame, or name → column. Dates and times in ``t`` become seconds since 1970, UTC; the
+            summary's notes say so.
+        fps : frames a second, for a table without ``t``
 
         Raises
         ------
         InputError
-            Naming the row and column that cannot be used.
+            Naming the row (from 1) and column that cannot be used.
         """
-        from graphtrack.io.table import from_table
+        return with_speeds_checked(cls.from_rows(rows_of_table(table, fps)), Path("table"))
 
-        return from_table(table, fps=fps)
+    @classmethod
+    def from_rows(cls, rows: Rows) -> TrackSet:
+        """Tracks from the rows that a reader made of its file.
+
+        Raises
+        ------
+        InputError, and a warning
+            As `in_order`, or for a value that the reader computed and that is out of its bounds.
+        """
+        rows = in_order(rows)
+        edges = np.flatnonzero(
+            np.diff(rows.track_id, prepend=rows.track_id[0] - 1, append=rows.track_id[-1] + 1)
+        )
+        tracks = []
+        for start, stop in pairwise(edges.tolist()):
+            identity = int(rows.track_id[start])
+            own = {name: value[start:stop] for name, value in rows.channels.items()}
+            # A channel that is missing throughout is absent: engines ask for None, not for all-NaN.
+            present = {k: v for k, v in own.items() if k == "position" or not np.isnan(v).all()}
+            label = rows.labels.get(identity, "")
+            tracks.append(Track(identity, rows.frame[start:stop], **present, label=label))
+        summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
+        return cls(tuple(tracks), rows.camera, summary)

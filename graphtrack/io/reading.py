@@ -17,7 +17,7 @@ from graphtrack.io.cameras import read_homography
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
-from graphtrack.io.speeds import with_speeds_checked
+from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
 
 
@@ -58,7 +58,7 @@ def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
     source = Source.open(path)
     chosen = detect(source) if format is None else format_named(format)
-    return with_speeds_checked(chosen.read(source, options), source.path)
+    return with_speeds_checked(TrackSet.from_rows(chosen.read(source, options)), source.path)
 
 
 def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:

@@ -15,10 +15,12 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, Solution, SolverOptions, solve
 from graphtrack.inference.solution import Engine
+from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.speeds import Speeds
-from graphtrack.io.table import from_columns, to_columns
 from graphtrack.model import Model
+from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.speeds import Speeds
+from graphtrack.tracks import TrackSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,14 +107,14 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
     if "label" in columns:
         columns["label"] = np.array([batch.labels[code] for code in columns["label"]], dtype=object)
     number = rows[:, -1]
-    tracks = from_columns(
+    native = from_columns(
         columns,
         path=work.path,
         format="parquet",
-        options=work.read_options,
+        fps=work.read_options.fps,
         line_of=lambda row: int(number[row]),
-        ignored=[],
     )
+    tracks = TrackSet.from_rows(place_pixels(native, work.read_options))
     speeds = Speeds.of(tracks)
     if work.select:
         tracks = tracks.select(*work.select)
