@@ -102,6 +102,12 @@ SHAPES: Mapping[str, tuple[int, ...]] = dict.fromkeys(FIELDS, ()) | {
 """What each of a `Track`'s attributes has in a frame."""
 
 
+def out_of_bounds(name: str, value: float, frame: int, track_id: int, **place: Any) -> InputError:
+    """The error for a value of an attribute in one frame; ``place`` is where in a file it stands."""
+    found = f"{name} = {value:g} in frame {frame} of track {track_id}"
+    return InputError(found, f"{FIELDS[name].expected}, or NaN where it is missing", **place)
+
+
 def check_positive(name: str, value: float | None, highest: float) -> None:
     """Raise InputError unless a setting is a number above 0, ``highest`` at most, or None."""
     if value is not None and not (np.isfinite(value) and 0.0 < value <= highest):

@@ -16,7 +16,16 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import BODY_CLASSES, FIELDS, HEAD_CLASSES, LARGEST_FRAME, LARGEST_ID, SHAPES, STATE
+from graphtrack.bounds import (
+    BODY_CLASSES,
+    FIELDS,
+    HEAD_CLASSES,
+    LARGEST_FRAME,
+    LARGEST_ID,
+    SHAPES,
+    STATE,
+    out_of_bounds,
+)
 from graphtrack.display import html_of_track, html_of_tracks, line_of_track, line_of_tracks, listed
 from graphtrack.errors import InputError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray
@@ -31,9 +40,9 @@ if TYPE_CHECKING:
 
 __all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet"]
 
-_KEPT = ("track_id", "frame", "t", "true_position", "true_body", "true_head", "label")
+_KEPT = ("t", "true_position", "true_body", "true_head")
 """What estimates leave of a track that was observed."""
-_NOTHING_OBSERVED = dict.fromkeys(SHAPES)
+_ABSENT = dict.fromkeys(SHAPES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +130,29 @@ class Track:
             )
         place = FIELDS[name].first_outside(value)
         if place is not None:
-            raise InputError(
-                f"{name} = {value[place]:g} in frame {self.frame[place[0]]} of track {self.track_id}",
-                f"{FIELDS[name].expected}, or NaN where it is missing",
-            )
+            raise out_of_bounds(name, value[place], self.frame[place[0]], self.track_id)
         return value
+
+    @classmethod
+    def _trusted(
+        cls,
+        track_id: int,
+        frame: NDArray[np.int64],
+        channels: Mapping[str, FloatArray | None],
+        label: str = "",
+    ) -> Track:
+        """A track of arrays that are as the attributes say; they become read-only.
+
+        They are neither checked nor copied: for thousands of tracks that would take as long as to read them,
+        and longer than to smooth them. For readers, who have checked a file as a whole, and for engines.
+        """
+        track = object.__new__(cls)
+        vars(track).update(track_id=track_id, frame=frame, label=label, **_ABSENT)
+        vars(track).update(channels)
+        for value in (frame, *channels.values()):
+            if value is not None:
+                value.setflags(write=False)
+        return track
 
     def __repr__(self) -> str:
         return line_of_track(self)
@@ -162,10 +189,8 @@ class Track:
     ) -> Track:
         """The track with estimates in place of its observations; its truth and label stay.
 
-        The arrays must be as the attributes say. They are neither checked nor copied: for thousands of tracks
-        that would take longer than to smooth them.
+        The arrays must be as the attributes say: they are neither checked nor copied.
         """
-        track = object.__new__(Track)
         of_person = {name: getattr(self, name) for name in _KEPT}
         estimates = {
             "position": position,
@@ -176,11 +201,7 @@ class Track:
             "aligned_p": aligned_p,
             "gait_offset": gait_offset,
         }
-        vars(track).update(_NOTHING_OBSERVED | of_person | estimates)
-        for value in estimates.values():
-            if value is not None:
-                value.setflags(write=False)
-        return track
+        return Track._trusted(self.track_id, self.frame, of_person | estimates, self.label)
 
     def std(self, name: str) -> FloatArray | None:
         """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance.
@@ -334,19 +355,26 @@ class TrackSet:
         Raises
         ------
         InputError, and a warning
-            As `in_order`, or for a value that the reader computed and that is out of its bounds.
+            As `in_order`.
         """
         rows = in_order(rows)
-        edges = np.flatnonzero(
-            np.diff(rows.track_id, prepend=rows.track_id[0] - 1, append=rows.track_id[-1] + 1)
-        )
+        ids = rows.track_id
+        edges = np.flatnonzero(np.diff(ids, prepend=ids[0] - 1, append=ids[-1] + 1)).tolist()
+        # A channel that is missing throughout a track is absent: engines ask for None, not for all-NaN.
+        known = {
+            name: np.logical_or.reduceat(~np.isnan(values).reshape(len(rows), -1).all(axis=1), edges[:-1])
+            for name, values in rows.channels.items()
+            if name != "position"
+        }
         tracks = []
-        for start, stop in pairwise(edges.tolist()):
-            identity = int(rows.track_id[start])
-            own = {name: value[start:stop] for name, value in rows.channels.items()}
-            # A channel that is missing throughout is absent: engines ask for None, not for all-NaN.
-            present = {k: v for k, v in own.items() if k == "position" or not np.isnan(v).all()}
+        for k, (start, stop) in enumerate(pairwise(edges)):
+            channels = {
+                name: values[start:stop]
+                for name, values in rows.channels.items()
+                if name == "position" or known[name][k]
+            }
+            identity = int(ids[start])
             label = rows.labels.get(identity, "")
-            tracks.append(Track(identity, rows.frame[start:stop], **present, label=label))
+            tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label))
         summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
         return cls(tuple(tracks), rows.camera, summary)

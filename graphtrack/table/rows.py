@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.bounds import FIELDS, out_of_bounds
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
@@ -94,7 +95,8 @@ def in_order(rows: Rows) -> Rows:
     Raises
     ------
     InputError
-        If no row is left, a (track, frame) stands twice, or times do not increase with the frames.
+        If no row is left, a (track, frame) stands twice, times do not increase with the frames, or a value
+        that the reader computed, such as a position on the ground, is out of its bounds.
 
     Warns
     -----
@@ -126,6 +128,12 @@ def in_order(rows: Rows) -> Rows:
             line=rows.line_of(i),
             column="t",
         )
+    for name, values in rows.channels.items():
+        place = FIELDS[name].first_outside(values)
+        if place is not None:
+            i = place[0]
+            at = {"path": rows.path, "line": rows.line_of(i)}
+            raise out_of_bounds(name, values[place], int(rows.frame[i]), int(rows.track_id[i]), **at)
     return rows
 
 
