@@ -72,8 +72,8 @@ def smooth(
     ] = None,
 ) -> None:
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
-    from graphtrack.inference import Failure, Solution, solve
-    from graphtrack.inference.offline import engine_of
+    from graphtrack.inference.offline import engine_of, solve_tracks
+    from graphtrack.inference.solution import Failure, Solution
     from graphtrack.inference.warm import SOLVER, solver_rehearsal
     from graphtrack.io import write
     from graphtrack.io.options import ReadOptions
@@ -133,7 +133,7 @@ def smooth(
     make_ready(SOLVER, solver_rehearsal(chosen, solver, tracks.camera))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        found = solve(tracks, chosen, engine=solver, jobs=jobs, progress=advance)
+        found = solve_tracks(tracks, chosen, solver, jobs=jobs, progress=advance)
     seconds = time.perf_counter() - start
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]

@@ -10,7 +10,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
-from graphtrack.errors import InputError
+from graphtrack.errors import NO_POSITION, InputError, SolveError
 
 if TYPE_CHECKING:
     from graphtrack.model import Model
@@ -146,9 +146,7 @@ def track(
             markup=False,
         )
     for track_id in unseen:
-        console.print(
-            f"error: track {track_id}: found no position at all, expected at least one", markup=False
-        )
+        console.print(f"error: {SolveError(track_id, NO_POSITION)}", markup=False)
     if unseen:
         raise typer.Exit(BAD_INPUT)
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import Failure, Solution, SolverOptions, solve
-from graphtrack.inference.solution import Engine
+from graphtrack.inference.offline import solve_tracks
+from graphtrack.inference.solution import Engine, Failure, Solution, SolverOptions
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
@@ -118,7 +118,7 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
     speeds = Speeds.of(tracks)
     if work.select:
         tracks = tracks.select(*work.select)
-    found = solve(tracks, work.model, engine=work.engine, jobs=work.jobs, options=work.options)
+    found = solve_tracks(tracks, work.model, work.engine, jobs=work.jobs, options=work.options)
     good = [result for result in found if isinstance(result, Solution)]
     return Shard(
         to_columns(replace(tracks, tracks=tuple(result.track for result in good))),
