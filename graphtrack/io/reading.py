@@ -46,10 +46,14 @@ def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, 
     except TypeError as error:
         known = ", ".join(ReadOptions.__dataclass_fields__)
         raise InputError(f"options {', '.join(options)}", f"some of {known}") from error
-    paths = [path] if isinstance(path, str | Path) else list(path)
+    return read_with([path] if isinstance(path, str | Path) else list(path), format, read_options)
+
+
+def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOptions) -> TrackSet:
+    """`read`, where the options stand together."""
     if not paths:
         raise InputError("no paths", "at least one")
-    sets = [_read_one(one, format, read_options) for one in paths]
+    sets = [_read_one(one, format, options) for one in paths]
     if len(sets) == 1:
         return sets[0]
     return _merged(sets, [Path(one) for one in paths])
