@@ -11,7 +11,8 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.report.content import AngleChart, Card, Note, Picture, Report, Section, Table
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
-from graphtrack.report.plots import plot_angles, plot_errors, plot_nees
+from graphtrack.report.plots import plot_errors, plot_nees
+from graphtrack.report.plots.orientation import plot_angles_of
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import replay_data
 from graphtrack.report.rows import Rows
@@ -160,9 +161,7 @@ def _angles_section(pairs: tuple[Pair, ...], interactive: bool) -> Section:
     # The chart is drawn from the data of the replay, which has nobody without a position.
     if not interactive or not any(_is_known(pair.estimate.position) for pair in angled):
         pictures = [
-            Picture(
-                pair.name, plot_angles(pair.estimate, pair.observation), f"Angles of {pair.name} over time."
-            )
+            Picture(pair.name, plot_angles_of(pair), f"Angles of {pair.name} over time.")
             for pair in angled[:MAX_PICTURES]
         ]
         return Section("Body and head", (*pictures, *_left_out(len(angled), MAX_PICTURES)))
