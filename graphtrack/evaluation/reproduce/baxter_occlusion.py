@@ -203,8 +203,7 @@ def _figure(
     rng: np.random.Generator,
 ) -> Figure:
     from graphtrack.evaluation.reproduce.style import COLOURS, bars
-    from graphtrack.report.plots.canvas import new_figure, tidy
-    from graphtrack.report.style import TRUTH_COLOUR
+    from graphtrack.report.style import TRUTH_COLOUR, new_figure, tidy
 
     figure = new_figure(12.0, 4.2 * len(examples) + 0.8)
     grid = figure.subplots(len(examples), 3, squeeze=False, width_ratios=[1.0, 1.35, 0.8])

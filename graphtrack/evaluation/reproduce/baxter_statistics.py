@@ -131,8 +131,7 @@ def _beside(found: list[DeviationStatistics]) -> Table:
 
 
 def _figure(found: list[DeviationStatistics]) -> Figure:
-    from graphtrack.report.plots.canvas import new_figure, tidy
-    from graphtrack.report.style import HEAD_COLOUR, NEUTRAL_COLOUR
+    from graphtrack.report.style import HEAD_COLOUR, NEUTRAL_COLOUR, new_figure, tidy
 
     columns = 3
     lines = -(-len(found) // columns)

@@ -239,8 +239,7 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
     from matplotlib.lines import Line2D
 
     from graphtrack.evaluation.reproduce.style import COLOURS
-    from graphtrack.report.plots.canvas import new_figure, tidy
-    from graphtrack.report.style import NEUTRAL_COLOUR
+    from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
 
     names = ["002", *(one.data for one in found)]
     figure = new_figure(3.0 * len(names), 7.2)

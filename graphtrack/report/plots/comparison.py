@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from graphtrack.report.plots.canvas import new_figure, tidy
 from graphtrack.report.rows import ErrorRow, NeesRow, Rows, distinct, error_rows, nees_rows
-from graphtrack.report.style import NEUTRAL_COLOUR, quantity_colour
+from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, quantity_colour, tidy
 
 PANELS_A_LINE = 3
 

@@ -7,9 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from graphtrack.report.pairing import Pair, has_angle, observed_angle, pair_track
-from graphtrack.report.plots.canvas import new_figure, tidy
 from graphtrack.report.shapes import NORMAL_95, angle_bands, break_at_seam, finite_runs, open_holes
-from graphtrack.report.style import ANGLE_COLOURS, NEUTRAL_COLOUR, TRUTH_COLOUR
+from graphtrack.report.style import ANGLE_COLOURS, NEUTRAL_COLOUR, TRUTH_COLOUR, new_figure, tidy
 from graphtrack.tracks import Track
 
 
