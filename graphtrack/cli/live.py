@@ -21,7 +21,7 @@ from graphtrack.cli.state_file import StateFile
 from graphtrack.cli.stream import LONGEST_LINE, People
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.online import Engine, OnlineSmoother, online_engine
+from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
 from graphtrack.inference.warm import SOLVER, online_rehearsal
 from graphtrack.model import Model
 from graphtrack.readiness import is_cold, make_ready
@@ -30,7 +30,7 @@ from graphtrack.readiness import is_cold, make_ready
 def track_stream(
     model: Model,
     *,
-    engine: Engine,
+    engine: OnlineEngine,
     lag: float,
     fps: float | None,
     camera: GroundCamera | None,
@@ -168,7 +168,7 @@ def give(answer: dict[str, Any]) -> None:
         raise InputError(found, "a place for the answers", path="standard output") from error
 
 
-def warm_up(model: Model, engine: Engine) -> None:
+def warm_up(model: Model, engine: OnlineEngine) -> None:
     """Load what the chain engine runs; what was never compiled on this machine is compiled first.
 
     Compiling is left to a process of its own: code as it is compiled and the same code from the cache round

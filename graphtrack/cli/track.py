@@ -14,9 +14,8 @@ from graphtrack.cli.console import BAD_INPUT, console, progress_bar
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 
 if TYPE_CHECKING:
+    from graphtrack.inference.online import OnlineEngine
     from graphtrack.model import Model
-
-Engine = Literal["auto", "chain", "fixed-lag", "isam2"]
 
 
 def track(
@@ -35,7 +34,7 @@ def track(
     ] = None,
     model: options.BestModelName = None,
     engine: Annotated[
-        Engine,
+        Literal["auto", "chain", "fixed-lag", "isam2"],
         typer.Option(
             "--engine",
             help="chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; auto: chain where it can be.",
@@ -126,7 +125,7 @@ def _refuse_with_stream(given: Mapping[str, object]) -> None:
 
 def _track_stream(
     model: Model,
-    engine: Engine,
+    engine: OnlineEngine,
     lag: float,
     reading: options.CameraReading,
     state: Path | None,

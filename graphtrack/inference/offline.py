@@ -19,8 +19,8 @@ from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.solution import (
-    Engine,
     Failure,
+    OfflineEngine,
     Solution,
     SolverOptions,
     bounded,
@@ -39,7 +39,7 @@ BATCH = 20_000
 """Frames that a thread of the chain engine takes at a time; it bounds the memory beside the answer."""
 
 
-def engine_of(model: Model, engine: Engine | Literal["auto"] = "auto") -> Engine:
+def engine_of(model: Model, engine: OfflineEngine | Literal["auto"] = "auto") -> OfflineEngine:
     """The engine that solves a model: what was asked for, or "chain" wherever that is possible.
 
     Raises
@@ -77,7 +77,7 @@ def solve(
     tracks: Given,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
@@ -107,7 +107,7 @@ def solve(
 def solve_tracks(
     tracks: TrackSet,
     model: Model,
-    engine: Engine,
+    engine: OfflineEngine,
     *,
     jobs: int | None = None,
     options: SolverOptions | None = None,
@@ -140,7 +140,7 @@ def smooth(
     tracks: Track,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
@@ -152,7 +152,7 @@ def smooth(
     tracks: Scene,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
@@ -163,7 +163,7 @@ def smooth(
     tracks: Given,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
@@ -196,7 +196,7 @@ def smooth_track(
     model: Model,
     camera: GroundCamera | None = None,
     options: SolverOptions | None = None,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
 ) -> Solution:
     """Smooth one track.
 

@@ -15,7 +15,7 @@ from graphtrack.report.plots import plot_errors, plot_nees
 from graphtrack.report.plots.orientation import plot_angles_of
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import replay_data
-from graphtrack.report.rows import Rows
+from graphtrack.report.rows import Records
 from graphtrack.report.shapes import probability_ellipse
 from graphtrack.tracks import ReadSummary, Track, TrackSet
 
@@ -35,8 +35,8 @@ def tracking_report(
     *,
     title: str = "Tracks",
     subtitle: str = "",
-    comparison: Rows | None = None,
-    consistency: Rows | None = None,
+    comparison: Records | None = None,
+    consistency: Records | None = None,
     cards: tuple[Card, ...] = (),
     sections: tuple[Section, ...] = (),
     interactive: bool = True,
@@ -176,7 +176,7 @@ def _left_out(count: int, limit: int) -> tuple[Note, ...]:
     return (Note(f"The first {limit} of {count} people are shown."),) if count > limit else ()
 
 
-def _methods_section(comparison: Rows | None, consistency: Rows | None) -> Section:
+def _methods_section(comparison: Records | None, consistency: Records | None) -> Section:
     items: list[Table | Picture] = []
     if comparison is not None:
         words = "Error of each method: the median, and its spread over the tracks"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.offline import solve_tracks
-from graphtrack.inference.solution import Engine, Failure, Solution, SolverOptions
+from graphtrack.inference.solution import Failure, OfflineEngine, Solution, SolverOptions
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
@@ -42,7 +42,7 @@ class Work:
     read_options: ReadOptions
     select: tuple[str, ...]
     model: Model
-    engine: Engine
+    engine: OfflineEngine
     jobs: int | None
     options: SolverOptions
     version: str = version("graphtrack")

@@ -13,7 +13,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.offline import BATCH, engine_of
-from graphtrack.inference.solution import Engine
+from graphtrack.inference.solution import OfflineEngine
 from graphtrack.inference.warm import SOLVER, solver_rehearsal
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import camera_or_scale, known_camera
@@ -47,7 +47,7 @@ class Outcome:
 
     n_tracks: int
     n_frames: int
-    engine: Engine
+    engine: OfflineEngine
     failures: tuple[Failure, ...]
     unconverged: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
@@ -67,7 +67,7 @@ def smooth_dataset(
     output: str | Path,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     cluster: str | None = None,
     batch_frames: int = BATCH,
