@@ -22,7 +22,7 @@ def modules() -> dict[str, Path]:
 
 
 def imported(node: ast.AST) -> Iterator[str]:
-    """Names that are imported when a module runs, in its functions too; not those for a type checker alone."""
+    """Names that are imported when a module runs, in its functions too; not for a type checker alone."""
     if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
         return
     if isinstance(node, ast.Import):

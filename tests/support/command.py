@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -27,3 +28,17 @@ def run(*arguments: object, program: str = "perception") -> Done:
         with pytest.raises(SystemExit) as end:
             main()
     return Done(int(end.value.code or 0), out.getvalue(), err.getvalue())
+
+
+TRACK_STREAM = [sys.executable, "-c", "from graphtrack.cli import main; main()", "track", "-"]
+
+_SAID = re.compile(
+    r"going on from .*, after (\d+) rows?"
+    r"(?: \(the last is line (\d+)\))?(; the answer to row \d+ is given again)?"
+)
+
+
+def going_on(said: str) -> tuple[int, int]:
+    """The line after which a run goes on, and how many of the answers so far are to be kept."""
+    rows, line, again = _SAID.search(said).groups()
+    return int(line or rows), int(rows) - bool(again)

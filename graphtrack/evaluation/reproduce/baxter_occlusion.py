@@ -9,12 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from graphtrack.evaluation.reproduce.experiment import (
+    MOCAP,
+    TURNING,
     Cell,
     Experiment,
     Progress,
     Reproduction,
     Settings,
     Table,
+    evenly,
+    quietly,
+    thinned,
 )
 from graphtrack.evaluation.reproduce.occlusion_methods import (
     FITS,
@@ -28,7 +33,6 @@ from graphtrack.evaluation.reproduce.occlusion_methods import (
     error_of,
     fitted,
 )
-from graphtrack.evaluation.reproduce.recordings import MOCAP, TURNING, evenly, quietly, thinned
 from graphtrack.evaluation.reproduce.resampling import bootstrap, reduction
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour

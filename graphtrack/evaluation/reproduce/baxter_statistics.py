@@ -9,20 +9,18 @@ import numpy as np
 
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.evaluation.reproduce.experiment import (
-    Cell,
-    Experiment,
-    Progress,
-    Reproduction,
-    Settings,
-    Table,
-)
-from graphtrack.evaluation.reproduce.recordings import (
     ASKANCE,
     CAVIAR,
     MOCAP,
     SALSA,
     TURNING,
     WALKING,
+    Cell,
+    Experiment,
+    Progress,
+    Reproduction,
+    Settings,
+    Table,
     quietly,
 )
 from graphtrack.evaluation.statistics import (

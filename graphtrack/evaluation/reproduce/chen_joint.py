@@ -11,19 +11,17 @@ from scipy import integrate, optimize
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
 from graphtrack.evaluation.reproduce.experiment import (
+    ASKANCE,
     LAG,
+    MOCAP,
+    SALSA,
+    WALKING,
     Cell,
     Experiment,
     Progress,
     Reproduction,
     Settings,
     Table,
-)
-from graphtrack.evaluation.reproduce.recordings import (
-    ASKANCE,
-    MOCAP,
-    SALSA,
-    WALKING,
     evenly,
     quietly,
     thinned,
