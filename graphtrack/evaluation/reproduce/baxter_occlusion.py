@@ -34,9 +34,9 @@ from graphtrack.evaluation.reproduce.occlusion_methods import (
     fitted,
 )
 from graphtrack.evaluation.reproduce.resampling import bootstrap, reduction
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
-from graphtrack.simulation.degrade import TURN_SECONDS, BoolArray, add_noise, occlude, withhold
+from graphtrack.simulation.degrade import TURN_SECONDS, add_noise, occlude, withhold
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
