@@ -28,7 +28,7 @@ FORMAT_MODULES = (
     "mot",
     "eth",
 )
-"""Modules of `graphtrack.io.formats` with a constant ``FORMAT``, the most distinctive contents first."""
+"""Modules of `graphtrack.io.readers` with a constant ``FORMAT``, the most distinctive contents first."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Format:
 @cache
 def formats() -> tuple[Format, ...]:
     """All formats, in the order in which they are tried."""
-    return tuple(importlib.import_module(f"graphtrack.io.formats.{name}").FORMAT for name in FORMAT_MODULES)
+    return tuple(importlib.import_module(f"graphtrack.io.readers.{name}").FORMAT for name in FORMAT_MODULES)
 
 
 def files_beside(path: Path) -> tuple[Path, ...]:

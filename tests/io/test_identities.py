@@ -14,7 +14,7 @@ import graphtrack as gt
 from graphtrack import io
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
-from graphtrack.io.formats.ndjson import parse_line, read_cells
+from graphtrack.io.readers.ndjson import parse_line, read_cells
 from graphtrack.scale import smooth_dataset
 from graphtrack.tracks import Track
 
