@@ -1,4 +1,4 @@
-"""What numbers of a track may be: beyond these they are mistakes, in files and in memory alike."""
+"""What the arrays of a track are: their shapes, and the numbers beyond which they are mistakes everywhere."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.errors import InputError
+
 LARGEST_FRAME = 2**31 - 1
 LARGEST_ID = 2**53 - 1
 """Within ± this every whole number is a double of its own, to which no other one rounds."""
@@ -21,7 +23,6 @@ LARGEST_PIXELS = 1e6
 LARGEST_DEGREES = 1e6
 LARGEST_CONCENTRATION = 1e9
 LARGEST_LIKELIHOOD = 1e12
-
 
 SMALLEST = math.ulp(0.0)
 """The smallest number above 0."""
@@ -83,3 +84,36 @@ FIELDS: Mapping[str, Bounds] = {
     "true_head": RADIANS,
 }
 """Bounds of a `Track`'s attributes, in its units; of what engines alone make it must be finite."""
+
+STATE = ("x", "y", "vx", "vy", "body", "head")
+"""Order of the state in ``Track.covariance``."""
+
+BODY_CLASSES, HEAD_CLASSES = 8, 12
+
+SHAPES: Mapping[str, tuple[int, ...]] = dict.fromkeys(FIELDS, ()) | {
+    "position": (2,),
+    "pixel": (2,),
+    "body_likelihood": (BODY_CLASSES,),
+    "head_likelihood": (HEAD_CLASSES,),
+    "velocity": (2,),
+    "covariance": (len(STATE), len(STATE)),
+    "true_position": (2,),
+}
+"""What each of a `Track`'s attributes has in a frame."""
+
+
+def out_of_bounds(name: str, value: float, frame: int, track_id: int, **place: Any) -> InputError:
+    """The error for a value of an attribute in one frame; ``place`` is where in a file it stands."""
+    found = f"{name} = {value:g} in frame {frame} of track {track_id}"
+    return InputError(found, f"{FIELDS[name].expected}, or NaN where it is missing", **place)
+
+
+def check_positive(name: str, value: float | None, highest: float) -> None:
+    """Raise InputError unless a setting is a number above 0, ``highest`` at most, or None."""
+    if value is not None and not (np.isfinite(value) and 0.0 < value <= highest):
+        raise InputError(f"{name} = {value}", f"a positive number up to {highest:g}")
+
+
+def check_frame_rate(fps: float | None) -> None:
+    """Raise InputError unless frames a second are a number above 0, or None."""
+    check_positive("fps", fps, 1e6)

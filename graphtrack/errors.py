@@ -75,5 +75,9 @@ class SolveError(GraphtrackError):
         return f"track {self.track_id}: {self.reason}"
 
 
+NO_POSITION = "found no position at all, expected at least one"
+"""Why a track cannot be estimated in which nobody was ever seen."""
+
+
 class InputWarning(UserWarning):
     """Input that was used after a repair, such as frames that had to be sorted."""

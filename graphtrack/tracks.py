@@ -9,49 +9,40 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import FIELDS, LARGEST_FRAME, LARGEST_ID
+from graphtrack.bounds import (
+    BODY_CLASSES,
+    FIELDS,
+    HEAD_CLASSES,
+    LARGEST_FRAME,
+    LARGEST_ID,
+    SHAPES,
+    STATE,
+    out_of_bounds,
+)
 from graphtrack.display import html_of_track, html_of_tracks, line_of_track, line_of_tracks, listed
 from graphtrack.errors import InputError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.table.columns import rows_of_table, to_columns
+from graphtrack.table.rows import Rows, in_order
+from graphtrack.table.speeds import with_speeds_checked
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from graphtrack.geometry.camera import GroundCamera
 
-STATE = ("x", "y", "vx", "vy", "body", "head")
-"""Order of the state in ``Track.covariance``."""
+__all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet"]
 
-BODY_CLASSES, HEAD_CLASSES = 8, 12
-
-_SHAPES: dict[str, tuple[int, ...]] = {
-    "t": (),
-    "position": (2,),
-    "position_std": (),
-    "pixel": (2,),
-    "body": (),
-    "body_kappa": (),
-    "head": (),
-    "head_kappa": (),
-    "body_likelihood": (BODY_CLASSES,),
-    "head_likelihood": (HEAD_CLASSES,),
-    "velocity": (2,),
-    "covariance": (6, 6),
-    "aligned_p": (),
-    "gait_offset": (),
-    "true_position": (2,),
-    "true_body": (),
-    "true_head": (),
-}
-
-_KEPT = ("track_id", "frame", "t", "true_position", "true_body", "true_head", "label")
+_KEPT = ("t", "true_position", "true_body", "true_head")
 """What estimates leave of a track that was observed."""
-_NOTHING_OBSERVED = dict.fromkeys(_SHAPES)
+_ABSENT = dict.fromkeys(SHAPES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +105,7 @@ class Track:
                 f"whole numbers within ±{LARGEST_FRAME}",
             )
         self._set("frame", frame.astype(np.int64))
-        for name, tail in _SHAPES.items():
+        for name, tail in SHAPES.items():
             value = getattr(self, name)
             if value is None:
                 continue
@@ -139,11 +130,29 @@ class Track:
             )
         place = FIELDS[name].first_outside(value)
         if place is not None:
-            raise InputError(
-                f"{name} = {value[place]:g} in frame {self.frame[place[0]]} of track {self.track_id}",
-                f"{FIELDS[name].expected}, or NaN where it is missing",
-            )
+            raise out_of_bounds(name, value[place], self.frame[place[0]], self.track_id)
         return value
+
+    @classmethod
+    def _trusted(
+        cls,
+        track_id: int,
+        frame: NDArray[np.int64],
+        channels: Mapping[str, FloatArray | None],
+        label: str = "",
+    ) -> Track:
+        """A track of arrays that are as the attributes say; they become read-only.
+
+        They are neither checked nor copied: for thousands of tracks that would take as long as to read them,
+        and longer than to smooth them. For readers, who have checked a file as a whole, and for engines.
+        """
+        track = object.__new__(cls)
+        vars(track).update(track_id=track_id, frame=frame, label=label, **_ABSENT)
+        vars(track).update(channels)
+        for value in (frame, *channels.values()):
+            if value is not None:
+                value.setflags(write=False)
+        return track
 
     def __repr__(self) -> str:
         return line_of_track(self)
@@ -180,10 +189,8 @@ class Track:
     ) -> Track:
         """The track with estimates in place of its observations; its truth and label stay.
 
-        The arrays must be as the attributes say. They are neither checked nor copied: for thousands of tracks
-        that would take longer than to smooth them.
+        The arrays must be as the attributes say: they are neither checked nor copied.
         """
-        track = object.__new__(Track)
         of_person = {name: getattr(self, name) for name in _KEPT}
         estimates = {
             "position": position,
@@ -194,11 +201,7 @@ class Track:
             "aligned_p": aligned_p,
             "gait_offset": gait_offset,
         }
-        vars(track).update(_NOTHING_OBSERVED | of_person | estimates)
-        for value in estimates.values():
-            if value is not None:
-                value.setflags(write=False)
-        return track
+        return Track._trusted(self.track_id, self.frame, of_person | estimates, self.label)
 
     def std(self, name: str) -> FloatArray | None:
         """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance.
@@ -324,21 +327,54 @@ class TrackSet:
 
     def to_table(self) -> pd.DataFrame:
         """One row per person and frame, with the columns of the native format (degrees in ``*_deg``)."""
-        from graphtrack.io.table import to_table
+        import pandas as pd
 
-        return to_table(self)
+        return pd.DataFrame(to_columns(self))
 
     @classmethod
     def from_table(cls, table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
-        """Tracks from a table with the columns of the native format: a DataFrame, or name → column.
+        """Tracks from a table with the columns of the native format; a missing cell is a missing observation.
 
-        Dates and times in ``t`` become seconds since 1970, UTC; the summary's notes say so.
+        Parameters
+        ----------
+        table : a DataFrame, or name → column. Dates and times in ``t`` become seconds since 1970, UTC; the
+            summary's notes say so.
+        fps : frames a second, for a table without ``t``
 
         Raises
         ------
         InputError
-            Naming the row and column that cannot be used.
+            Naming the row (from 1) and column that cannot be used.
         """
-        from graphtrack.io.table import from_table
+        return with_speeds_checked(cls.from_rows(rows_of_table(table, fps)), Path("table"))
 
-        return from_table(table, fps=fps)
+    @classmethod
+    def from_rows(cls, rows: Rows) -> TrackSet:
+        """Tracks from the rows that a reader made of its file.
+
+        Raises
+        ------
+        InputError, and a warning
+            As `in_order`.
+        """
+        rows = in_order(rows)
+        ids = rows.track_id
+        edges = np.flatnonzero(np.diff(ids, prepend=ids[0] - 1, append=ids[-1] + 1)).tolist()
+        # A channel that is missing throughout a track is absent: engines ask for None, not for all-NaN.
+        known = {
+            name: np.logical_or.reduceat(~np.isnan(values).reshape(len(rows), -1).all(axis=1), edges[:-1])
+            for name, values in rows.channels.items()
+            if name != "position"
+        }
+        tracks = []
+        for k, (start, stop) in enumerate(pairwise(edges)):
+            channels = {
+                name: values[start:stop]
+                for name, values in rows.channels.items()
+                if name == "position" or known[name][k]
+            }
+            identity = int(ids[start])
+            label = rows.labels.get(identity, "")
+            tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label))
+        summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
+        return cls(tuple(tracks), rows.camera, summary)

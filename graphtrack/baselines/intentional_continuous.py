@@ -12,9 +12,9 @@ import numpy as np
 
 from graphtrack.baselines.isotropic import FilteredStates, Transition, filter_tracks, full_covariance
 from graphtrack.baselines.kalman import GaussianStates, as_track, position_std
-from graphtrack.errors import InputError, SolveError
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit
-from graphtrack.inference.initial import observed_vectors
+from graphtrack.inference.initial import observed_vectors, require_position
 from graphtrack.model.intentional import steered_step
 from graphtrack.model.parameters import Parameters
 from graphtrack.tracks import Track
@@ -95,8 +95,7 @@ def intentional_states(track: Track, parameters: Parameters, rate: float = HEAD_
     SolveError
         If no position was observed.
     """
-    if not np.isfinite(track.position).all(axis=1).any():
-        raise SolveError(track.track_id, "found no position at all, expected at least one")
+    require_position(track)
     vectors = observed_vectors(track, "head")
     head = np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
     variance = position_std(track, parameters) ** 2

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.errors import SolveError
+from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.motion import process_noise, transition_matrix
 from graphtrack.model.parameters import Parameters
@@ -37,7 +37,7 @@ def position_std(track: Track, parameters: Parameters) -> FloatArray:
 def _first_position(track: Track) -> int:
     seen = np.flatnonzero(np.isfinite(track.position).all(axis=1))
     if not len(seen):
-        raise SolveError(track.track_id, "found no position at all, expected at least one")
+        raise SolveError(track.track_id, NO_POSITION)
     return int(seen[0])
 
 

@@ -23,6 +23,7 @@ FIGURES = ("errors.png", "nees.png")
 
 def compare(
     inputs: options.Inputs,
+    reading: options.Reading,
     methods: Annotated[
         str,
         typer.Option(
@@ -46,9 +47,6 @@ def compare(
     position_noise: PositionNoise = None,
     body_kappa: BodyKappa = None,
     head_kappa: HeadKappa = None,
-    fps: options.Fps = None,
-    format: options.Format = None,
-    select: options.Select = None,
     seed: options.Seed = 0,
     json_path: options.Json = None,
     figures: Annotated[Path | None, typer.Option("--figures", help="Folder for figures (PNG).")] = None,
@@ -66,11 +64,11 @@ def compare(
 
     options.check_outputs(
         {"--json": json_path, "--figures": options.files_in(figures, FIGURES)},
-        options.inputs_of(inputs, model=model),
+        reading.inputs(inputs, model),
     )
     if figures is not None:
         options.make_folder(figures)
-    tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
+    tracks = reading.tracks(inputs)
     if any(noise is not None for noise in (position_noise, body_kappa, head_kappa)):
         rng = np.random.default_rng(seed)
         tracks = add_noise(

@@ -29,7 +29,9 @@ def demo(
     from graphtrack.model import Model
     from graphtrack.report.build import tracking_report
     from graphtrack.report.html import write_report
-    from graphtrack.report.plots import plot_angles, plot_tracks
+    from graphtrack.report.pairing import pair_tracks
+    from graphtrack.report.plots.orientation import plot_angles_of
+    from graphtrack.report.plots.scene import plot_pairs
     from graphtrack.simulation.scenario import scenario
 
     observed = scenario(np.random.default_rng(seed), seconds=seconds)
@@ -50,9 +52,10 @@ def demo(
         comparison = compare(observed, methods, model=chosen, progress=advance)
     print_comparison(comparison)
     write_figures(comparison, out)
-    pictures = {TRACKS: plot_tracks(estimates, observed, title="Smoothed tracks")}
-    for track in estimates:
-        pictures[angles[track.track_id]] = plot_angles(track, observed[track.track_id])
+    pairs = pair_tracks(estimates, observed)
+    pictures = {TRACKS: plot_pairs(pairs, title="Smoothed tracks")}
+    for pair in pairs:
+        pictures[angles[pair.estimate.track_id]] = plot_angles_of(pair)
     for name, figure in pictures.items():
         with atomic_path(out / name) as temporary:
             figure.savefig(temporary, format="png", dpi=120)

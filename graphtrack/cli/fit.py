@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -18,14 +18,15 @@ if TYPE_CHECKING:
 
 def fit(
     inputs: options.Inputs,
+    reading: options.Reading,
     output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.toml).")],
     model: options.ModelName = "separate",
     criterion: Annotated[
-        str | None,
+        Literal["truth", "evidence", "prediction"] | None,
         typer.Option(
             "--criterion",
-            help="truth, evidence or prediction; by default the truth, where there is one, else the evidence "
-            "or, with couplings, the prediction.",
+            help="By default the truth, where there is one, else the evidence or, with couplings, the "
+            "prediction.",
         ),
     ] = None,
     hold_out: Annotated[
@@ -38,9 +39,6 @@ def fit(
         Path | None, typer.Option("--report", help="Write what changed and what it bought as HTML.")
     ] = None,
     json_path: options.Json = None,
-    format: options.Format = None,
-    fps: options.Fps = None,
-    select: options.Select = None,
     seed: options.Seed = 0,
 ) -> None:
     """Learn the parameters of a model from tracks, with their truth or without.
@@ -50,8 +48,6 @@ def fit(
     from graphtrack.io import atomic_path
     from graphtrack.learning import fit as learn
 
-    if criterion not in (None, "truth", "evidence", "prediction"):
-        raise InputError(f"criterion {criterion!r}", "truth, evidence or prediction")
     if output.suffix != ".toml":
         raise InputError(f"output {output.name!r}", "a name that ends in .toml", path=output)
     journal = output.with_name(output.name + ".progress")
@@ -62,16 +58,16 @@ def fit(
             "--report": report,
             "--json": json_path,
         },
-        options.inputs_of(inputs, model=model),
+        reading.inputs(inputs, model),
     )
-    tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
+    tracks = reading.tracks(inputs)
     if journal.is_file():
         console.print(f"  going on from {journal}, if it is of the same data and options", markup=False)
     with console.status("learning") as status:
         found = learn(
             tracks,
             model,
-            criterion=criterion,  # type: ignore[arg-type]
+            criterion=criterion,
             hold_out=hold_out,
             seed=seed,
             max_frames=max_frames,

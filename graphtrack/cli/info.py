@@ -15,38 +15,12 @@ if TYPE_CHECKING:
 
 def info(
     inputs: options.Inputs,
-    fps: options.Fps = None,
-    homography: options.Homography = None,
-    point_pairs: options.PointPairs = None,
-    point_pairs_unit: options.PointPairsUnit = "m",
-    point_pairs_rows: options.PointPairsRows = None,
-    calibration: options.Calibration = None,
-    metres_per_pixel: options.MetresPerPixel = None,
-    image_scale: options.ImageScale = None,
-    classes: options.Classes = None,
-    format: options.Format = None,
-    select: options.Select = None,
+    reading: options.CameraReading,
     json_path: options.Json = None,
 ) -> None:
     """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows."""
-    options.check_outputs(
-        {"--json": json_path},
-        options.inputs_of(inputs, homography=homography, point_pairs=point_pairs, calibration=calibration),
-    )
-    tracks = options.read_tracks(
-        inputs,
-        format=format,
-        select=select,
-        classes=classes,
-        fps=fps,
-        homography=homography,
-        point_pairs=point_pairs,
-        point_pairs_unit=point_pairs_unit,
-        point_pairs_rows=point_pairs_rows,
-        calibration=calibration,
-        metres_per_pixel=metres_per_pixel,
-        image_scale=image_scale,
-    )
+    options.check_outputs({"--json": json_path}, reading.inputs(inputs))
+    tracks = reading.tracks(inputs)
     rows = [describe(track) for track in tracks]
     optional = [name for name in ("label", "truth") if not any(row[name] for row in rows)]
     headings = {name: _HEADINGS.get(name, name) for name in rows[0] if name not in optional} if rows else {}

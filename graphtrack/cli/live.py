@@ -6,6 +6,7 @@ import gc
 import io
 import json
 import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -18,17 +19,18 @@ from graphtrack.cli.console import console, counted, progress_bar
 from graphtrack.cli.saving import Saving, settings_of
 from graphtrack.cli.state_file import StateFile
 from graphtrack.cli.stream import LONGEST_LINE, People
-from graphtrack.cli.warm import warm_up
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.online import Engine, OnlineSmoother, online_engine
+from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
+from graphtrack.inference.warm import SOLVER, online_rehearsal
 from graphtrack.model import Model
+from graphtrack.readiness import is_cold, make_ready
 
 
 def track_stream(
     model: Model,
     *,
-    engine: Engine,
+    engine: OnlineEngine,
     lag: float,
     fps: float | None,
     camera: GroundCamera | None,
@@ -164,3 +166,23 @@ def give(answer: dict[str, Any]) -> None:
         gone = isinstance(error, BrokenPipeError)
         found = "that its reader went away" if gone else error.strerror or str(error)
         raise InputError(found, "a place for the answers", path="standard output") from error
+
+
+def warm_up(model: Model, engine: OnlineEngine) -> None:
+    """Load what the chain engine runs; what was never compiled on this machine is compiled first.
+
+    Compiling is left to a process of its own: code as it is compiled and the same code from the cache round
+    differently, and a run that is gone on with must round as the run before.
+    """
+    if engine != "chain":
+        return
+    if any(map(is_cold, online_rehearsal(model).called)):
+        preset = "full" if model.has_modes else "joint"
+        code = f"from {__name__} import load; load({preset!r})"
+        subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
+    load(model)
+
+
+def load(model: Model | str) -> None:
+    """Have the compiled window's code in this process; compile what there is none of."""
+    make_ready(SOLVER, online_rehearsal(Model.named(model)))

@@ -9,6 +9,7 @@ import typer
 
 from graphtrack.cli import compare, demo, fit, info, reproduce, simulate, smooth, track
 from graphtrack.cli.console import BAD_INPUT, fail, printed_log
+from graphtrack.cli.options import expanded
 from graphtrack.errors import GraphtrackError
 
 UsageError: Any = typer.BadParameter.__base__
@@ -41,15 +42,15 @@ def start(
     """Where pedestrians are, how they move and where their bodies and heads point."""
 
 
-app.command("smooth")(smooth.smooth)
-app.command("track")(track.track)
-app.command("compare")(compare.compare)
-app.command("fit")(fit.fit)
+app.command("smooth")(expanded(smooth.smooth))
+app.command("track")(expanded(track.track))
+app.command("compare")(expanded(compare.compare))
+app.command("fit")(expanded(fit.fit))
 app.command("reproduce")(reproduce.reproduce)
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)
-app.command("add-noise")(simulate.add_noise)
-app.command("info")(info.info)
+app.command("add-noise")(expanded(simulate.add_noise))
+app.command("info")(expanded(info.info))
 app.command("formats")(info.formats)
 
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
+    from graphtrack.io.options import ReadOptions
     from graphtrack.io.places import Paths
     from graphtrack.tracks import TrackSet
 
-_CAMERA = ("homography", "point_pairs", "calibration", "metres_per_pixel")
+_CAMERA_FILES = ("homography", "point_pairs", "calibration")
 _READING = "Reading the input"
 _FILE = {"exists": True, "dir_okay": False}
 
@@ -73,8 +77,8 @@ PointPairs = Annotated[
     ),
 ]
 PointPairsUnit = Annotated[
-    str,
-    typer.Option("--point-pairs-unit", help="Unit of X and Y there: m or cm.", rich_help_panel=_READING),
+    Literal["m", "cm"],
+    typer.Option("--point-pairs-unit", help="Unit of X and Y there.", rich_help_panel=_READING),
 ]
 PointPairsRows = Annotated[
     str | None,
@@ -126,39 +130,115 @@ Json = Annotated[Path | None, typer.Option("--json", help="Write the numbers as 
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")]
 
 
-def read_tracks(
-    paths: list[Path],
-    *,
-    format: str | None = None,
-    select: list[str] | None = None,
-    classes: list[str] | None = None,
-    **options: Any,
-) -> TrackSet:
-    """Read and select tracks, and print the summary.
+@dataclass(frozen=True)
+class Reading:
+    """What can be said of an input that is already in metres; see `expanded`."""
 
-    Raises
-    ------
-    InputError
-        If nothing can be read or nothing matches the selection.
-    """
-    from graphtrack.cli.console import console, print_summary, quiet_input_warnings
-    from graphtrack.io import read
+    fps: Fps = None
+    format: Format = None
+    select: Select = None
 
-    if classes:
-        options["classes"] = tuple(classes)
-    with quiet_input_warnings():
-        tracks = read(paths if len(paths) != 1 else paths[0], format=format, **options)
-    print_summary(tracks, ", ".join(str(path) for path in paths))
-    unused = [f"--{name.replace('_', '-')}" for name in _CAMERA if options.get(name) is not None]
-    if unused and tracks.camera is None:
-        console.print(f"  note: {', '.join(unused)} not used: the input has no pixels", markup=False)
-    if select:
-        chosen = tracks.select(*select)
-        if not len(chosen):
-            raise InputError(f"no track that matches {' or '.join(select)}", "a label or id that is there")
-        console.print(f"  selected {len(chosen)} of {len(tracks)} tracks", markup=False)
-        tracks = chosen
-    return tracks
+    def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:
+        """What a command reads, by the names of its options, for `check_outputs`.
+
+        Parameters
+        ----------
+        paths : files with tracks, or folders of them
+        model : a preset's name, or a model file
+        """
+        from graphtrack.io.registry import files_beside
+
+        paths, given = list(paths), self.given()
+        named: dict[str, Paths] = {"the input": paths, "--model": model_file(model)}
+        named |= {option_name(name): given[name] for name in _CAMERA_FILES if name in given}
+        named["a file beside the input"] = [place for path in paths for place in files_beside(path)]
+        return named
+
+    def given(self) -> dict[str, Any]:
+        """What was said, without what was left at its default."""
+        return {f.name: value for f in fields(self) if (value := getattr(self, f.name)) != f.default}
+
+    def options(self) -> ReadOptions:
+        """What a reader is told."""
+        from graphtrack.io.options import ReadOptions
+
+        return ReadOptions(**{name: value for name, value in self.given().items() if name not in _NOT_TOLD})
+
+    def tracks(self, paths: list[Path]) -> TrackSet:
+        """Read and select tracks, and print the summary.
+
+        Raises
+        ------
+        InputError
+            If nothing can be read or nothing matches the selection.
+        """
+        from graphtrack.cli.console import console, print_summary, quiet_input_warnings
+        from graphtrack.io.reading import read_with
+
+        with quiet_input_warnings():
+            tracks = read_with(paths, self.format, self.options())
+        print_summary(tracks, ", ".join(str(path) for path in paths))
+        unused = [option_name(name) for name in (*_CAMERA_FILES, "metres_per_pixel") if name in self.given()]
+        if unused and tracks.camera is None:
+            console.print(f"  note: {', '.join(unused)} not used: the input has no pixels", markup=False)
+        if self.select:
+            chosen = tracks.select(*self.select)
+            if not len(chosen):
+                wanted = " or ".join(self.select)
+                raise InputError(f"no track that matches {wanted}", "a label or id that is there")
+            console.print(f"  selected {len(chosen)} of {len(tracks)} tracks", markup=False)
+            tracks = chosen
+        return tracks
+
+
+@dataclass(frozen=True)
+class CameraReading(Reading):
+    """What can be said of an input that may have to be brought to the ground first; see `expanded`."""
+
+    homography: Homography = None
+    point_pairs: PointPairs = None
+    point_pairs_unit: PointPairsUnit = "m"
+    point_pairs_rows: PointPairsRows = None
+    calibration: Calibration = None
+    metres_per_pixel: MetresPerPixel = None
+    image_scale: ImageScale = None
+    classes: Classes = None
+
+
+_NOT_TOLD = ("format", "select")
+"""Options of an input that are no field of `ReadOptions`."""
+
+
+def option_name(name: str) -> str:
+    """An option as it is written, from the name of its field."""
+    return "--class" if name == "classes" else f"--{name.replace('_', '-')}"
+
+
+def expanded(command: Callable[..., None]) -> Callable[..., None]:
+    """The command for typer: in place of a parameter that is a dataclass it has an option for each field."""
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(command).parameters.values():
+        if parameter.name in groups:
+            of_field = get_type_hints(groups[parameter.name], include_extras=True)
+            options = {f.name: (of_field[f.name], f.default) for f in fields(groups[parameter.name])}
+        else:
+            options = {parameter.name: (hints[parameter.name], parameter.default)}
+        parameters += [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
+            for name, (hint, default) in options.items()
+        ]
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
+        command(**given)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return run
 
 
 def check_outputs(
@@ -188,24 +268,6 @@ def check_outputs(
 
         format_for_writing(table)
     check_distinct(outputs, inputs or {}, folders=folders)
-
-
-def inputs_of(paths: Iterable[Path], *, model: str | None = None, **files: Path | None) -> dict[str, Paths]:
-    """What a command reads, by the names of its options, for `check_outputs`.
-
-    Parameters
-    ----------
-    paths : files with tracks, or folders of them
-    model : a preset's name, or a model file
-    files : keyword of an option → the file that it names
-    """
-    from graphtrack.io.registry import files_beside
-
-    paths = list(paths)
-    named: dict[str, Paths] = {"the input": paths, "--model": model_file(model)}
-    named |= {f"--{keyword.replace('_', '-')}": path for keyword, path in files.items()}
-    named["a file beside the input"] = [place for path in paths for place in files_beside(path)]
-    return named
 
 
 def model_file(model: str | None) -> Path | None:

@@ -69,12 +69,10 @@ def simulate(
 def add_noise(
     inputs: options.Inputs,
     output: options.Output,
+    reading: options.Reading,
     position_noise: PositionNoise = None,
     body_kappa: BodyKappa = None,
     head_kappa: HeadKappa = None,
-    format: options.Format = None,
-    fps: options.Fps = None,
-    select: options.Select = None,
     seed: options.Seed = 0,
 ) -> None:
     """Take exact tracks as the truth and write noisy observations of them, the truth beside."""
@@ -85,8 +83,8 @@ def add_noise(
 
     if position_noise is None and body_kappa is None and head_kappa is None:
         raise InputError("no noise", "at least one of --position-noise, --body-kappa, --head-kappa")
-    options.check_outputs({"--output": output}, options.inputs_of(inputs), table=output)
-    tracks = options.read_tracks(inputs, format=format, fps=fps, select=select)
+    options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
+    tracks = reading.tracks(inputs)
     found = noisy(
         tracks,
         position_std=position_noise,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -18,20 +18,11 @@ _LARGE = "Data sets larger than memory"
 def smooth(
     inputs: options.Inputs,
     output: options.Output,
+    reading: options.CameraReading,
     model: options.BestModelName = None,
-    fps: options.Fps = None,
-    homography: options.Homography = None,
-    point_pairs: options.PointPairs = None,
-    point_pairs_unit: options.PointPairsUnit = "m",
-    point_pairs_rows: options.PointPairsRows = None,
-    calibration: options.Calibration = None,
-    metres_per_pixel: options.MetresPerPixel = None,
-    image_scale: options.ImageScale = None,
-    classes: options.Classes = None,
-    format: options.Format = None,
-    select: options.Select = None,
     engine: Annotated[
-        str, typer.Option("--engine", help="auto, chain (compiled) or gtsam; auto takes chain where it can.")
+        Literal["auto", "chain", "gtsam"],
+        typer.Option("--engine", help="auto takes chain, which is compiled, where it can."),
     ] = "auto",
     jobs: Annotated[
         int | None,
@@ -72,30 +63,23 @@ def smooth(
     ] = None,
 ) -> None:
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
-    from graphtrack.inference import Failure, Solution, solve
-    from graphtrack.inference.offline import engine_of
+    from graphtrack.inference.offline import engine_of, solve_tracks
+    from graphtrack.inference.solution import Failure, Solution
     from graphtrack.inference.warm import SOLVER, solver_rehearsal
     from graphtrack.io import write
-    from graphtrack.io.options import ReadOptions
     from graphtrack.model import Model
     from graphtrack.readiness import make_ready
 
     options.check_outputs(
         {"--output": output, "--report": report},
-        options.inputs_of(
-            inputs,
-            model=model,
-            homography=homography,
-            point_pairs=point_pairs,
-            calibration=calibration,
-        ),
+        reading.inputs(inputs, model),
         table=output,
     )
     chosen = Model.named(model, engine)
-    solver = engine_of(chosen, engine)  # type: ignore[arg-type]
+    solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
-        unused = {"--report": report, "--class": classes, "--image-scale": image_scale}
-        unused["--format"] = format not in (None, "parquet")
+        unused = {"--report": report, "--class": reading.classes, "--image-scale": reading.image_scale}
+        unused["--format"] = reading.format not in (None, "parquet")
         smooth_streamed(
             check_streamed(inputs, output, unused),
             output,
@@ -104,36 +88,15 @@ def smooth(
             jobs=jobs,
             cluster=cluster,
             batch_frames=batch_frames,
-            select=tuple(select or ()),
-            read_options=ReadOptions(
-                fps=fps,
-                homography=homography,
-                point_pairs=point_pairs,
-                point_pairs_unit=point_pairs_unit,
-                point_pairs_rows=point_pairs_rows,
-                calibration=calibration,
-                metres_per_pixel=metres_per_pixel,
-            ),
+            select=tuple(reading.select or ()),
+            read_options=reading.options(),
         )
         return
-    tracks = options.read_tracks(
-        inputs,
-        format=format,
-        select=select,
-        classes=classes,
-        fps=fps,
-        homography=homography,
-        point_pairs=point_pairs,
-        point_pairs_unit=point_pairs_unit,
-        point_pairs_rows=point_pairs_rows,
-        calibration=calibration,
-        metres_per_pixel=metres_per_pixel,
-        image_scale=image_scale,
-    )
+    tracks = reading.tracks(inputs)
     make_ready(SOLVER, solver_rehearsal(chosen, solver, tracks.camera))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        found = solve(tracks, chosen, engine=solver, jobs=jobs, progress=advance)
+        found = solve_tracks(tracks, chosen, solver, jobs=jobs, progress=advance)
     seconds = time.perf_counter() - start
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]

@@ -11,9 +11,9 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.inference.online import Estimate, OnlineSmoother
-from graphtrack.io import schema
-from graphtrack.io.formats.ndjson import Pairs, identity, parse_line, read_cells
+from graphtrack.io.readers.ndjson import Pairs, identity, parse_line, read_cells
 from graphtrack.model import Observation
+from graphtrack.table import schema
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, STATE
 
 LONGEST_LINE = 1 << 20

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
-from graphtrack.errors import InputError
+from graphtrack.errors import NO_POSITION, InputError, SolveError
 
 if TYPE_CHECKING:
+    from graphtrack.inference.online import OnlineEngine
     from graphtrack.model import Model
 
 
@@ -21,6 +23,7 @@ def track(
         str,
         typer.Argument(help="File with tracks, or - for NDJSON rows on standard input.", show_default=False),
     ],
+    reading: options.CameraReading,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -31,26 +34,15 @@ def track(
     ] = None,
     model: options.BestModelName = None,
     engine: Annotated[
-        str,
+        Literal["auto", "chain", "fixed-lag", "isam2"],
         typer.Option(
             "--engine",
-            help="auto, chain (a fixed lag, compiled), fixed-lag (the same with GTSAM) or isam2.",
+            help="chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; auto: chain where it can be.",
         ),
     ] = "auto",
     lag: Annotated[
         float, typer.Option("--lag", help="Seconds of history that chain and fixed-lag keep open.")
     ] = 2.0,
-    fps: options.Fps = None,
-    homography: options.Homography = None,
-    point_pairs: options.PointPairs = None,
-    point_pairs_unit: options.PointPairsUnit = "m",
-    point_pairs_rows: options.PointPairsRows = None,
-    calibration: options.Calibration = None,
-    metres_per_pixel: options.MetresPerPixel = None,
-    image_scale: options.ImageScale = None,
-    classes: options.Classes = None,
-    format: options.Format = None,
-    select: options.Select = None,
     state: Annotated[
         Path | None,
         typer.Option(
@@ -79,56 +71,27 @@ def track(
 
     options.check_outputs(
         {"--output": output, "--state": state},
-        options.inputs_of(
-            [] if input == "-" else [Path(input)],
-            model=model,
-            homography=homography,
-            point_pairs=point_pairs,
-            calibration=calibration,
-        ),
+        reading.inputs([] if input == "-" else [Path(input)], model),
         table=output,
     )
     chosen = Model.named(model, engine)
-    online_engine(chosen, engine)  # type: ignore[arg-type]
+    online_engine(chosen, engine)
     check_lag(lag)
     if input == "-":
-        _refuse_with_stream(
-            output=output,
-            point_pairs=point_pairs,
-            point_pairs_rows=point_pairs_rows,
-            calibration=calibration,
-            metres_per_pixel=metres_per_pixel,
-            image_scale=image_scale,
-            format=format,
-            select=select,
-            **{"class": classes},
-        )
-        _track_stream(chosen, engine, lag, fps, homography, state, save_every)
+        _refuse_with_stream({"output": output} | reading.given())
+        _track_stream(chosen, engine, lag, reading, state, save_every)
         return
     if output is None:
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
         raise InputError("--state with a file", "- as the input: only a stream can be gone on with")
-    tracks = options.read_tracks(
-        [Path(input)],
-        format=format,
-        select=select,
-        classes=classes,
-        fps=fps,
-        homography=homography,
-        point_pairs=point_pairs,
-        point_pairs_unit=point_pairs_unit,
-        point_pairs_rows=point_pairs_rows,
-        calibration=calibration,
-        metres_per_pixel=metres_per_pixel,
-        image_scale=image_scale,
-    )
-    OnlineSmoother(chosen, engine=engine, lag=lag)  # type: ignore[arg-type]  # the first one compiles
+    tracks = reading.tracks([Path(input)])
+    OnlineSmoother(chosen, engine=engine, lag=lag)  # the first one compiles
     start = time.perf_counter()
     found, unseen = [], []
     with progress_bar(tracks.n_frames) as advance:
         for one in tracks:
-            estimate = track_online(one, chosen, engine=engine, lag=lag, camera=tracks.camera)  # type: ignore[call-overload]
+            estimate = track_online(one, chosen, engine=engine, lag=lag, camera=tracks.camera)
             advance(len(one))
             known = [k for k in range(len(one)) if estimate.position[k, 0] == estimate.position[k, 0]]
             if known:
@@ -146,40 +109,42 @@ def track(
             markup=False,
         )
     for track_id in unseen:
-        console.print(
-            f"error: track {track_id}: found no position at all, expected at least one", markup=False
-        )
+        console.print(f"error: {SolveError(track_id, NO_POSITION)}", markup=False)
     if unseen:
         raise typer.Exit(BAD_INPUT)
 
 
-def _refuse_with_stream(**given: object) -> None:
-    names = [f"--{name.replace('_', '-')}" for name, value in given.items() if value]
+_OF_A_STREAM = ("fps", "homography", "point_pairs_unit")
+
+
+def _refuse_with_stream(given: Mapping[str, object]) -> None:
+    names = [options.option_name(name) for name, value in given.items() if value and name not in _OF_A_STREAM]
     if names:
         raise InputError(f"{', '.join(names)} with -", "these options with a file only")
 
 
 def _track_stream(
     model: Model,
-    engine: str,
+    engine: OnlineEngine,
     lag: float,
-    fps: float | None,
-    homography: Path | None,
+    reading: options.CameraReading,
     state: Path | None,
     save_every: float,
 ) -> None:
     from graphtrack.cli.live import track_stream
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.io.cameras import read_homography
-    from graphtrack.io.options import ReadOptions
 
-    ReadOptions(fps=fps)  # refuses a bad rate
+    given = reading.options()
+    camera = None
+    if reading.homography is not None:
+        camera = GroundCamera.from_homography(read_homography(reading.homography))
     rows, wrong = track_stream(
         model,
-        engine=engine,  # type: ignore[arg-type]
+        engine=engine,
         lag=lag,
-        fps=fps,
-        camera=None if homography is None else GroundCamera.from_homography(read_homography(homography)),
+        fps=given.fps,
+        camera=camera,
         state=state,
         save_every=save_every,
     )

@@ -15,8 +15,9 @@ import numpy as np
 from graphtrack.display import counted, html_table, listed
 from graphtrack.errors import InputError
 from graphtrack.evaluation.methods import Method, make_method
-from graphtrack.evaluation.metrics import BoolArray, consistency
+from graphtrack.evaluation.metrics import consistency
 from graphtrack.evaluation.scoring import METRICS, QUANTITIES, TrackScore, score
+from graphtrack.geometry.angles import BoolArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model

@@ -14,7 +14,7 @@ from graphtrack.baselines.particle.filter import particle_filter, particle_smoot
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import smooth_track
-from graphtrack.inference.online import Engine, track_online
+from graphtrack.inference.online import OnlineEngine, track_online
 from graphtrack.model import Model
 from graphtrack.tracks import Track
 
@@ -73,7 +73,7 @@ class OnlineGraph:
     """
 
     model: Model
-    engine: Engine
+    engine: OnlineEngine
     lag: float = 2.0
 
     online = True

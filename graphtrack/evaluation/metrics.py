@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-from graphtrack.geometry.angles import FloatArray, difference, mean_absolute_error
+from graphtrack.geometry.angles import BoolArray, FloatArray, difference, mean_absolute_error
 from graphtrack.tracks import STATE, Track
 
 Angle = Literal["body", "head"]
-BoolArray = NDArray[np.bool_]
 
 
 def true_velocity(truth: Track) -> FloatArray:

@@ -11,13 +11,13 @@ import numpy as np
 from graphtrack.evaluation.methods import Method
 from graphtrack.evaluation.metrics import (
     Angle,
-    BoolArray,
     angle_nees,
     angular_error,
     position_nees,
     position_rmse,
     velocity_rmse,
 )
+from graphtrack.geometry.angles import BoolArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks import Track
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 UNIFORM_STD = float(np.pi / np.sqrt(3.0))
 """Standard deviation of the uniform density on the circle (radians): the most an angle can be unknown."""

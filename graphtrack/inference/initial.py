@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from graphtrack.errors import SolveError
+from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.problem import Problem, Result
@@ -110,7 +110,7 @@ def initial_states(track: Track, model: Model) -> States:
 def require_position(track: Track) -> None:
     """Raise SolveError if a track has no position at all."""
     if not np.isfinite(track.position).all(axis=1).any():
-        raise SolveError(track.track_id, "found no position at all, expected at least one")
+        raise SolveError(track.track_id, NO_POSITION)
 
 
 def empty_result(packed: PackedTracks) -> Result:

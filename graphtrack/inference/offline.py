@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
-from graphtrack.errors import InputError, SolveError
+from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
@@ -19,8 +19,8 @@ from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.solution import (
-    Engine,
     Failure,
+    OfflineEngine,
     Solution,
     SolverOptions,
     bounded,
@@ -39,7 +39,7 @@ BATCH = 20_000
 """Frames that a thread of the chain engine takes at a time; it bounds the memory beside the answer."""
 
 
-def engine_of(model: Model, engine: Engine | Literal["auto"] = "auto") -> Engine:
+def engine_of(model: Model, engine: OfflineEngine | Literal["auto"] = "auto") -> OfflineEngine:
     """The engine that solves a model: what was asked for, or "chain" wherever that is possible.
 
     Raises
@@ -77,7 +77,7 @@ def solve(
     tracks: Given,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
@@ -100,16 +100,29 @@ def solve(
     list of Solution or Failure, in the order of the tracks
     """
     model = Model.named(model, engine)
-    options = SolverOptions() if options is None else options
     solver = engine_of(model, engine)
-    tracks = tracks_of(tracks)
-    make_ready(SOLVER, solver_rehearsal(model, solver, tracks.camera))
-    if solver == "chain":
+    return solve_tracks(tracks_of(tracks), model, solver, jobs=jobs, options=options, progress=progress)
+
+
+def solve_tracks(
+    tracks: TrackSet,
+    model: Model,
+    engine: OfflineEngine,
+    *,
+    jobs: int | None = None,
+    options: SolverOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> list[Solution | Failure]:
+    """`solve`, where the engine is the one that `engine_of` has chosen for the model."""
+    options = SolverOptions() if options is None else options
+    make_ready(SOLVER, solver_rehearsal(model, engine, tracks.camera))
+    if engine == "chain":
         found: list[Solution | Failure] = []
+        batches = list(_batches(tracks))
         # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
         with ThreadPoolExecutor(processors() if jobs is None else jobs) as pool:
             run = partial(_solve_chains, model=model, camera=tracks.camera, options=options)
-            for solved, batch in zip(pool.map(run, _batches(tracks)), _batches(tracks), strict=True):
+            for solved, batch in zip(pool.map(run, batches), batches, strict=True):
                 found += solved
                 if progress is not None:
                     progress(sum(map(len, batch)))
@@ -127,7 +140,7 @@ def smooth(
     tracks: Track,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
@@ -139,7 +152,7 @@ def smooth(
     tracks: Scene,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
@@ -150,7 +163,7 @@ def smooth(
     tracks: Given,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
@@ -183,7 +196,7 @@ def smooth_track(
     model: Model,
     camera: GroundCamera | None = None,
     options: SolverOptions | None = None,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
 ) -> Solution:
     """Smooth one track.
 
@@ -248,7 +261,7 @@ def _solve_chains(
     for m, track in enumerate(tracks):
         a, b = packed.offsets[m], packed.offsets[m + 1]
         if not positioned[m]:
-            answers.append(Failure(track.track_id, "found no position at all, expected at least one"))
+            answers.append(Failure(track.track_id, NO_POSITION))
         elif found.status[m] == NOT_FINITE or not finite[m]:
             answers.append(Failure(track.track_id, "the estimate is not finite"))
         else:

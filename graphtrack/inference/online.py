@@ -45,8 +45,8 @@ from graphtrack.tracks import Track, TrackSet
 if TYPE_CHECKING:
     from graphtrack.io.given import Given, Scene
 
-Engine = Literal["auto", "chain", "fixed-lag", "isam2"]
-ENGINES: tuple[Engine, ...] = ("auto", "chain", "fixed-lag", "isam2")
+OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
+ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")
 
 _FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
 """What an observation raises that a smoother cannot take in."""
@@ -55,7 +55,7 @@ _PROMISED_DECREASE = 1e-8
 """Of the cost, relative, below which the chain engine takes no further Newton step for an observation."""
 
 
-def online_engine(model: Model, engine: Engine = "auto") -> Engine:
+def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
     """The engine that tracks with a model: what was asked for, or "chain" wherever that is possible.
 
     Raises
@@ -111,7 +111,7 @@ class OnlineSmoother:
         self,
         model: Model | str | Path | None = None,
         *,
-        engine: Engine = "auto",
+        engine: OnlineEngine = "auto",
         lag: float = 2.0,
         camera: GroundCamera | None = None,
         relinearize_threshold: float = 0.01,
@@ -358,7 +358,7 @@ def track_online(
     tracks: Track,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine = "auto",
+    engine: OnlineEngine = "auto",
     lag: float = 2.0,
     camera: GroundCamera | None = None,
 ) -> Track: ...
@@ -369,7 +369,7 @@ def track_online(
     tracks: Scene,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine = "auto",
+    engine: OnlineEngine = "auto",
     lag: float = 2.0,
     camera: GroundCamera | None = None,
 ) -> TrackSet: ...
@@ -379,7 +379,7 @@ def track_online(
     tracks: Given,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine = "auto",
+    engine: OnlineEngine = "auto",
     lag: float = 2.0,
     camera: GroundCamera | None = None,
 ) -> TrackSet | Track:

@@ -11,7 +11,7 @@ from graphtrack.display import counted, html_pairs, line_of_track
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
 from graphtrack.tracks import Track
 
-Engine = Literal["chain", "gtsam"]
+OfflineEngine = Literal["chain", "gtsam"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Solution:
     cost: float
     iterations: int
     converged: bool
-    engine: Engine
+    engine: OfflineEngine
 
     def __repr__(self) -> str:
         parts = [f"track {self.track.track_id}", counted(len(self.track), "frame"), *self._outcome().values()]

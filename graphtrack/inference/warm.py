@@ -16,7 +16,7 @@ from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.chain.window_kernels import let_go, solve_window
 from graphtrack.inference.initial import pack
-from graphtrack.inference.solution import Engine
+from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
 from graphtrack.model.steps import observations, seconds_between
 from graphtrack.readiness import Costs, Rehearsal, make_ready
@@ -59,7 +59,7 @@ def warm_up(
         make_ready(SOLVER, start_rehearsal())
 
 
-def solver_rehearsal(model: Model, engine: Engine, camera: GroundCamera | None = None) -> Rehearsal:
+def solver_rehearsal(model: Model, engine: OfflineEngine, camera: GroundCamera | None = None) -> Rehearsal:
     """What an engine calls for whole tracks."""
     return start_rehearsal() if engine == "gtsam" else offline_rehearsal(model, camera)
 

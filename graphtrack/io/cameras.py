@@ -14,8 +14,8 @@ from graphtrack.geometry.homography import check_homography
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.numbers import read_numbers
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.rows import Rows
 from graphtrack.io.source import Source
+from graphtrack.table.rows import Rows, no_camera
 
 PERSON_HEIGHT = 1.7
 """Metres; the scale of views without a camera is chosen so that the median person has this size."""
@@ -116,9 +116,7 @@ def place_pixels(rows: Rows, options: ReadOptions) -> Rows:
         kept = "positions are the file's x, y; the camera serves for pixels and pose angles only"
         return rows.with_camera(camera).with_notes(*notes, kept)
     if camera is None:
-        raise InputError(
-            "pixels u, v and no camera", "x, y, or a homography or point pairs as well", path=rows.path
-        )
+        raise no_camera(rows)
     return on_ground(rows, camera, notes)
 
 

@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 
 from graphtrack.errors import InputError
-from graphtrack.io import schema
 from graphtrack.io.source import Source
+from graphtrack.table import schema
 
 _MARKS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
 _SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)

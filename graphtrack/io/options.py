@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
+from graphtrack.bounds import check_frame_rate, check_positive
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
@@ -47,10 +46,9 @@ class ReadOptions:
     classes: tuple[str, ...] = ("Pedestrian",)
 
     def __post_init__(self) -> None:
-        for name, highest in (("fps", 1e6), ("metres_per_pixel", 1e6), ("image_scale", 1e3)):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and 0.0 < value <= highest):
-                raise InputError(f"{name} = {value}", f"a positive number up to {highest:g}")
+        check_frame_rate(self.fps)
+        check_positive("metres_per_pixel", self.metres_per_pixel, 1e6)
+        check_positive("image_scale", self.image_scale, 1e3)
         if self.point_pairs_unit not in ("m", "cm"):
             raise InputError(f"point_pairs_unit = {self.point_pairs_unit!r}", "'m' or 'cm'")
         object.__setattr__(

@@ -17,7 +17,7 @@ from graphtrack.io.cameras import read_homography
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
-from graphtrack.io.speeds import with_speeds_checked
+from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
 
 
@@ -46,10 +46,14 @@ def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, 
     except TypeError as error:
         known = ", ".join(ReadOptions.__dataclass_fields__)
         raise InputError(f"options {', '.join(options)}", f"some of {known}") from error
-    paths = [path] if isinstance(path, str | Path) else list(path)
+    return read_with([path] if isinstance(path, str | Path) else list(path), format, read_options)
+
+
+def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOptions) -> TrackSet:
+    """`read`, where the options stand together."""
     if not paths:
         raise InputError("no paths", "at least one")
-    sets = [_read_one(one, format, read_options) for one in paths]
+    sets = [_read_one(one, format, options) for one in paths]
     if len(sets) == 1:
         return sets[0]
     return _merged(sets, [Path(one) for one in paths])
@@ -58,7 +62,7 @@ def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
     source = Source.open(path)
     chosen = detect(source) if format is None else format_named(format)
-    return with_speeds_checked(chosen.read(source, options), source.path)
+    return with_speeds_checked(TrackSet.from_rows(chosen.read(source, options)), source.path)
 
 
 def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:

@@ -12,6 +12,7 @@ from graphtrack.errors import InputError
 from graphtrack.io.delimiters import other_delimiter
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
+from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 
 FORMAT_MODULES = (
@@ -27,7 +28,7 @@ FORMAT_MODULES = (
     "mot",
     "eth",
 )
-"""Modules of `graphtrack.io.formats` with a constant ``FORMAT``, the most distinctive contents first."""
+"""Modules of `graphtrack.io.readers` with a constant ``FORMAT``, the most distinctive contents first."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Format:
     description : one line for people
     suffixes : endings of file names in lower case; they choose the format on writing
     looks_like : (first bytes, path) → whether the content is of this format
-    read : (source, options) → tracks
+    read : (source, options) → rows, whose cells are checked
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
     beside : path → the places beside it where the reader looks for more by itself
     """
@@ -49,7 +50,7 @@ class Format:
     description: str
     suffixes: tuple[str, ...]
     looks_like: Callable[[bytes, Path], bool]
-    read: Callable[[Source, ReadOptions], TrackSet]
+    read: Callable[[Source, ReadOptions], Rows]
     write: Callable[[TrackSet, Path], None] | None = None
     beside: Callable[[Path], tuple[Path, ...]] = lambda path: ()
 
@@ -57,7 +58,7 @@ class Format:
 @cache
 def formats() -> tuple[Format, ...]:
     """All formats, in the order in which they are tried."""
-    return tuple(importlib.import_module(f"graphtrack.io.formats.{name}").FORMAT for name in FORMAT_MODULES)
+    return tuple(importlib.import_module(f"graphtrack.io.readers.{name}").FORMAT for name in FORMAT_MODULES)
 
 
 def files_beside(path: Path) -> tuple[Path, ...]:

@@ -11,10 +11,11 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.report.content import AngleChart, Card, Note, Picture, Report, Section, Table
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
-from graphtrack.report.plots import plot_angles, plot_errors, plot_nees
+from graphtrack.report.plots import plot_errors, plot_nees
+from graphtrack.report.plots.orientation import plot_angles_of
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import replay_data
-from graphtrack.report.rows import Rows
+from graphtrack.report.rows import Records
 from graphtrack.report.shapes import probability_ellipse
 from graphtrack.tracks import ReadSummary, Track, TrackSet
 
@@ -34,8 +35,8 @@ def tracking_report(
     *,
     title: str = "Tracks",
     subtitle: str = "",
-    comparison: Rows | None = None,
-    consistency: Rows | None = None,
+    comparison: Records | None = None,
+    consistency: Records | None = None,
     cards: tuple[Card, ...] = (),
     sections: tuple[Section, ...] = (),
     interactive: bool = True,
@@ -160,9 +161,7 @@ def _angles_section(pairs: tuple[Pair, ...], interactive: bool) -> Section:
     # The chart is drawn from the data of the replay, which has nobody without a position.
     if not interactive or not any(_is_known(pair.estimate.position) for pair in angled):
         pictures = [
-            Picture(
-                pair.name, plot_angles(pair.estimate, pair.observation), f"Angles of {pair.name} over time."
-            )
+            Picture(pair.name, plot_angles_of(pair), f"Angles of {pair.name} over time.")
             for pair in angled[:MAX_PICTURES]
         ]
         return Section("Body and head", (*pictures, *_left_out(len(angled), MAX_PICTURES)))
@@ -177,7 +176,7 @@ def _left_out(count: int, limit: int) -> tuple[Note, ...]:
     return (Note(f"The first {limit} of {count} people are shown."),) if count > limit else ()
 
 
-def _methods_section(comparison: Rows | None, consistency: Rows | None) -> Section:
+def _methods_section(comparison: Records | None, consistency: Records | None) -> Section:
     items: list[Table | Picture] = []
     if comparison is not None:
         words = "Error of each method: the median, and its spread over the tracks"

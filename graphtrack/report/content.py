@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from graphtrack.report.rows import Rows, records
+from graphtrack.report.rows import Records, records
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,7 +48,7 @@ class Table:
     person_column: str | None = None
 
     @classmethod
-    def from_records(cls, title: str, table: Rows, *, note: str = "") -> Table:
+    def from_records(cls, title: str, table: Records, *, note: str = "") -> Table:
         """A table of a DataFrame or a list of dict, in the order of the first row's columns.
 
         Raises

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from graphtrack.io.atomic import atomic_path
-from graphtrack.report.charts_html import render_angle_chart
 from graphtrack.report.content import AngleChart, Card, Note, Picture, Report, Section, Table
-from graphtrack.report.replay_html import render_replay
+from graphtrack.report.replay_html import render_angle_chart, render_replay
 from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
 
 SECURITY = (

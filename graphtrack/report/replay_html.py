@@ -1,6 +1,6 @@
-"""The replay's controls as HTML: ``assets/replay.html`` with what the data decide filled in.
+"""The replay and the chart of angles as HTML: ``assets/replay.html`` and ``assets/angles.html``, filled in.
 
-What the controls do is in ``assets/replay_*.js``.
+What the controls do is in ``assets/replay_*.js`` and ``assets/angles_*.js``.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from string import Template
 from typing import Any
 
 import numpy as np
+
+from graphtrack.report.content import AngleChart
 
 _ARROW = (
     '<line x1="2" y1="8" x2="16" y2="8" stroke="var(--{name})" stroke-width="{width}"/>'
@@ -37,6 +39,21 @@ _KEYS = {
 _UNSEEN_KEY = '<circle cx="12" cy="8" r="5" fill="var(--surface)" stroke="var(--muted)" stroke-width="2.5"/>'
 
 
+_BAND = '<rect x="1" y="{top}" width="22" height="{height}" fill="var(--muted)" fill-opacity="{opacity}"/>'
+_LINE = (
+    '<line x1="1" y1="8" x2="23" y2="8" stroke="{colour}" stroke-width="{width}" stroke-dasharray="{dash}"/>'
+)
+
+_CHART_KEYS = {
+    "estimate": _LINE.format(colour="var(--muted)", width=2.4, dash="none"),
+    "±1σ": _BAND.format(top=4, height=8, opacity=0.45),
+    "95 %": _BAND.format(top=1, height=14, opacity=0.2),
+    "observation": '<circle cx="12" cy="8" r="2.6" fill="var(--muted)"/>',
+    "truth": _LINE.format(colour="var(--ink)", width=1.3, dash="5 3"),
+    "the replay's time": '<line x1="12" y1="0" x2="12" y2="16" stroke="var(--muted)"/>',
+}
+
+
 def render_replay(data: Mapping[str, Any]) -> str:
     """The stage, the controls and the layers, which double as the legend; scripts fill in the list of people.
 
@@ -48,8 +65,7 @@ def render_replay(data: Mapping[str, Any]) -> str:
     layers = [_layer(name, words, shown) for name, words, shown in _layers(people)]
     if any(person["seen"] is not None for person in people):
         layers.append(f"<span>{svg_key(_UNSEEN_KEY)} not observed at this time</span>")
-    template = (resources.files("graphtrack.report") / "assets" / "replay.html").read_text(encoding="utf-8")
-    return Template(template).substitute(
+    return _template("replay.html").substitute(
         count="1 person" if len(people) == 1 else f"{len(people)} people",
         layers="\n".join(layers),
         example=html.escape(people[0]["id"]),
@@ -58,9 +74,24 @@ def render_replay(data: Mapping[str, Any]) -> str:
     )
 
 
+def render_angle_chart(chart: AngleChart) -> str:
+    """The canvas, its controls and its legend. It needs the data of a replay in the same page."""
+    return _template("angles.html").substitute(
+        title=html.escape(chart.title),
+        legend=" ".join(
+            f'<span data-key="{words}">{svg_key(key)} {words}</span>' for words, key in _CHART_KEYS.items()
+        ),
+        note=f'<p class="quiet hint">{html.escape(chart.note)}</p>' if chart.note else "",
+    )
+
+
 def svg_key(content: str) -> str:
     """A small picture for a legend, 24 by 16 units, of SVG elements."""
     return f'<svg class="key" viewBox="0 0 24 16" aria-hidden="true">{content}</svg>'
+
+
+def _template(name: str) -> Template:
+    return Template((resources.files("graphtrack.report") / "assets" / name).read_text(encoding="utf-8"))
 
 
 def _frame(data: Mapping[str, Any]) -> str:

@@ -14,9 +14,9 @@ from graphtrack.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-    Rows = pd.DataFrame | Sequence[Mapping[str, Any]]
+    Records = pd.DataFrame | Sequence[Mapping[str, Any]]
 else:
-    Rows = Any
+    Records = Any
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class NeesRow:
         return float(low), float(high)
 
 
-def error_rows(table: Rows) -> list[ErrorRow]:
+def error_rows(table: Records) -> list[ErrorRow]:
     """Check and type the rows of a comparison.
 
     Raises
@@ -68,7 +68,7 @@ def error_rows(table: Rows) -> list[ErrorRow]:
     ]
 
 
-def nees_rows(table: Rows) -> list[NeesRow]:
+def nees_rows(table: Records) -> list[NeesRow]:
     """Check and type the rows of a consistency table.
 
     Raises
@@ -88,7 +88,7 @@ def nees_rows(table: Rows) -> list[NeesRow]:
     return rows
 
 
-def records(table: Rows, columns: Sequence[str] = ()) -> list[Mapping[str, Any]]:
+def records(table: Records, columns: Sequence[str] = ()) -> list[Mapping[str, Any]]:
     """The rows of a DataFrame or list as mappings that have ``columns``.
 
     Raises

@@ -1,4 +1,4 @@
-"""Colours and words that mean the same thing in every figure, chart and page.
+"""What figures, charts and pages share: colours that mean the same in each, a figure to draw on, plain axes.
 
 The colours are those of Okabe & Ito (2008), which people with any common colour blindness can tell apart.
 Three of them are kept for body, head and velocity; people get the others and, since those repeat, a pattern
@@ -7,7 +7,11 @@ of dashes and an id beside their path.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 BODY_COLOUR: Final = "#0072B2"
 HEAD_COLOUR: Final = "#D55E00"
@@ -40,3 +44,30 @@ def quantity_colour(name: str) -> str:
         if word in lowered:
             return colour
     return NEUTRAL_COLOUR
+
+
+def new_figure(
+    width: float, height: float, layout: Literal["constrained", "compressed"] = "constrained"
+) -> Figure:
+    """An empty figure (inches) that can be saved without pyplot."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    # Matplotlib's own margin is too narrow beside axes of equal aspect: it cuts the label of the y axis.
+    engine = ConstrainedLayoutEngine(compress=layout == "compressed", w_pad=0.15, h_pad=0.1)
+    figure = Figure(figsize=(width, height), dpi=120, layout=engine, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def tidy(axes: Axes, *, grid: str = "both") -> None:
+    """A light grid behind the data and no frame where nothing is read off."""
+    axes.set_axisbelow(True)
+    options: dict[str, Any] = {"color": "#E3E6EA", "linewidth": 0.7}
+    axes.grid(True, axis=grid, **options)  # type: ignore[arg-type]
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color("#9AA1AB")
+    axes.tick_params(color="#9AA1AB", labelsize=9)

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference import Failure, Solution, SolverOptions, solve
-from graphtrack.inference.solution import Engine
+from graphtrack.inference.offline import solve_tracks
+from graphtrack.inference.solution import Failure, OfflineEngine, Solution, SolverOptions
+from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.speeds import Speeds
-from graphtrack.io.table import from_columns, to_columns
 from graphtrack.model import Model
+from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.speeds import Speeds
+from graphtrack.tracks import TrackSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,7 @@ class Work:
     read_options: ReadOptions
     select: tuple[str, ...]
     model: Model
-    engine: Engine
+    engine: OfflineEngine
     jobs: int | None
     options: SolverOptions
     version: str = version("graphtrack")
@@ -105,18 +107,18 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
     if "label" in columns:
         columns["label"] = np.array([batch.labels[code] for code in columns["label"]], dtype=object)
     number = rows[:, -1]
-    tracks = from_columns(
+    native = from_columns(
         columns,
         path=work.path,
         format="parquet",
-        options=work.read_options,
+        fps=work.read_options.fps,
         line_of=lambda row: int(number[row]),
-        ignored=[],
     )
+    tracks = TrackSet.from_rows(place_pixels(native, work.read_options))
     speeds = Speeds.of(tracks)
     if work.select:
         tracks = tracks.select(*work.select)
-    found = solve(tracks, work.model, engine=work.engine, jobs=work.jobs, options=work.options)
+    found = solve_tracks(tracks, work.model, work.engine, jobs=work.jobs, options=work.options)
     good = [result for result in found if isinstance(result, Solution)]
     return Shard(
         to_columns(replace(tracks, tracks=tuple(result.track for result in good))),

@@ -11,9 +11,9 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io import schema
-from graphtrack.io.formats.native_parquet import column_values, damage_told
 from graphtrack.io.numbers import parse_number
+from graphtrack.io.readers.native_parquet import column_values, damage_told
+from graphtrack.table import schema
 
 BLOCK = 65_536
 """Rows read at a time."""

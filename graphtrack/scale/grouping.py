@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.table import check_integers
 from graphtrack.scale.dataset import Dataset
+from graphtrack.table.columns import check_integers
 
 RUN = 4
 """Batches whose rows are sorted in memory at a time."""

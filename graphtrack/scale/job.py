@@ -13,15 +13,12 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.offline import BATCH, engine_of
-from graphtrack.inference.solution import Engine
+from graphtrack.inference.solution import OfflineEngine
 from graphtrack.inference.warm import SOLVER, solver_rehearsal
-from graphtrack.io import schema
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.places import check_distinct
-from graphtrack.io.speeds import Speeds
-from graphtrack.io.table import check_names
 from graphtrack.model import Model
 from graphtrack.readiness import make_ready
 from graphtrack.scale.batch import Batch, Shard, Work, smooth_batch
@@ -29,6 +26,9 @@ from graphtrack.scale.cluster import smooth_on_cluster
 from graphtrack.scale.dataset import Dataset, open_dataset
 from graphtrack.scale.grouping import batches, index_tracks
 from graphtrack.scale.writer import ShardWriter
+from graphtrack.table import schema
+from graphtrack.table.columns import check_names
+from graphtrack.table.speeds import Speeds
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Outcome:
 
     n_tracks: int
     n_frames: int
-    engine: Engine
+    engine: OfflineEngine
     failures: tuple[Failure, ...]
     unconverged: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
@@ -67,7 +67,7 @@ def smooth_dataset(
     output: str | Path,
     model: Model | str | Path | None = None,
     *,
-    engine: Engine | Literal["auto"] = "auto",
+    engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     cluster: str | None = None,
     batch_frames: int = BATCH,
@@ -109,7 +109,7 @@ def smooth_dataset(
     if batch_frames < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"batch_frames = {batch_frames}, jobs = {jobs}", "numbers from 1")
     read_options, notes = _with_camera(dataset, ReadOptions() if read_options is None else read_options)
-    check_names(dataset.columns, read_options, dataset.fail)
+    check_names(dataset.columns, read_options.fps, dataset.fail)
     if "x" not in dataset.columns:
         raise dataset.fail(
             "pixels u, v without x, y", "positions in metres, to stream a data set", column="x"

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.io import schema
-from graphtrack.io.formats.native_parquet import ROW_GROUP
+from graphtrack.io.readers.native_parquet import ROW_GROUP
+from graphtrack.table import schema
 
 
 class ShardWriter:

@@ -7,17 +7,15 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
+from graphtrack.geometry.angles import BoolArray, FloatArray, difference, direction, wrap
 from graphtrack.io.given import tracks_of
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
     from graphtrack.io.given import Given
 
-BoolArray = NDArray[np.bool_]
 
 WITHHELD = ("position", "position_std", "pixel", "body", "body_kappa", "body_likelihood")
 """What `occlude` withholds: everything but the head, which shows longest above what stands in the way."""

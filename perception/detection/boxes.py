@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from graphtrack.io import atomic_path
-from graphtrack.io.formats import caviar, mot
-from graphtrack.io.rows import check_rows
+from graphtrack.io.readers import caviar, mot
 from graphtrack.io.source import Source
+from graphtrack.table.rows import check_rows
 
 
 @dataclass(frozen=True)

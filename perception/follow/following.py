@@ -12,8 +12,8 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.numbers import parse_number
-from graphtrack.io.schema import BOX_COLUMNS
-from graphtrack.io.table import to_columns
+from graphtrack.table.columns import to_columns
+from graphtrack.table.schema import BOX_COLUMNS
 from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet
 from perception.detection.people import PeopleDetector
 from perception.follow.world import BoxCamera

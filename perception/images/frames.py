@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.io.schema import LARGEST_FRAME
+from graphtrack.table.schema import LARGEST_FRAME
 from perception.images.containers import a_picture, check_video
 from perception.images.pixels import Image, as_uint8
 

@@ -222,7 +222,7 @@ def _median(facing: Sequence[tuple[HeadJob, Result]]) -> Result:
 
 
 def _figure(shown: Result) -> Figure:
-    from graphtrack.report.plots.canvas import new_figure, tidy
+    from graphtrack.report.style import new_figure, tidy
 
     clip, runs = shown
     figure = new_figure(10.0, 6.2)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.report.plots.canvas import new_figure, tidy
+from graphtrack.report.style import new_figure, tidy
 from perception.trackers.sigma_pi.network import CUES, TERM_NAMES
 from perception.trackers.tracker import BoxEstimate
 

@@ -99,27 +99,36 @@ def test_what_the_data_do_not_show_keeps_its_prior_and_is_said(
     assert not notes["motion.acceleration_density"]["note"]
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_a_fit_that_is_interrupted_is_resumed_to_the_same_result(tmp_path: Path, how: signal.Signals) -> None:
+def start(people: Path, output: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "graphtrack", "fit", people, "-o", output, "--model", "position"]
+    # A shell that runs the tests in the background lets them ignore interrupts.
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+
+
+@pytest.fixture(scope="module")
+def people_and_whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """People, and the model that is learned of them when nothing comes between."""
+    folder = tmp_path_factory.mktemp("fit")
     rng = np.random.default_rng(0)
-    gt.write(gt.simulate("position", n_tracks=20, n_steps=400, rng=rng), tmp_path / "people.csv")
-
-    def start(name: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "graphtrack", "fit", "people.csv", "-o", name, "--model", "position"]
-        # A shell that runs the tests in the background lets them ignore interrupts.
-        return subprocess.Popen(
-            command,
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
-
-    whole = start("whole.toml")
+    gt.write(gt.simulate("position", n_tracks=20, n_steps=400, rng=rng), folder / "people.csv")
+    whole = start(folder / "people.csv", folder / "whole.toml")
     whole.communicate()
     assert whole.returncode == 0
-    progress = tmp_path / "learned.toml.progress"
-    interrupted = start("learned.toml")
+    return folder / "people.csv", folder / "whole.toml"
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_fit_that_is_interrupted_is_resumed_to_the_same_result(
+    people_and_whole: tuple[Path, Path], tmp_path: Path, how: signal.Signals
+) -> None:
+    people, whole = people_and_whole
+    learned, progress = tmp_path / "learned.toml", tmp_path / "learned.toml.progress"
+    interrupted = start(people, learned)
     while interrupted.poll() is None:
         if progress.is_file() and progress.read_bytes().count(b"\n") > 5:
             interrupted.send_signal(how)
@@ -128,9 +137,9 @@ def test_a_fit_that_is_interrupted_is_resumed_to_the_same_result(tmp_path: Path,
     _, said = interrupted.communicate()
     assert interrupted.returncode == (130 if how is signal.SIGINT else -signal.SIGKILL)
     assert b"Traceback" not in said
-    assert progress.is_file() and not (tmp_path / "learned.toml").exists()
-    resumed = start("learned.toml")
+    assert progress.is_file() and not learned.exists()
+    resumed = start(people, learned)
     _, said = resumed.communicate()
     assert resumed.returncode == 0 and b"going on from" in said
-    assert (tmp_path / "learned.toml").read_bytes() == (tmp_path / "whole.toml").read_bytes()
+    assert learned.read_bytes() == whole.read_bytes()
     assert not progress.exists()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from streams import COMMAND, going_on
+from command import TRACK_STREAM, going_on
 
 from graphtrack.cli import live, main
 from graphtrack.cli.state_file import StateFile, seal
@@ -130,9 +130,11 @@ def test_a_program_that_is_killed_or_loses_its_reader_goes_on(tmp_path):
     (tmp_path / "rows").write_bytes(b"".join(lines))
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     with (tmp_path / "rows").open("rb") as rows:
-        undisturbed = subprocess.Popen(COMMAND, stdin=rows, stdout=pipes["stdout"], stderr=pipes["stderr"])
+        undisturbed = subprocess.Popen(
+            TRACK_STREAM, stdin=rows, stdout=pipes["stdout"], stderr=pipes["stderr"]
+        )
 
-    with subprocess.Popen([*COMMAND, "--state", str(state)], **pipes) as one:
+    with subprocess.Popen([*TRACK_STREAM, "--state", str(state)], **pipes) as one:
         one.stdin.write(b"".join(lines[:70]))
         one.stdin.flush()
         answers = [one.stdout.readline() for _ in range(50)]
@@ -142,7 +144,7 @@ def test_a_program_that_is_killed_or_loses_its_reader_goes_on(tmp_path):
         answers += one.stdout.readlines()
     (tmp_path / "state.new").write_bytes(b"half of a snap")  # as a kill may leave it
 
-    with subprocess.Popen([*COMMAND, "--state", str(state)], **pipes) as two:
+    with subprocess.Popen([*TRACK_STREAM, "--state", str(state)], **pipes) as two:
         line, kept = going_on(two.stderr.readline().decode())
         answers[kept:] = [two.stdout.readline()]
         two.stdout.close()
@@ -150,7 +152,7 @@ def test_a_program_that_is_killed_or_loses_its_reader_goes_on(tmp_path):
     assert two.returncode == 2
     assert said.decode().startswith("error: standard output: ") and said.count(b"\n") == 1
 
-    with subprocess.Popen([*COMMAND, "--state", str(state)], **pipes) as three:
+    with subprocess.Popen([*TRACK_STREAM, "--state", str(state)], **pipes) as three:
         line, kept = going_on(three.stderr.readline().decode())
         more, _ = three.communicate(b"".join(lines[line:]))
     assert b"".join(answers[:kept]) + more == undisturbed.communicate(timeout=120)[0]

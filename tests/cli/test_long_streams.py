@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from streams import COMMAND, going_on
+from command import TRACK_STREAM, going_on
 
 pytestmark = pytest.mark.slow
 PEOPLE, RATE, SECONDS = 20, 25, 600
@@ -41,7 +41,7 @@ def rows_of(n_frames, seed=0):
 
 def started(state):
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    command = [*COMMAND, "--state", str(state), "--save-every", "1"]
+    command = [*TRACK_STREAM, "--state", str(state), "--save-every", "1"]
     return subprocess.Popen(command, **pipes)
 
 
@@ -129,7 +129,7 @@ def test_kills_leave_no_trace_in_the_answers(tmp_path):
         sender.join()
         one.wait()
     with (tmp_path / "rows").open("rb") as rows:
-        whole = subprocess.run(COMMAND, stdin=rows, capture_output=True).stdout
+        whole = subprocess.run(TRACK_STREAM, stdin=rows, capture_output=True).stdout
     assert b"".join(answers) == whole
 
 

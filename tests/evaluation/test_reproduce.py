@@ -18,10 +18,10 @@ from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table, all_experiments
 from graphtrack.evaluation.reproduce.baxter_simulated import squared_error
 from graphtrack.evaluation.reproduce.chen_joint import PAPER, concentration_of
+from graphtrack.evaluation.reproduce.experiment import evenly, thinned
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.occlusion_methods import error_of
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
-from graphtrack.evaluation.reproduce.recordings import evenly, thinned
 from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference, reduction
 from graphtrack.inference import track_online
 from graphtrack.model import Model, MotionParameters, Parameters

@@ -16,7 +16,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.homography import jacobian
 from graphtrack.inference import Failure, Solution, SolverOptions, smooth, smooth_track, solve
 from graphtrack.inference.initial import initial_states
-from graphtrack.inference.solution import Engine
+from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import (
     CouplingParameters,
     LikelihoodParameters,
@@ -625,7 +625,7 @@ def content(found: list[Solution | Failure]) -> list[object]:
 
 
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])
-def test_two_workers_find_the_same_bytes_as_one(engine: Engine) -> None:
+def test_two_workers_find_the_same_bytes_as_one(engine: OfflineEngine) -> None:
     tracks = TrackSet((*some_tracks(), *(walk(8, seed=k, track_id=k, uneven=True) for k in range(20, 25))))
     finished: list[int] = []
     alone = solve(tracks, "joint", engine=engine)

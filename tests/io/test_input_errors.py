@@ -73,16 +73,17 @@ def test_binary_files(sample: Sample, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sample", TEXT_SAMPLES, ids=name_of)
-@pytest.mark.parametrize("text", ["nan", "NaN", "inf", "-Infinity", "abc", "1_0", "0x10", "1e999", "\u0663"])
-def test_what_is_no_finite_number(sample: Sample, text: str, tmp_path: Path) -> None:
+def test_what_is_no_finite_number(sample: Sample, tmp_path: Path) -> None:
     path = sample.write(tmp_path)
-    data = path.read_bytes()
-    worse = sample.number.replace(re.search(rb"[\d.]+", sample.number)[0], text.encode(), 1)  # type: ignore[index]
-    path.write_bytes(data.replace(sample.number, worse, 1))
-    error = refused(path)
-    assert error.line == line_with(data, sample.number)
-    assert error.column is not None
-    assert repr(text) in error.found
+    data, number = path.read_bytes(), re.search(rb"[\d.]+", sample.number)
+    assert number
+    for text in ("nan", "NaN", "inf", "-Infinity", "abc", "1_0", "0x10", "1e999", "\u0663"):
+        worse = sample.number.replace(number[0], text.encode(), 1)
+        path.write_bytes(data.replace(sample.number, worse, 1))
+        error = refused(path)
+        assert error.line == line_with(data, sample.number)
+        assert error.column is not None
+        assert repr(text) in error.found
 
 
 @pytest.mark.parametrize("sample", [s for s in DELIMITED if s.format != "ndjson"], ids=name_of)
@@ -156,19 +157,18 @@ FRAME_AND_ID = {
 
 
 @pytest.mark.parametrize("format", FRAME_AND_ID)
-@pytest.mark.parametrize(
-    ("frame", "identity"), [("1e300", "1"), ("2.5", "1"), ("1", "1e300"), ("1", "1.5"), ("4000000000", "1")]
-)
-def test_absurd_frames_and_ids(format: str, frame: str, identity: str, tmp_path: Path) -> None:
+def test_absurd_frames_and_ids(format: str, tmp_path: Path) -> None:
     path = sample_of(format).write(tmp_path)
     pattern, row = FRAME_AND_ID[format]
     text = path.read_text()
-    worse, count = re.subn(pattern, row.format(frame=frame, id=identity), text, count=1, flags=re.MULTILINE)
-    assert count == 1
-    path.write_text(worse)
-    error = refused(path)
-    assert "whole number" in error.expected
-    assert error.line is not None and error.column in ("frame", "id", "track_id")
+    for frame, identity in (("1e300", 1), ("2.5", 1), (1, "1e300"), (1, "1.5"), ("4000000000", 1)):
+        new = row.format(frame=frame, id=identity)
+        worse, count = re.subn(pattern, new, text, count=1, flags=re.MULTILINE)
+        assert count == 1
+        path.write_text(worse)
+        error = refused(path)
+        assert "whole number" in error.expected
+        assert error.line is not None and error.column in ("frame", "id", "track_id")
 
 
 @pytest.mark.parametrize("sample", [s for s in SAMPLES if s.format in ("mot", "towncentre")], ids=name_of)
@@ -266,12 +266,12 @@ def test_point_pairs_that_make_no_homography(rows: str, found: str, tmp_path: Pa
     assert error.path == str(pairs)
 
 
-@pytest.mark.parametrize("rows", ["0-3", "1-99", "a", "4-2", "1-2-3", "", "-"])
-def test_rows_of_point_pairs_that_are_not_there(rows: str, tmp_path: Path) -> None:
+def test_rows_of_point_pairs_that_are_not_there(tmp_path: Path) -> None:
     path = sample_of("mot").write(tmp_path)
     pairs = tmp_path / "pairs.txt"
     pairs.write_text("0 0 0 0\n1 0 1 0\n1 1 1 1\n0 1 0 1\n")
-    assert "point_pairs_rows" in refused(path, point_pairs=pairs, point_pairs_rows=rows).found
+    for rows in ("0-3", "1-99", "a", "4-2", "1-2-3", "", "-"):
+        assert "point_pairs_rows" in refused(path, point_pairs=pairs, point_pairs_rows=rows).found
 
 
 @pytest.mark.parametrize("sample", [s for s in SAMPLES if s.format in ("ucy", "kitti")], ids=name_of)

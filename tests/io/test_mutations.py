@@ -13,7 +13,7 @@ from format_samples import SAMPLES, Sample, name_of
 
 from graphtrack import io
 from graphtrack.errors import GraphtrackError, InputWarning
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import Track, TrackSet
 
 MUTANTS = 1000
 MUTANTS_BESIDE = 300
@@ -110,6 +110,15 @@ def insert_junk(data: bytes, rng: np.random.Generator) -> bytes:
 MUTATIONS = (flip_bytes, truncate, change_lines, change_cells, insert_junk)
 
 
+def assert_as_checked(track: Track) -> None:
+    """What a reader vouches for is what a user's own arrays would have to be."""
+    checked = Track(**vars(track))
+    for name, value in vars(track).items():
+        if isinstance(value, np.ndarray):
+            assert value.dtype == getattr(checked, name).dtype and not value.flags.writeable
+            np.testing.assert_array_equal(value, getattr(checked, name))
+
+
 def outcome(path: Path, options: dict[str, object]) -> str:
     """ "read", or the message of the error; other exceptions pass."""
     with warnings.catch_warnings():
@@ -123,6 +132,8 @@ def outcome(path: Path, options: dict[str, object]) -> str:
         else:
             assert isinstance(tracks, TrackSet)
             assert tracks.summary.rows_used == tracks.n_frames
+            for track in tracks:
+                assert_as_checked(track)
             result = "read"
     assert time.perf_counter() - start < SLOWEST_READ
     return result

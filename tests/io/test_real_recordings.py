@@ -9,7 +9,7 @@ import pytest
 
 from graphtrack import io
 from graphtrack.geometry.angles import difference, direction
-from graphtrack.io.formats.caviar import LOBBY_HEIGHT, _Reader, lobby_camera
+from graphtrack.io.readers.caviar import LOBBY_HEIGHT, _Reader, lobby_camera
 from graphtrack.io.source import Source
 from graphtrack.tracks import TrackSet
 

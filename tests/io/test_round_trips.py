@@ -18,7 +18,7 @@ from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.formats.native_csv import _header, _read_fast, _read_slowly
+from graphtrack.io.readers.native_csv import _header, _read_fast, _read_slowly
 from graphtrack.io.source import Source
 from graphtrack.tracks import Track, TrackSet
 

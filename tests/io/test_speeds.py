@@ -73,7 +73,7 @@ def test_noise_from_frame_to_frame_outliers_and_one_odd_track_are_not() -> None:
 def test_every_reader_tells(sample: Sample, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = sample.write(tmp_path)
     assert not any("faster than" in note for note in io.read(path, **sample.options).summary.notes)
-    monkeypatch.setattr("graphtrack.io.speeds.FASTEST", 1e-3)
+    monkeypatch.setattr("graphtrack.table.speeds.FASTEST", 1e-3)
     with pytest.warns(InputWarning, match="faster than"):
         tracks = io.read(path, **sample.options)
     assert any("faster than" in note for note in tracks.summary.notes)

@@ -16,6 +16,7 @@ from graphtrack.report.build import tracking_report
 from graphtrack.report.content import Card, Note, Report, Section, Table
 from graphtrack.report.html import format_cell, packed, render_report, write_report
 from graphtrack.report.pairing import pair_tracks
+from graphtrack.report.plots import orientation
 from graphtrack.report.replay import LENGTH_STEP, MAX_SAMPLES, delta_decode, replay_data
 from graphtrack.tracks import ReadSummary, TrackSet
 
@@ -233,7 +234,8 @@ def test_data_in_a_page_cannot_end_their_element():
     assert unpacked(text)["label"] == HOSTILE + "<!--"
 
 
-def test_tracks_are_paired_and_errors_computed_once_a_person(monkeypatch):
+@pytest.mark.parametrize("interactive", [True, False])
+def test_tracks_are_paired_and_errors_computed_once_a_person(interactive, monkeypatch):
     counts = {"pair": 0, "error": 0}
 
     def counting(name, function):
@@ -243,9 +245,11 @@ def test_tracks_are_paired_and_errors_computed_once_a_person(monkeypatch):
 
         return counted
 
-    monkeypatch.setattr(pairing, "pair_track", counting("pair", pairing.pair_track))
+    counted_pairs = counting("pair", pairing.pair_track)
+    for module in (pairing, orientation):
+        monkeypatch.setattr(module, "pair_track", counted_pairs)
     monkeypatch.setattr(build, "mean_absolute_error", counting("error", build.mean_absolute_error))
-    tracking_report(*scene(people=3))
+    tracking_report(*scene(people=3), interactive=interactive)
     assert counts == {"pair": 3, "error": 3 * 2}
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from command import Done, run
 from walks import walk, without
 
 import graphtrack as gt
@@ -19,6 +20,7 @@ from graphtrack.scale import cluster as scale_cluster
 from graphtrack.scale import smooth_dataset
 
 distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+dask = pytest.importorskip("dask")
 
 
 @pytest.fixture
@@ -151,9 +153,13 @@ if __name__ == "__main__":
 def command(*arguments: object) -> subprocess.CompletedProcess[str]:
     source, output, *options = map(str, arguments)
     line = [sys.executable, "-c", "from graphtrack.cli import main; main()", "smooth", source, "-o", output]
-    seconds = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1s"}
-    streamed = [*line, "--stream", *options]
-    return subprocess.run(streamed, capture_output=True, text=True, timeout=300, env=os.environ | seconds)
+    return subprocess.run([*line, "--stream", *options], capture_output=True, text=True, timeout=300)
+
+
+def without_workers(source: Path, output: Path, *options: object) -> Done:
+    arguments = (source, "-o", output, "--stream", *options)
+    with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
+        return run("smooth", *arguments, program="graphtrack")
 
 
 @pytest.mark.parametrize("kind", ["nobody", "somebody else", "no address"])
@@ -163,7 +169,7 @@ def test_a_cluster_that_does_not_answer_is_one_error(kind, data, tmp_path):
         if kind == "nobody":
             server.close()
         address = "nowhere" if kind == "no address" else f"tcp://127.0.0.1:{port}"
-        done = command(data, tmp_path / "out.parquet", "--cluster", address)
+        done = without_workers(data, tmp_path / "out.parquet", "--cluster", address)
     assert done.returncode == 2
     *_, last = done.stderr.splitlines()
     assert last.startswith(f"error: found no answer from a Dask scheduler at {address}")
@@ -177,8 +183,8 @@ def test_wrong_use_is_one_error(data, tmp_path):
         (("--report", tmp_path / "r.html"), "--report when streaming"),
         (("--cluster", "local", "--format", "csv"), "--format when streaming"),
     ):
-        done = command(data, tmp_path / "out.parquet", *options)
+        done = without_workers(data, tmp_path / "out.parquet", *options)
         assert done.returncode == 2 and words in done.stderr
-    done = command(data, tmp_path / "out.csv")
+    done = without_workers(data, tmp_path / "out.csv")
     assert done.returncode == 2 and ".parquet" in done.stderr
     assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]

@@ -19,7 +19,7 @@ from walks import walk, without
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.io.formats import native_parquet
+from graphtrack.io.readers import native_parquet
 from graphtrack.scale import open_dataset, smooth_dataset, writer
 from graphtrack.scale.grouping import Index, batches, index_tracks
 

@@ -1,15 +1,15 @@
-"""The command line, called from tests."""
+"""The command lines, called from tests."""
 
 from __future__ import annotations
 
+import re
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from importlib import import_module
 from io import StringIO
 
 import pytest
-
-from perception.cli import main
 
 
 @dataclass
@@ -19,11 +19,26 @@ class Done:
     stderr: str
 
 
-def run(*arguments: object) -> Done:
-    """The command line, in this process: what it imports takes longer than what it does here."""
+def run(*arguments: object, program: str = "perception") -> Done:
+    """A program's command line, in this process: what it imports takes longer than what it does here."""
+    main = import_module(f"{program}.cli").main
     out, err = StringIO(), StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.setattr(sys, "argv", ["perception", *map(str, arguments)])
+        patch.setattr(sys, "argv", [program, *map(str, arguments)])
         with pytest.raises(SystemExit) as end:
             main()
     return Done(int(end.value.code or 0), out.getvalue(), err.getvalue())
+
+
+TRACK_STREAM = [sys.executable, "-c", "from graphtrack.cli import main; main()", "track", "-"]
+
+_SAID = re.compile(
+    r"going on from .*, after (\d+) rows?"
+    r"(?: \(the last is line (\d+)\))?(; the answer to row \d+ is given again)?"
+)
+
+
+def going_on(said: str) -> tuple[int, int]:
+    """The line after which a run goes on, and how many of the answers so far are to be kept."""
+    rows, line, again = _SAID.search(said).groups()
+    return int(line or rows), int(rows) - bool(again)

@@ -19,7 +19,7 @@ from graphtrack.baselines.particle.backward import backward
 from graphtrack.baselines.particle.data import Job, PoseModel, prepare
 from graphtrack.baselines.particle.kernels import FIRST, POSITION, RECOVERED, run, summarise
 from graphtrack.baselines.particle.recovery import draw_states, recover
-from graphtrack.errors import InputError, InputWarning, SolveError
+from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.warm import TRACK
@@ -180,7 +180,7 @@ def _filter(
     job = prepare(track, model, camera, options.pose, options.image_pose)
     seen = np.flatnonzero(job.position.kind)
     if not len(seen):
-        raise SolveError(track.track_id, "found no position at all, expected at least one")
+        raise SolveError(track.track_id, NO_POSITION)
     n, count, start = len(track), options.particles, int(seen[0])
     found = _Run(
         job,

@@ -9,12 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from graphtrack.evaluation.reproduce.experiment import (
+    MOCAP,
+    TURNING,
     Cell,
     Experiment,
     Progress,
     Reproduction,
     Settings,
     Table,
+    evenly,
+    quietly,
+    thinned,
 )
 from graphtrack.evaluation.reproduce.occlusion_methods import (
     FITS,
@@ -28,11 +33,10 @@ from graphtrack.evaluation.reproduce.occlusion_methods import (
     error_of,
     fitted,
 )
-from graphtrack.evaluation.reproduce.recordings import MOCAP, TURNING, evenly, quietly, thinned
 from graphtrack.evaluation.reproduce.resampling import bootstrap, reduction
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
-from graphtrack.simulation.degrade import TURN_SECONDS, BoolArray, add_noise, occlude, withhold
+from graphtrack.simulation.degrade import TURN_SECONDS, add_noise, occlude, withhold
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -203,8 +207,7 @@ def _figure(
     rng: np.random.Generator,
 ) -> Figure:
     from graphtrack.evaluation.reproduce.style import COLOURS, bars
-    from graphtrack.report.plots.canvas import new_figure, tidy
-    from graphtrack.report.style import TRUTH_COLOUR
+    from graphtrack.report.style import TRUTH_COLOUR, new_figure, tidy
 
     figure = new_figure(12.0, 4.2 * len(examples) + 0.8)
     grid = figure.subplots(len(examples), 3, squeeze=False, width_ratios=[1.0, 1.35, 0.8])

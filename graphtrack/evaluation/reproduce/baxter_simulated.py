@@ -249,8 +249,7 @@ def _beside(found: Sequence[Gain]) -> Table:
 
 def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
     from graphtrack.evaluation.reproduce.style import with_whiskers
-    from graphtrack.report.plots.canvas import new_figure, tidy
-    from graphtrack.report.style import NEUTRAL_COLOUR, TRUTH_COLOUR
+    from graphtrack.report.style import NEUTRAL_COLOUR, TRUTH_COLOUR, new_figure, tidy
 
     figure = new_figure(11.0, 9.0)
     paths, plots = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 3.4]))).tolist()

@@ -9,20 +9,18 @@ import numpy as np
 
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.evaluation.reproduce.experiment import (
-    Cell,
-    Experiment,
-    Progress,
-    Reproduction,
-    Settings,
-    Table,
-)
-from graphtrack.evaluation.reproduce.recordings import (
     ASKANCE,
     CAVIAR,
     MOCAP,
     SALSA,
     TURNING,
     WALKING,
+    Cell,
+    Experiment,
+    Progress,
+    Reproduction,
+    Settings,
+    Table,
     quietly,
 )
 from graphtrack.evaluation.statistics import (
@@ -131,8 +129,7 @@ def _beside(found: list[DeviationStatistics]) -> Table:
 
 
 def _figure(found: list[DeviationStatistics]) -> Figure:
-    from graphtrack.report.plots.canvas import new_figure, tidy
-    from graphtrack.report.style import HEAD_COLOUR, NEUTRAL_COLOUR
+    from graphtrack.report.style import HEAD_COLOUR, NEUTRAL_COLOUR, new_figure, tidy
 
     columns = 3
     lines = -(-len(found) // columns)

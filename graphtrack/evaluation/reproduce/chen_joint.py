@@ -11,19 +11,17 @@ from scipy import integrate, optimize
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
 from graphtrack.evaluation.reproduce.experiment import (
+    ASKANCE,
     LAG,
+    MOCAP,
+    SALSA,
+    WALKING,
     Cell,
     Experiment,
     Progress,
     Reproduction,
     Settings,
     Table,
-)
-from graphtrack.evaluation.reproduce.recordings import (
-    ASKANCE,
-    MOCAP,
-    SALSA,
-    WALKING,
     evenly,
     quietly,
     thinned,
@@ -239,8 +237,7 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
     from matplotlib.lines import Line2D
 
     from graphtrack.evaluation.reproduce.style import COLOURS
-    from graphtrack.report.plots.canvas import new_figure, tidy
-    from graphtrack.report.style import NEUTRAL_COLOUR
+    from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
 
     names = ["002", *(one.data for one in found)]
     figure = new_figure(3.0 * len(names), 7.2)

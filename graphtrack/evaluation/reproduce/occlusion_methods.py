@@ -15,10 +15,9 @@ from graphtrack.baselines.particle.filter import ParticleOptions, particle_filte
 from graphtrack.evaluation.reproduce.experiment import LAG, Progress
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference import smooth, track_online
 from graphtrack.model import Model, Parameters
-from graphtrack.simulation.degrade import BoolArray
 from graphtrack.tracks import Track, TrackSet
 
 STEERED = "joint-intentional"

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.plots.canvas import tidy
+from graphtrack.report.style import tidy
 
 COLOURS = {
     "observation": "#9AA1AB",

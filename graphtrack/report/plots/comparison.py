@@ -10,14 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from graphtrack.report.plots.canvas import new_figure, tidy
-from graphtrack.report.rows import ErrorRow, NeesRow, Rows, distinct, error_rows, nees_rows
-from graphtrack.report.style import NEUTRAL_COLOUR, quantity_colour
+from graphtrack.report.rows import ErrorRow, NeesRow, Records, distinct, error_rows, nees_rows
+from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, quantity_colour, tidy
 
 PANELS_A_LINE = 3
 
 
-def plot_errors(comparison: Rows) -> Figure:
+def plot_errors(comparison: Records) -> Figure:
     """Draw one panel a metric: the median of each method as a dot, its spread over the tracks as a line.
 
     Parameters
@@ -46,7 +45,7 @@ def plot_errors(comparison: Rows) -> Figure:
     return figure
 
 
-def plot_nees(consistency: Rows) -> Figure:
+def plot_nees(consistency: Records) -> Figure:
     """Draw the mean normalised estimation error squared (NEES) of each method against its χ² band.
 
     A method whose covariances are right has a mean NEES equal to the number of dimensions, 95 % of the time

@@ -13,9 +13,8 @@ from scipy import ndimage
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.pairing import Pair, finite_rows
-from graphtrack.report.plots.canvas import new_figure, tidy
 from graphtrack.report.shapes import longest_step, open_holes
-from graphtrack.report.style import BODY_COLOUR
+from graphtrack.report.style import BODY_COLOUR, new_figure, tidy
 
 STAYS = 2.0
 """Metres from a track's first to its last position below which it has no direction of its own."""

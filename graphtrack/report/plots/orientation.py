@@ -7,9 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from graphtrack.report.pairing import Pair, has_angle, observed_angle, pair_track
-from graphtrack.report.plots.canvas import new_figure, tidy
 from graphtrack.report.shapes import NORMAL_95, angle_bands, break_at_seam, finite_runs, open_holes
-from graphtrack.report.style import ANGLE_COLOURS, NEUTRAL_COLOUR, TRUTH_COLOUR
+from graphtrack.report.style import ANGLE_COLOURS, NEUTRAL_COLOUR, TRUTH_COLOUR, new_figure, tidy
 from graphtrack.tracks import Track
 
 
@@ -30,7 +29,11 @@ def plot_angles(estimate: Track, observation: Track | None = None, *, show_truth
     -------
     matplotlib.figure.Figure
     """
-    pair = pair_track(estimate, observation)
+    return plot_angles_of(pair_track(estimate, observation), show_truth=show_truth)
+
+
+def plot_angles_of(pair: Pair, *, show_truth: bool = True) -> Figure:
+    """`plot_angles` of a track that is already paired with its observations."""
     names = [name for name in ANGLE_COLOURS if has_angle(pair, name)]
     figure = new_figure(9.4, 1.0 + 2.3 * max(len(names), 1))
     figure.suptitle(pair.name.replace("$", r"\$"), x=0.01, ha="left", fontsize=11)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
-from graphtrack.report.plots.canvas import new_figure, tidy
 from graphtrack.report.plots.crowd import plot_crowd
 from graphtrack.report.shapes import finite_runs, longest_step, probability_ellipse
 from graphtrack.report.style import (
@@ -23,8 +22,10 @@ from graphtrack.report.style import (
     NEUTRAL_COLOUR,
     TRUTH_COLOUR,
     VELOCITY_COLOUR,
+    new_figure,
     person_colour,
     person_dash,
+    tidy,
 )
 from graphtrack.tracks import Track, TrackSet
 

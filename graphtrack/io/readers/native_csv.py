@@ -16,13 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.io import schema
+from graphtrack.io.cameras import place_pixels
 from graphtrack.io.delimiters import other_delimiter
 from graphtrack.io.numbers import expected_number, parse_number
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
-from graphtrack.io.table import from_columns, to_columns
+from graphtrack.table import schema
+from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 
 
@@ -37,7 +39,7 @@ _SMALL = 200_000
 """Characters that are read before pyarrow would be imported."""
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read the native CSV table (ARCHITECTURE: *the table*).
 
     Raises
@@ -52,9 +54,10 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         columns, lines = _read_slowly(source, header)
         line_of = lines.__getitem__
     ignored = schema.unknown(header)
-    return from_columns(
-        columns, path=source.path, format="csv", options=options, line_of=line_of, ignored=ignored
+    rows = from_columns(
+        columns, path=source.path, format="csv", fps=options.fps, line_of=line_of, ignored=ignored
     )
+    return place_pixels(rows, options)
 
 
 def _header(source: Source) -> list[str]:

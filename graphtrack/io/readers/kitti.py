@@ -20,9 +20,8 @@ from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io.numbers import Numbers, parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
-from graphtrack.io.rows import Rows, to_tracks
 from graphtrack.io.source import Source, mostly
-from graphtrack.tracks import TrackSet
+from graphtrack.table.rows import Rows
 
 FPS = 10.0
 
@@ -51,7 +50,7 @@ def beside(path: Path) -> tuple[Path, ...]:
     return root / "oxts" / name, root / "calib" / name
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read positions and headings in a world of east, north, up that begins at the first ego pose.
 
     Positions go from the rectified camera through R_rect, Tr_velo_cam, Tr_imu_velo and the ego pose.
@@ -103,7 +102,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         refused=refused,
         notes=(*notes, "world axes are east and north, from the first ego pose"),
     )
-    return to_tracks(rows.with_times(options.fps or FPS))
+    return rows.with_times(options.fps or FPS)
 
 
 def _read_labels(source: Source) -> tuple[Numbers, NDArray[Any]]:

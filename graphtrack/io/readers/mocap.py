@@ -12,9 +12,8 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.io.numbers import Numbers, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
-from graphtrack.io.rows import Rows, to_tracks
 from graphtrack.io.source import Source
-from graphtrack.tracks import TrackSet
+from graphtrack.table.rows import Rows
 
 _NEEDED = ("clip", "frame", "t_s", "x_m", "y_m", "shoulder_yaw_rad", "head_yaw_rad")
 _LARGEST_YAW = 1e4
@@ -26,7 +25,7 @@ def looks_like(head: bytes, path: Path) -> bool:
     return {name.encode() for name in _NEEDED} <= set(cells)
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read a table ``clip,frame,t_s,x_m,y_m,…,shoulder_yaw_rad,head_yaw_rad,…``.
 
     Body is the yaw of the shoulders, head that of the head, both in the world; tracks are numbered from 0 in
@@ -83,7 +82,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         labels={number: clip for clip, number in number_of.items()},
         notes=tuple(notes),
     )
-    return to_tracks(rows)
+    return rows
 
 
 def _pair(table: Numbers, header: list[str], x: str, y: str) -> np.ndarray:

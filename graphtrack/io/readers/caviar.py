@@ -24,9 +24,8 @@ from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground
 from graphtrack.io.numbers import parse_number
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
-from graphtrack.io.rows import Rows, to_tracks
 from graphtrack.io.source import Source
-from graphtrack.tracks import TrackSet
+from graphtrack.table.rows import Rows
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -84,7 +83,7 @@ class _Observation:
     gaze: float
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read each labelled object of each frame.
 
     The position is the middle of the labelled feet, else a point of the box (see the module), on the
@@ -103,7 +102,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     pixel, foot_note, in_lobby = _foot_points(observations, boxes, options)
     camera, notes = _camera(options, pixel, boxes, in_lobby)
     rows = _rows(source, observations, {"pixel": pixel, **_orientations(observations, camera, pixel)})
-    return to_tracks(on_ground(rows.with_notes(foot_note), camera, notes).with_times(options.fps or FPS))
+    return on_ground(rows.with_notes(foot_note), camera, notes).with_times(options.fps or FPS)
 
 
 def read_boxes(source: Source) -> Rows:

@@ -13,9 +13,8 @@ from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, read
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
-from graphtrack.io.rows import Rows, to_tracks
 from graphtrack.io.source import Source, mostly
-from graphtrack.tracks import TrackSet
+from graphtrack.table.rows import Rows
 
 FPS = 25.0
 
@@ -37,7 +36,7 @@ def beside(path: Path) -> tuple[Path, ...]:
     return (path.parent / "calibration.ci",)
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read boxes and put their bottom centres on the ground.
 
     The calibration is the one of the options or ``calibration.ci`` beside the file. The boxes may be
@@ -61,7 +60,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         {"pixel": pixel},
         table.line_of,
     )
-    return to_tracks(on_ground(rows, camera, notes).with_times(options.fps or FPS))
+    return on_ground(rows, camera, notes).with_times(options.fps or FPS)
 
 
 def _camera(

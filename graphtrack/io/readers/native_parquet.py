@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.io import schema
+from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
-from graphtrack.io.table import from_columns, to_columns
+from graphtrack.table import schema
+from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 
 ROW_GROUP = 131_072
@@ -28,7 +30,7 @@ def looks_like(head: bytes, path: Path) -> bool:
     return head.startswith(b"PAR1")
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read the native table from Parquet.
 
     Raises
@@ -48,14 +50,15 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         table.validate(full=True)
     columns = {name: column_values(table.column(name), name, source.path) for name in known}
     ignored = schema.unknown(names)
-    return from_columns(
+    rows = from_columns(
         columns,
         path=source.path,
         format="parquet",
-        options=options,
+        fps=options.fps,
         line_of=lambda row: row + 1,
         ignored=ignored,
     )
+    return place_pixels(rows, options)
 
 
 @contextmanager

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.bounds import SHAPES, STATE, check_frame_rate
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
-from graphtrack.io import schema
-from graphtrack.io.cameras import place_pixels
-from graphtrack.io.options import ReadOptions
-from graphtrack.io.rows import Rows, to_tracks
-from graphtrack.io.speeds import with_speeds_checked
-from graphtrack.tracks import STATE, Track, TrackSet
+from graphtrack.table import schema
+from graphtrack.table.rows import Rows, no_camera
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_TAILS = {"covariance": (6, 6), "body_likelihood": (8,), "head_likelihood": (12,)}
-_TAILS |= dict.fromkeys(("position", "pixel", "velocity", "true_position"), (2,))
+    from graphtrack.tracks import Track, TrackSet
 
 
 def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
@@ -63,25 +59,9 @@ def _cells(track: Track, column: schema.Column) -> FloatArray:
     return np.rad2deg(cells) if column.degrees else cells
 
 
-def to_table(tracks: TrackSet) -> pd.DataFrame:
-    """One row per person and frame with the columns of the native table (degrees in ``*_deg``)."""
-    import pandas as pd
-
-    return pd.DataFrame(to_columns(tracks))
-
-
-def from_table(table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
-    """Tracks from a table with the columns of the native format; a missing cell is a missing observation.
-
-    Parameters
-    ----------
-    table : a DataFrame, or name → column; dates and times in ``t`` become seconds since 1970 (UTC)
-
-    Raises
-    ------
-    InputError
-        Naming the row (from 1) and column that cannot be used.
-    """
+def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = None) -> Rows:
+    """The rows of a DataFrame, or of name → column; `TrackSet.from_table` says what may stand there."""
+    check_frame_rate(fps)
     table = _frame(table)
     names = [str(name) for name in table.columns]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -95,17 +75,18 @@ def from_table(table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = N
                 values = _seconds(values)
                 notes.append("t had dates or times: seconds, of dates since 1970-01-01 UTC")
             columns[name] = values.to_numpy() if name == "label" else _numbers(values, name)
-    path = Path("table")
-    tracks = from_columns(
+    rows = from_columns(
         columns,
-        path=path,
+        path=Path("table"),
         format="table",
-        options=ReadOptions(fps=fps),
+        fps=fps,
         line_of=lambda i: i + 1,
         ignored=schema.unknown(names),
         notes=tuple(notes),
     )
-    return with_speeds_checked(tracks, path)
+    if "position" not in rows.channels:
+        raise no_camera(rows)
+    return rows
 
 
 def _frame(table: Any) -> pd.DataFrame:
@@ -160,17 +141,18 @@ def from_columns(
     *,
     path: Path,
     format: str,
-    options: ReadOptions,
+    fps: float | None,
     line_of: Callable[[int], int],
-    ignored: list[str],
+    ignored: Sequence[str] = (),
     notes: tuple[str, ...] = (),
-) -> TrackSet:
-    """Tracks from the columns of the native table, checked cell by cell.
+) -> Rows:
+    """Rows from the columns of the native table, checked cell by cell.
 
     Parameters
     ----------
     columns : name → (n,) numbers, NaN where a cell is empty; ``label`` holds text or None
-    path, format, options, line_of : as in `Rows` and the readers
+    path, format, line_of : as in `Rows`
+    fps : frames a second, for rows without times
     ignored : names of columns that the file has besides
     notes : what was assumed so far
 
@@ -185,7 +167,7 @@ def from_columns(
             found, expected, path=path, line=None if row is None else line_of(row), column=column
         )
 
-    check_names(columns, options, fail)
+    check_names(columns, fps, fail)
     if not len(columns["track_id"]):
         raise fail("a header and no rows", "at least one row")
     for name, highest in schema.INTEGERS.items():
@@ -208,11 +190,10 @@ def from_columns(
         _labels(columns.get("label"), track_id, fail),
         notes=notes,
     )
-    rows = _with_times(rows, options, fail)
-    return to_tracks(place_pixels(rows, options))
+    return _with_times(rows, fps, fail)
 
 
-def check_names(names: Collection[str], options: ReadOptions, fail: Callable[..., InputError]) -> None:
+def check_names(names: Collection[str], fps: float | None, fail: Callable[..., InputError]) -> None:
     """Raise ``fail(found, expected, column=…)`` if a column that the native table needs is not there."""
     for name in schema.INTEGERS:
         if name not in names:
@@ -224,7 +205,7 @@ def check_names(names: Collection[str], options: ReadOptions, fail: Callable[...
             raise fail("no such column", f"a column {missing} beside {have[0]}", column=missing)
     if "x" not in names and "u" not in names:
         raise fail("no position", "columns x, y (metres) or u, v (pixels) with a homography")
-    if "t" not in names and options.fps is None:
+    if "t" not in names and fps is None:
         raise fail("no such column", "a column t (seconds), or a frame rate (fps)", column="t")
 
 
@@ -269,7 +250,7 @@ def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
         if column.name not in columns:
             continue
         if column.field not in channels:
-            channels[column.field] = np.full((n, *_TAILS.get(column.field, ())), np.nan)
+            channels[column.field] = np.full((n, *SHAPES[column.field]), np.nan)
         cells = np.asarray(columns[column.name], dtype=float)
         if column.degrees:
             cells = np.deg2rad(cells)
@@ -313,13 +294,13 @@ def _labels(
     return found
 
 
-def _with_times(rows: Rows, options: ReadOptions, fail: Callable[..., InputError]) -> Rows:
+def _with_times(rows: Rows, fps: float | None, fail: Callable[..., InputError]) -> Rows:
     if "t" not in rows.channels:
-        assert options.fps is not None  # or `check_names` would have said so
-        return rows.with_times(options.fps)
+        assert fps is not None  # or `check_names` would have said so
+        return rows.with_times(fps)
     empty = np.isnan(rows.channels["t"])
     if empty.any():
         raise fail("an empty cell", "a time in every row", int(np.argmax(empty)), "t")
-    if options.fps is not None:
+    if fps is not None:
         return rows.with_notes("the frame rate was not used: the file has times")
     return rows

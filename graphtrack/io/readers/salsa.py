@@ -13,9 +13,8 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
-from graphtrack.io.rows import Rows, to_tracks
 from graphtrack.io.source import Source, mostly
-from graphtrack.tracks import TrackSet
+from graphtrack.table.rows import Rows
 
 _PERSON = ("ID", "x", "y", "body", "head")
 _ID = re.compile(r"ID_(\d{1,9})", re.ASCII)
@@ -32,7 +31,7 @@ def looks_like(head: bytes, path: Path) -> bool:
     return mostly(head, matches)
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read ``t`` (seconds) and, for each person, position (metres), body and head (radians, in the world).
 
     The frame is the number of the row, from 0; angles are wrapped. ``rows_read`` counts persons in steps.
@@ -75,7 +74,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         labels=ids,
         notes=notes,
     )
-    return to_tracks(rows)
+    return rows
 
 
 def _without_ids(source: Source) -> tuple[dict[int, str], Source]:

@@ -15,9 +15,8 @@ from graphtrack.io.cameras import camera_or_scale, on_ground, read_homography
 from graphtrack.io.numbers import parse_number
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
-from graphtrack.io.rows import Rows, to_tracks
 from graphtrack.io.source import Source
-from graphtrack.tracks import TrackSet
+from graphtrack.table.rows import Rows
 
 FPS = 25.0
 _CENTRE = (360.0, 288.0)
@@ -58,7 +57,7 @@ class _ControlPoint:
     line: int
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read each control point as one observation in its frame.
 
     Needs the homography of the data set, (row, column) → ground in metres; ``H.txt`` beside the file is found
@@ -95,7 +94,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     kept = np.zeros(len(rows), dtype=bool)
     kept[first] = True
     rows = rows.keep(kept, "second control point of a spline in one frame")
-    return to_tracks(rows.with_times(options.fps or FPS))
+    return rows.with_times(options.fps or FPS)
 
 
 def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[GroundCamera, tuple[str, ...]]:

@@ -6,12 +6,15 @@ import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graphtrack.errors import InputWarning
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.tracks import Track, TrackSet
 
 FASTEST = 12.0
 """Metres a second: nobody runs faster."""

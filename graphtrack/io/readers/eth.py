@@ -11,9 +11,8 @@ from graphtrack import bounds
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
-from graphtrack.io.rows import Rows, to_tracks
 from graphtrack.io.source import Source, mostly
-from graphtrack.tracks import TrackSet
+from graphtrack.table.rows import Rows
 
 ANNOTATED_HZ = 2.5
 
@@ -30,7 +29,7 @@ def looks_like(head: bytes, path: Path) -> bool:
     return mostly(head, matches)
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read positions (metres) of an ``obsmat`` table; its velocities are differences and are left out.
 
     The frame rate is 2.5 Hz times the step of the frame numbers, unless ``fps`` is given.
@@ -59,7 +58,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
         table.line_of,
         notes=tuple(notes),
     )
-    return to_tracks(rows.with_times(fps))
+    return rows.with_times(fps)
 
 
 def _step(frame: NDArray[np.int64]) -> int:

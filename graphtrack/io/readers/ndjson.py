@@ -18,11 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
-from graphtrack.io import schema
+from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.source import Source, mostly
-from graphtrack.io.table import from_columns, to_columns
+from graphtrack.table import schema
+from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 
 Pairs = tuple[tuple[str, Any], ...]
@@ -201,7 +203,7 @@ def looks_like(head: bytes, path: Path) -> bool:
     return mostly(head, lambda line: line.startswith("{"))
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read the native table from NDJSON, such as the answers of ``graphtrack track -``.
 
     Of answers to one frame, as late and repeated rows bring them, the last one stands; rows with an ``error``
@@ -237,19 +239,16 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     if not kept:
         found = f"no rows but {errors} {NOT_USED}" if errors else "no rows"
         raise InputError(found, "at least one row", path=source.path)
-    tracks = from_columns(
+    native = from_columns(
         _columns(kept, keys),
         path=source.path,
         format="ndjson",
-        options=options,
+        fps=options.fps,
         line_of=lambda i: kept[i].line,
         ignored=schema.unknown(keys),
     )
-    summary = tracks.summary
-    read_in_all = summary.rows_read + sum(refused.values())
-    return replace(
-        tracks, summary=replace(summary, rows_read=read_in_all, refused={**summary.refused, **refused})
-    )
+    placed = place_pixels(native, options)
+    return replace(placed, refused={**placed.refused, **refused})
 
 
 def _last_answers(rows: list[_Row]) -> list[_Row]:

@@ -6,15 +6,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from graphtrack.bounds import (
+    BODY_CLASSES,
     FIELDS,
+    HEAD_CLASSES,
     LARGEST_DEGREES,
     LARGEST_FRAME,
     LARGEST_ID,
     LARGEST_METRES,
+    STATE,
     Bounds,
     within,
 )
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, STATE
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""From rows, in the order of a file, to tracks: the step that every reader ends with."""
+"""Rows of observations: what a reader makes of its file, and what is checked before they are tracks."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.bounds import FIELDS, out_of_bounds
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.tracks import ReadSummary, Track, TrackSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +26,7 @@ class Rows:
     path, format : where they come from
     track_id, frame : (n,) int64
     channels : `Track` attribute → (n, ...) in the units of `Track`; ``t`` and ``position`` must be among them
-        when `to_tracks` is called
+        when they become tracks
     line_of : row number → line in the file
     labels : track id → label
     camera : the camera that made the positions, if any
@@ -48,6 +47,11 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.track_id)
+
+    @property
+    def n_read(self) -> int:
+        """Rows of the file, those that were refused among them."""
+        return len(self) + sum(self.refused.values())
 
     def with_channels(self, **channels: FloatArray) -> Rows:
         """The same rows with channels added or replaced."""
@@ -85,42 +89,58 @@ class Rows:
         return self.with_channels(t=self.frame / fps)
 
 
-def to_tracks(rows: Rows) -> TrackSet:
-    """Group rows by track and order them by frame.
+def in_order(rows: Rows) -> Rows:
+    """The rows by track and, of each track, by frame.
 
     Raises
     ------
     InputError
-        If no row is left, a (track, frame) stands twice, or times do not increase with the frames.
+        If no row is left, a (track, frame) stands twice, times do not increase with the frames, or a value
+        that the reader computed, such as a position on the ground, is out of its bounds.
 
     Warns
     -----
     InputWarning
-        If frames had to be sorted; the summary's notes say so too.
+        If frames had to be sorted; the notes say so too.
     """
     check_rows(rows)
-    rows_read = len(rows) + sum(rows.refused.values())
-    order = np.lexsort((rows.frame, rows.track_id))
-    track_id, frame = rows.track_id[order], rows.frame[order]
-    same_track = np.diff(track_id) == 0
-    notes = rows.notes
     unsorted_tracks = _unsorted(rows)
     if unsorted_tracks:
         note = f"the frames of {unsorted_tracks} of the tracks were out of order and have been sorted"
-        notes = (*notes, note)
+        rows = rows.with_notes(note)
         warnings.warn(f"{rows.path}: {note}", InputWarning, stacklevel=2)
-    channels = {name: value[order] for name, value in rows.channels.items()}
-    _check_times(rows, order, same_track & (np.diff(channels["t"]) <= 0.0))
-    edges = np.concatenate([[0], np.flatnonzero(~same_track) + 1, [len(order)]])
-    tracks = []
-    for start, stop in pairwise(edges.tolist()):
-        identity = int(track_id[start])
-        own = {name: value[start:stop] for name, value in channels.items()}
-        # A channel that is missing throughout is absent: engines ask for None, not for all-NaN.
-        present = {k: v for k, v in own.items() if k == "position" or not np.isnan(v).all()}
-        tracks.append(Track(identity, frame[start:stop], **present, label=rows.labels.get(identity, "")))
-    summary = ReadSummary(rows.format, rows_read, dict(rows.refused), notes)
-    return TrackSet(tuple(tracks), rows.camera, summary)
+    order, line_of = np.lexsort((rows.frame, rows.track_id)), rows.line_of
+    rows = replace(
+        rows,
+        track_id=rows.track_id[order],
+        frame=rows.frame[order],
+        channels={name: value[order] for name, value in rows.channels.items()},
+        line_of=lambda i: line_of(int(order[i])),
+    )
+    late = (np.diff(rows.track_id) == 0) & (np.diff(rows.channels["t"]) <= 0.0)
+    if late.any():
+        # The first of them in the file.
+        i = min((np.flatnonzero(late) + 1).tolist(), key=lambda i: order[i])
+        raise InputError(
+            f"t = {rows.channels['t'][i]:g} in frame {rows.frame[i]} of track {rows.track_id[i]}",
+            "a time after that of the frame before",
+            path=rows.path,
+            line=rows.line_of(i),
+            column="t",
+        )
+    for name, values in rows.channels.items():
+        place = FIELDS[name].first_outside(values)
+        if place is not None:
+            i = place[0]
+            at = {"path": rows.path, "line": rows.line_of(i)}
+            raise out_of_bounds(name, values[place], int(rows.frame[i]), int(rows.track_id[i]), **at)
+    return rows
+
+
+def no_camera(rows: Rows) -> InputError:
+    """The error for rows that have only pixels, where nothing brings them to the ground."""
+    expected = "x, y, or a homography or point pairs as well"
+    return InputError("pixels u, v and no camera", expected, path=rows.path)
 
 
 def check_rows(rows: Rows) -> None:
@@ -145,18 +165,6 @@ def check_rows(rows: Rows) -> None:
             "each track once a frame",
             path=rows.path,
             line=rows.line_of(i),
-        )
-
-
-def _check_times(rows: Rows, order: NDArray[np.int64], wrong: NDArray[np.bool_]) -> None:
-    if wrong.any():
-        i = int(order[np.flatnonzero(wrong) + 1].min())
-        raise InputError(
-            f"t = {rows.channels['t'][i]:g} in frame {rows.frame[i]} of track {rows.track_id[i]}",
-            "a time after that of the frame before",
-            path=rows.path,
-            line=rows.line_of(i),
-            column="t",
         )
 
 

@@ -14,8 +14,8 @@ from graphtrack.io.cameras import PERSON_HEIGHT, camera_or_scale, known_camera, 
 from graphtrack.io.numbers import Numbers, parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
-from graphtrack.io.rows import Rows, to_tracks
 from graphtrack.io.source import Source, mostly
+from graphtrack.table.rows import Rows
 from graphtrack.tracks import Track, TrackSet
 
 DEFAULT_FPS = 25.0
@@ -57,7 +57,7 @@ def beside(path: Path) -> tuple[Path, ...]:
     return path.parent / "seqinfo.ini", path.parent.parent / "seqinfo.ini"
 
 
-def read(source: Source, options: ReadOptions) -> TrackSet:
+def read(source: Source, options: ReadOptions) -> Rows:
     """Read boxes with ids, and positions where the file has them.
 
     Columns 8 and 9 are metres unless all are −1; a row of −1 among metres is a missing position. With
@@ -77,7 +77,7 @@ def read(source: Source, options: ReadOptions) -> TrackSet:
     rows = rows.with_channels(pixel=np.column_stack([left + width / 2.0, top + height]))
     fps, note = _frame_rate(source.path, options)
     rows = _placed(rows, options).with_notes(*note).with_times(fps)
-    return to_tracks(rows.without("box", "confidence"))
+    return rows.without("box", "confidence")
 
 
 def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:

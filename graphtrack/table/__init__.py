@@ -1,0 +1,1 @@
+"""The native table: what its columns are, its rows in memory, and what is checked of them. Below `tracks`."""
