@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from costs import cost_around, free, gradient, hessian, states_of
 from random_tracks import contradicted, hard_models, lens_camera, random_parameters, random_track
 from scipy import stats
-from test_batch import cost_around, free, gradient, hessian, states_of
 from walks import walk, without
 
 from graphtrack.errors import InputError
