@@ -60,19 +60,26 @@ def trees(folder: str) -> dict[Path, ast.Module]:
     return {path: ast.parse(path.read_text("utf-8")) for path in sorted((ROOT / folder).rglob("*.py"))}
 
 
+def within(name: str) -> list[str]:
+    """The packages that a module is in, the innermost last, and itself."""
+    parts = name.split(".")
+    return [".".join(parts[: k + 1]) for k in range(len(parts))]
+
+
 def imports_when_loaded(package: str) -> Imports:
-    """Module → modules of the package that it imports as it is loaded."""
+    """Module → modules of the package that are loaded for it, with the packages that they are in."""
     found = {name_of(path): tree for path, tree in trees(package).items()}
     edges: Imports = {}
     for name, tree in found.items():
-        targets = set()
+        edges[name] = set()
         for statement in at_module_level(tree.body):
             names = [one for one in imported(iter([statement])) if one in found]
-            # From a package its module may be wanted, and then nothing of the package itself.
+            # From a package its modules may be wanted, and nothing that it has itself.
             if isinstance(statement, ast.ImportFrom) and len(names) == 1 + len(statement.names):
                 names = names[1:]
-            targets.update(names)
-        edges[name] = targets
+            around = {package for one in names for package in within(one)[:-1]}
+            # The packages that the module is in itself are being loaded already.
+            edges[name] |= set(names) | (around - set(within(name)))
     return edges
 
 
