@@ -236,16 +236,16 @@ def test_a_walk_seen_backwards_is_the_walk_backwards(preset: str) -> None:
 # The optimum.
 
 SITUATIONS = {
-    "angles": (walk(12, seed=1), Parameters()),
-    "uneven": (walk(12, seed=2, uneven=True), Parameters()),
-    "classes": (walk(12, seed=3, classes=True), Parameters()),
+    "angles": (walk(8, seed=1), Parameters()),
+    "uneven": (walk(8, seed=2, uneven=True), Parameters()),
+    "classes": (walk(8, seed=3, classes=True), Parameters()),
     "gaps": (
-        without(without(walk(12, seed=4), "position", slice(4, 7)), "body", slice(0, 9)),
+        without(without(walk(8, seed=4), "position", slice(2, 5)), "body", slice(0, 5)),
         Parameters(),
     ),
-    "outliers": (walk(12, seed=5), Parameters(likelihood=LikelihoodParameters(outlier_probability=0.1))),
-    "huber": (walk(12, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="huber"))),
-    "cauchy": (walk(12, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="cauchy"))),
+    "outliers": (walk(8, seed=5), Parameters(likelihood=LikelihoodParameters(outlier_probability=0.1))),
+    "huber": (walk(8, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="huber"))),
+    "cauchy": (walk(8, seed=6, noise=0.3), Parameters(likelihood=LikelihoodParameters(robust="cauchy"))),
 }
 EVERY_SITUATION = pytest.mark.parametrize("situation", SITUATIONS)
 
@@ -302,7 +302,7 @@ def test_the_estimate_costs_less_than_start_truth_and_data(preset: str) -> None:
 @pytest.mark.parametrize("situation", ["angles", "uneven", "classes", "gaps", "outliers"])
 def test_covariances_are_the_inverse_of_the_exact_curvature(preset: str, situation: str) -> None:
     track, parameters = SITUATIONS[situation]
-    track = track[:8]
+    track = track[:6]
     model = Model(preset, parameters)
     found = smooth_track(track, model, options=EXACTLY).track
     columns = free(model)

@@ -12,6 +12,7 @@ from graphtrack.tracks import Track
 
 
 def states_of(track: Track) -> States:
+    """What a smoothed track estimates."""
     assert track.velocity is not None
     none = np.full(len(track), np.nan)
     return States(
@@ -52,16 +53,20 @@ def cost_around(
 
 
 def gradient(cost: Callable[[np.ndarray], float], size: int, step: float = 1e-4) -> np.ndarray:
+    """The slope (size,) at 0, to the fourth order of the step."""
     units = np.eye(size) * step
     return np.array([(cost(-2 * u) - 8 * cost(-u) + 8 * cost(u) - cost(2 * u)) / (12 * step) for u in units])
 
 
 def hessian(cost: Callable[[np.ndarray], float], size: int, step: float = 2e-4) -> np.ndarray:
-    units = np.eye(size) * step
-    found = np.zeros((size, size))
+    """The curvature (size, size) at 0, to the second order of the step."""
+    units, here = np.eye(size) * step, cost(np.zeros(size))
+    # The sum of what a step there and a step back cost more: dᵀ·H·d.
+    alone = [cost(a) + cost(-a) - 2.0 * here for a in units]
+    found = np.diag(alone)
     for i in range(size):
-        for j in range(i, size):
-            a, b = units[i], units[j]
-            found[i, j] = cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b)
-            found[j, i] = found[i, j]
-    return found / (4.0 * step**2)
+        for j in range(i):
+            d = units[i] + units[j]
+            both = cost(d) + cost(-d) - 2.0 * here
+            found[i, j] = found[j, i] = 0.5 * (both - alone[i] - alone[j])
+    return found / step**2
