@@ -5,17 +5,22 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-.PHONY: demo test lint test-all bench notebooks pictures clean
+# Modules are turned into bytecode when they are imported, which few of those installed ever are.
+PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
+.PHONY: demo test lint compiled-solver compiled-others checked test-all bench notebooks pictures clean
 .DELETE_ON_ERROR:
 
-$(VENV)/installed: pyproject.toml constraints.txt
+$(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+
+$(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) --editable .
 	@touch $@
 
-$(VENV)/installed-test: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
-	@touch $@
+$(VENV)/installed-test: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) --editable '.[test]'
+	@touch $(VENV)/installed $@
 
 demo: $(VENV)/installed
 	$(BIN)/graphtrack demo --out demo
@@ -25,11 +30,18 @@ lint: $(VENV)/installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: lint
-	$(BIN)/python -m pytest -n auto
+# What the tests run is compiled beside the type checker, once for all of their workers.
+compiled-solver compiled-others: compiled-%: $(VENV)/installed-test
+	$(BIN)/python tests/support/compile_first.py $*
 
-test-all: lint
-	$(BIN)/python -m pytest -n auto -m 'not benchmark'
+checked: $(VENV)/installed-test
+	$(MAKE) --jobs=2 --output-sync=target compiled-solver lint compiled-others
+
+test: checked
+	$(PYTEST)
+
+test-all: checked
+	$(PYTEST) -m 'not benchmark'
 
 bench: $(VENV)/installed-test
 	$(BIN)/python -m pytest tests/benchmarks -m benchmark

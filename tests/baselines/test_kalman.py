@@ -3,6 +3,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import filterpy.kalman
 import numpy as np
@@ -44,6 +45,7 @@ PARAMETERS = Parameters(
 MEASURE = np.eye(2, 4)
 
 
+@cache
 def discretised(dt: float, density: float) -> tuple[np.ndarray, np.ndarray]:
     """Transition and process noise by Van Loan's matrix exponential, from the continuous model alone."""
     drift, diffusion = np.zeros((4, 4)), np.zeros((4, 4))

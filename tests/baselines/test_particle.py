@@ -23,7 +23,15 @@ from graphtrack.baselines.particle.densities import (
     sample_von_mises,
 )
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
-from graphtrack.baselines.particle.kernels import BODY, HEAD, POSITION, draw_angles, draw_motion, summarise
+from graphtrack.baselines.particle.kernels import (
+    BODY,
+    HEAD,
+    POSITION,
+    draw_angles,
+    draw_motion,
+    run,
+    summarise,
+)
 from graphtrack.baselines.particle.recovery import draw_orientations, recover
 from graphtrack.errors import InputError, InputWarning, SolveError
 from graphtrack.geometry.angles import difference, von_mises_log_density, wrap
@@ -216,7 +224,7 @@ def test_angles_are_drawn_from_the_normalised_product(speed: float) -> None:
         -2.0, 1.0 / (turning.head_diffusion * 0.3), after[:, 4], weight * coupling.head_body_kappa
     )
     # Each head has its own law, given its body: their probabilities must be uniform.
-    levels = [stats.vonmises(c).cdf(d) for c, d in zip(kappa, difference(after[:, 5], mean), strict=True)]
+    levels = stats.vonmises.cdf(difference(after[:, 5], mean), kappa)
     assert stats.kstest(levels, stats.uniform().cdf).pvalue > 0.01
 
 
@@ -565,6 +573,12 @@ def test_pixels_alone_locate_a_person() -> None:
     )
     found = particle_filter(track, "joint", camera=view, options=options(2000)).track
     assert np.linalg.norm(found.position - inside, axis=1).mean() < 0.1
+
+
+def test_a_camera_has_nothing_compiled_again() -> None:
+    for view in (None, camera()):
+        particle_smoother(walk(3), "joint", camera=view, options=options(10))
+        assert [len(kernel.signatures) for kernel in (run, backward)] == [1, 1]
 
 
 def test_no_position_at_all() -> None:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from costs import cost_around, free, gradient, hessian, states_of
 from random_tracks import contradicted, hard_models, lens_camera, random_parameters, random_track
 from scipy import stats
-from test_batch import cost_around, free, gradient, hessian, states_of
 from walks import walk, without
 
 from graphtrack.errors import InputError
@@ -51,13 +51,14 @@ def graph_from(
 # Against GTSAM.
 
 
-def compare_with_gtsam(seeds: range, monkeypatch: pytest.MonkeyPatch) -> None:
+def compare_with_gtsam(seeds: range, presets_each: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solve random tracks with both, each with some of the presets, which take turns."""
     same, compared = 0, 0
     for seed in seeds:
         rng = np.random.default_rng(seed)
         camera = lens_camera() if seed % 4 == 0 else None
         track, parameters = random_track(rng, camera), random_parameters(rng)
-        for preset in PRESETS:
+        for preset in np.roll(PRESETS, -2 * seed)[:presets_each].tolist():
             model = Model(preset, parameters)
             found = smooth_track(track, model, camera, engine="chain")
             cost = model.cost(states_of(found.track), track, camera)
@@ -85,12 +86,12 @@ def compare_with_gtsam(seeds: range, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_optimum_is_that_of_gtsams_graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    compare_with_gtsam(range(40), monkeypatch)
+    compare_with_gtsam(range(40), 2, monkeypatch)
 
 
 @pytest.mark.slow
 def test_the_optimum_is_that_of_gtsams_graph_on_500_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
-    compare_with_gtsam(range(1000, 1500), monkeypatch)
+    compare_with_gtsam(range(1000, 1500), len(PRESETS), monkeypatch)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -110,7 +111,7 @@ def test_covariances_of_gaussian_factors_are_those_of_gtsams_marginals(seed: int
 @pytest.mark.parametrize("robust", ["none", "huber", "cauchy"])
 @pytest.mark.parametrize("seen", ["angles", "classes", "pixels"])
 def test_covariances_are_the_inverse_of_the_cost_differences(preset: str, robust: str, seen: str) -> None:
-    track, camera = walk(4, seed=3, uneven=True, noise=0.15, classes=seen == "classes"), None
+    track, camera = walk(3, seed=3, uneven=True, noise=0.15, classes=seen == "classes"), None
     parameters = Parameters(
         likelihood=LikelihoodParameters(robust=robust, outlier_probability=0.1, robust_threshold=1.3)  # type: ignore[arg-type]
     )
@@ -161,20 +162,18 @@ def grid_course(states: States, track: Track, model: Model, bins: int = 72) -> S
         pull = coupling.head_body_kappa * weight
     apart = 1.0 - np.cos(angles[:, None] - angles)
     joint = unary["body"][:, :, None] + unary["head"][:, None, :] + pull[:, None, None] * apart
-    value, back = joint[0], []
-    for k, step in enumerate(dt.tolist()):
-        by_body = apart[:, :, None] / (turning.body_diffusion * step) + value
-        from_body = by_body.argmin(axis=1)
-        value = by_body.min(axis=1)
-        by_head = apart[None] / (turning.head_diffusion * step) + value[:, None, :]
-        from_head = by_head.argmin(axis=2)
-        value = by_head.min(axis=2) + joint[k + 1]
-        back.append((from_body, from_head))
-    b, h = np.unravel_index(value.argmin(), value.shape)
+    by_body = [apart / (turning.body_diffusion * step) for step in dt.tolist()]
+    by_head = [apart / (turning.head_diffusion * step) for step in dt.tolist()]
+    # What the cheapest course costs that ends at each pair of directions.
+    values = [joint[0]]
+    for k in range(n - 1):
+        turned = (by_body[k][:, :, None] + values[k]).min(axis=1)
+        values.append((by_head[k] + turned[:, None, :]).min(axis=2) + joint[k + 1])
+    b, h = np.unravel_index(values[-1].argmin(), values[-1].shape)
     course = [(b, h)]
-    for from_body, from_head in reversed(back):
-        h = from_head[b, h]
-        b = from_body[b, h]
+    for k in range(n - 2, -1, -1):
+        before = values[k] + by_body[k][b][:, None] + by_head[k][h]
+        b, h = np.unravel_index(before.argmin(), before.shape)
         course.append((b, h))
     places = np.array(course[::-1])
     return replace(states, body=angles[places[:, 0]], head=angles[places[:, 1]])
@@ -195,8 +194,8 @@ def share_worse_than_the_grid(tracks: int, options: SolverOptions) -> float:
 
 def test_contradictions_do_not_keep_it_from_the_best_course() -> None:
     assert share_worse_than_the_grid(16, SolverOptions()) == 0.0
-    # Without another start it would be worse on many of them: they are hard.
-    assert share_worse_than_the_grid(16, SolverOptions(restart=False)) > 0.2
+    # Without another start it would be worse on many of the first of each kind: they are hard.
+    assert share_worse_than_the_grid(8, SolverOptions(restart=False)) > 0.2
 
 
 @pytest.mark.slow

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from costs import cost_around, free, hessian, moved, states_of
 from random_tracks import random_parameters, random_track
-from test_batch import cost_around, free, hessian, moved, states_of
 from walks import walk, without
 
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel

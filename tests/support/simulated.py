@@ -23,31 +23,41 @@ BRISK = replace(TRUE, motion=MotionParameters(0.1, 2.5, 1.0))
 """`TRUE` of people whose motion has a direction: the density of the couplings favours people who hardly move,
 about whom no Gaussian says where they go."""
 
+EVEN_SLOW = replace(BRISK, coupling=replace(COUPLED, speed_threshold=0.0))
+"""`BRISK` of people whose bodies follow their motion however slow it is."""
+
 WITHOUT_TRUTH = {"true_position": None, "true_body": None, "true_head": None}
 
 
-def unknown(preset: str, seed: int, n_tracks: int = 8, n_steps: int = 50, truth: bool = False) -> TrackSet:
-    """People from `TRUE` who do not say how noisy they are, nor, without ``truth``, what is true.
+def unknown(
+    preset: str,
+    seed: int,
+    n_tracks: int = 8,
+    n_steps: int = 50,
+    truth: bool = False,
+    true: Parameters | None = None,
+) -> TrackSet:
+    """People who do not say how noisy they are, nor, without ``truth``, what is true.
 
-    Those of `joint` are `BRISK` and come from the graph's own density.
+    They are made with ``true``: if not told otherwise `TRUE`, and `BRISK` for `joint`, whose people come from
+    the graph's own density.
     """
     rng = np.random.default_rng(seed)
     if preset == "joint":
-        tracks = sample_graph(BRISK, n_tracks=n_tracks, n_steps=n_steps, rng=rng)
+        tracks = sample_graph(true or BRISK, n_tracks=n_tracks, n_steps=n_steps, rng=rng)
     else:
-        tracks = simulate(Model(preset, TRUE), n_tracks=n_tracks, n_steps=n_steps, rng=rng)
+        tracks = simulate(Model(preset, true or TRUE), n_tracks=n_tracks, n_steps=n_steps, rng=rng)
     gone = {} if truth else WITHOUT_TRUTH
     return tracks.map(
         lambda track: replace(track, position_std=None, body_kappa=None, head_kappa=None, **gone)
     )
 
 
-def inside(found: Fit) -> dict[str, bool]:
+def inside(found: Fit, true: Parameters = TRUE) -> dict[str, bool]:
     """Whether each interval holds the parameter that the people were made with, by its name."""
-    preset = found.model.preset
-    true = Model(preset, BRISK if preset == "joint" else TRUE).to_dict()
+    known = Model(found.model.preset, true).to_dict()
     return {
-        one.name: one.low <= true[one.name.split(".")[0]][one.name.split(".")[1]] <= one.high
+        one.name: one.low <= known[one.name.split(".")[0]][one.name.split(".")[1]] <= one.high
         for one in found.learned
         if not one.note
     }

@@ -237,10 +237,11 @@ def _camera(camera: GroundCamera | None, image_pose: bool) -> Camera:
     if camera is None:
         return Camera(np.eye(3), np.eye(3), np.zeros(2), False, 1.0, False)
     centre = camera.optical_centre_on_ground
+    # Arrays that may be written to: those of the camera may not, and would have everything compiled again.
     return Camera(
-        np.ascontiguousarray(np.linalg.inv(camera.homography)),
-        np.ascontiguousarray(camera.homography),
-        np.zeros(2) if centre is None else np.asarray(centre, dtype=float),
+        np.array(np.linalg.inv(camera.homography), order="C"),
+        np.array(camera.homography, order="C"),
+        np.zeros(2) if centre is None else np.array(centre, dtype=float),
         centre is not None,
         -1.0 if camera.is_mirrored else 1.0,
         image_pose,

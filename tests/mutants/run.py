@@ -1,0 +1,248 @@
+"""Do the tests notice mistakes? Each mutant is one, made by hand, in a copy of the tree that is thrown away.
+
+``python tests/mutants/run.py [NAME…]`` runs the tests that should notice each, or those named, and prints
+what became of it. It takes an hour or two, most of which compiles the mistakes; it is no part of CI.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = "graphtrack"
+LONGEST = 3600.0
+"""Seconds after which tests that do not end count as failed."""
+
+NO_END = "no end"
+
+MODEL = ("tests/model", "tests/inference")
+READERS = ("tests/io",)
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A mistake: a piece of code that stands once in the package, what takes its place, who should notice.
+
+    The piece is looked for in all files, so that it may move from one to another.
+    """
+
+    name: str
+    old: str
+    new: str
+    tests: tuple[str, ...] = MODEL
+
+
+MUTANTS = (
+    # Terms: cost, gradient, curvature, normaliser.
+    Mutant(
+        "motion-body-curvature-sign",
+        "mixed = (-s_theta - by_phi / speed) / speed",
+        "mixed = (-s_theta + by_phi / speed) / speed",
+    ),
+    Mutant(
+        "motion-body-gauss-newton-factor",
+        "s_theta = kappa * excess * across",
+        "s_theta = 2.0 * kappa * excess * across",
+    ),
+    Mutant(
+        "coupling-weight-of-first-frame",
+        "short = (dt > 0.0) & (dt < coupling.correlation_time)",
+        "short = dt < coupling.correlation_time",
+    ),
+    Mutant(
+        "steered-jacobian-entry",
+        "transition[HEAD, p] -= speed * w * aim_place",
+        "transition[HEAD, p] -= speed * w * aim_spread",
+    ),
+    Mutant(
+        "steered-covariance-factor",
+        "cross = once * once / (2.0 * rate * rate)",
+        "cross = once * once / (rate * rate)",
+    ),
+    Mutant(
+        "motion-normaliser-factor",
+        "dt**2) ** 2 / 12.0",
+        "dt**2) ** 2 / 3.0",
+        (*MODEL, "tests/learning"),
+    ),
+    Mutant(
+        "outlier-curvature-factor",
+        "- inlier * (1.0 - inlier) * slope * slope",
+        "- inlier * slope * slope",
+    ),
+    Mutant(
+        "classes-curvature-factor",
+        "kappa * scale * (along - kappa * square) + slope * slope",
+        "kappa * scale * (along - square) + slope * slope",
+    ),
+    Mutant(
+        "mixture-jacobian-sign",
+        "np.array([[-root * sin], [root * cos], [0.0]])",
+        "np.array([[root * sin], [root * cos], [0.0]])",
+    ),
+    Mutant(
+        "pixel-swapped-columns",
+        "vx, vy = to_image[1, 0] / depth - pv * cx, to_image[1, 1] / depth - pv * cy",
+        "vx, vy = to_image[1, 0] / depth - pv * cy, to_image[1, 1] / depth - pv * cx",
+    ),
+    Mutant(
+        "huber-factor",
+        "threshold * (distance - 0.5 * threshold), weight",
+        "threshold * (distance - threshold), weight",
+    ),
+    Mutant(
+        "drift-circle-off-by-one",
+        "side * (memory[last - 1] + memory[0] - 2.0 * memory[last])",
+        "side * (memory[last - 1] + memory[1] - 2.0 * memory[last])",
+    ),
+    Mutant(
+        "switch-back-not-adjoint",
+        "near += ahead[BINS + j] * modes.share[j]",
+        "near += ahead[BINS + j] * modes.anywhere[j]",
+    ),
+    Mutant(
+        "lead-of-the-other-coupling",
+        "excess * excess, gait.body.lead - left",
+        "excess * excess, gait.head.lead - left",
+    ),
+    # The solver.
+    Mutant(
+        "inverse-cholesky-entry",
+        "m42 = -m44 * (l42 * m22 + l43 * m32)",
+        "m42 = -m44 * (l42 * m22)",
+    ),
+    Mutant(
+        "step-accepted-though-worse",
+        "            if found <= cost:\n",
+        "            if found <= cost + 1.0:\n",
+    ),
+    Mutant(
+        "gap-filled-from-the-far-side",
+        "earlier = last >= 0 and t[gap] - t[last] <= t[k] - t[gap]",
+        "earlier = last >= 0 and t[gap] - t[last] >= t[k] - t[gap]",
+    ),
+    Mutant(
+        "quarter-turn-sign",
+        "unturned = turned if q == 2 else -turned",
+        "unturned = turned",
+    ),
+    # The online window.
+    Mutant(
+        "turn-counted-twice",
+        "    after.body_turn_kappa = 0.0\n",
+        "",
+    ),
+    Mutant(
+        "lag-off-by-one",
+        "while self._steps[0].observation.t < horizon:\n            let_go(",
+        "while self._steps[0].observation.t <= horizon:\n            let_go(",
+    ),
+    Mutant(
+        "modes-before-off-by-one",
+        "self.before, self._filtered = self._filtered[:, 0].copy()",
+        "self.before, self._filtered = self._filtered[:, -1].copy()",
+    ),
+    # Readers.
+    Mutant(
+        "eth-swapped-column",
+        "np.column_stack([table.metres(2), table.metres(4)])",
+        "np.column_stack([table.metres(2), table.metres(3)])",
+        READERS,
+    ),
+    Mutant(
+        "mirrored-shoulders",
+        "quarter = -np.pi / 2.0 if not camera.is_mirrored else np.pi / 2.0",
+        "quarter = -np.pi / 2.0",
+        READERS,
+    ),
+    Mutant(
+        "whole-numbers-unbounded",
+        "bad = (np.abs(values) > highest) | (values != np.floor(values))",
+        "bad = values != np.floor(values)",
+        READERS,
+    ),
+)
+
+
+def copy_tree(folder: Path) -> None:
+    """The files that git knows, with their times, which compiled code is kept by."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True)
+    for name in filter(None, listed.stdout.split("\0")):
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+
+
+def find(tree: Path, piece: str) -> Path:
+    """The file of the package in which a piece of code stands."""
+    counts = {path: path.read_text("utf-8").count(piece) for path in (tree / PACKAGE).rglob("*.py")}
+    (found,) = (path for path, count in counts.items() if count)
+    if counts[found] != 1:
+        raise ValueError(f"{counts[found]} times in {found.name}")
+    return found
+
+
+def fails(tree: Path, tests: tuple[str, ...]) -> str:
+    """What pytest says of the first test that fails; "" if all pass."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(tree),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "XDG_CACHE_HOME": str(tree.parent / "cache"),
+        "GRAPHTRACK_DATA": os.environ.get("GRAPHTRACK_DATA") or str(ROOT.parent / "shared" / "data"),
+    }
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]
+    try:
+        done = subprocess.run(
+            command, cwd=tree, env=environment, capture_output=True, text=True, timeout=LONGEST
+        )
+    except subprocess.TimeoutExpired:
+        return NO_END
+    failed = re.search(r"^(?:FAILED|ERROR) .*?(?= - |$)", done.stdout, flags=re.M)
+    return "" if done.returncode == 0 else failed[0] if failed else done.stdout + done.stderr
+
+
+def judge(tree: Path, mutant: Mutant) -> str:
+    """Run the tests with the mistake in the tree, and the one that noticed without it."""
+    try:
+        path = find(tree, mutant.old)
+    except ValueError as error:
+        return f"not found: {error}"
+    original, times = path.read_bytes(), path.stat()
+    path.write_bytes(original.replace(mutant.old.encode(), mutant.new.encode()))
+    try:
+        failed = fails(tree, mutant.tests)
+    finally:
+        path.write_bytes(original)
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    if not failed or failed == NO_END:
+        return f"killed by {NO_END}" if failed else "LIVED"
+    test = failed.partition(" ")[2]
+    return f"UNCLEAR, for without it fails: {test}" if fails(tree, (test,)) else f"killed by {test}"
+
+
+def main(names: list[str]) -> None:
+    """Judge the mutants of these names, or all."""
+    chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder) / "tree"
+        copy_tree(tree)
+        killed = 0
+        for mutant in chosen:
+            start = time.monotonic()
+            outcome = judge(tree, mutant)
+            killed += outcome.startswith("killed")
+            print(f"{mutant.name}: {outcome} ({time.monotonic() - start:.0f} s)", flush=True)
+        print(f"{killed} of {len(chosen)} killed")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

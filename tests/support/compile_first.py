@@ -1,0 +1,37 @@
+"""Compile what the tests run, before their workers start: ``python tests/support/compile_first.py PART``.
+
+Each worker would do so for itself, of which most would be done twice.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+
+import graphtrack as gt
+
+
+def solver() -> None:
+    """What smooths and tracks."""
+    for preset in ("joint", "full"):
+        gt.warm_up(preset)
+
+
+def others() -> None:
+    """The particle filter, and what looks at pictures."""
+    from documents import run_line
+
+    from graphtrack.baselines.particle.filter import particle_smoother
+    from graphtrack.inference.warm import TRACK
+
+    particle_smoother(TRACK)
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        run_line("perception simulate -o clip --people 1 --frames 2")
+        seen = "clip/video.mp4 --boxes clip/boxes.txt --homography clip/homography.txt"
+        run_line(f"perception observe {seen} -o seen.csv")
+
+
+if __name__ == "__main__":
+    {"solver": solver, "others": others}[sys.argv[1]]()
