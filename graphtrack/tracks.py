@@ -167,6 +167,11 @@ class Track:
     def __len__(self) -> int:
         return len(self.frame)
 
+    @property
+    def dt(self) -> FloatArray:
+        """(n,) seconds since the frame before; 0 at the first."""
+        return np.diff(self.t, prepend=self.t[:1])
+
     def __getitem__(self, index: slice | NDArray[Any]) -> Track:
         """The same person over some of the frames."""
         parts = {

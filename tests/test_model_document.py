@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from graphtrack.model import Model, Parameters, coupling, motion, orientation, pose, position, presets
+from graphtrack.model import Model, Parameters, presets
+from graphtrack.model.factors import native
+from graphtrack.model.observation import chain
 from graphtrack.model.parameters import range_of
-from graphtrack.model.steps import chain
+from graphtrack.model.terms import head_follows_body, motion, pose, position, turning
 from graphtrack.simulation.sampling import simulate
 
 DOCUMENT = (Path(__file__).resolve().parents[1] / "docs" / "model.md").read_text(encoding="utf-8")
@@ -70,8 +72,8 @@ def test_native_factors_are_those_that_are_named():
     track = next(iter(simulate("joint", n_tracks=1, n_steps=3, rng=rng)))
     made = {type(factor).__name__ for step in chain(track) for factor in Model("joint").factors(step)}
     named = set(re.findall(r"native: `(\w+)`", DOCUMENT))
-    # Robust noise models and mixtures aside, an ordinary track needs one custom factor: the coupling.
+    # Robust noise models and mixtures aside, an ordinary track needs one derived factor: the coupling.
     assert made == named | {"CustomFactor"}
-    for module in (coupling, motion, orientation, pose, position):
+    for module in (native, head_follows_body, motion, turning, pose, position):
         for name in re.findall(r"gtsam\.((?:Frobenius|Wnoa|Prior)\w+)", inspect.getsource(module)):
             assert name in named

@@ -10,7 +10,7 @@ import graphtrack as gt
 from graphtrack.cli.main import app as graphtrack_app
 from graphtrack.inference.graph.batch import build_graph
 from graphtrack.inference.initial import initial_states
-from graphtrack.model.steps import chain
+from graphtrack.model.observation import chain
 from perception.cli.main import app as perception_app
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -19,22 +19,31 @@ OF_VIDEO = [block for block in BLOCKS if block.heading == "From video"]
 OF_TRACKS = [block for block in BLOCKS if block not in OF_VIDEO]
 
 
+def follow(slow):
+    """What a reader has who follows all about tracks: names, outputs, and the files that Python wrote."""
+    names, outputs, of_python = {}, {}, set()
+    for block in OF_TRACKS:
+        before = set(Path().iterdir())
+        outputs |= run([block], names, slow=slow)
+        if block.kind == "python":
+            of_python |= {path.name for path in set(Path().iterdir()) - before}
+    names["written"] = of_python
+    names["outputs"], names["files"] = outputs, {path.name for path in Path().iterdir()}
+    names["model_file"] = gt.Model.load("model.toml")
+    return names
+
+
 @pytest.fixture(scope="module")
 def names(tmp_path_factory):
-    """What the Python blocks leave behind, run one after the other as a reader would."""
-    names = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path_factory.mktemp("readme"))
-        run([block for block in BLOCKS if block.kind == "python"], names, slow=False)
-        names["written"] = {path.name for path in Path().iterdir()}
-        names["model_file"] = gt.Model.load("model.toml")
-    return names
+        return follow(slow=False)
 
 
 def test_the_python_blocks_run_and_do_what_they_say(names):
     assert names["written"] == {"smoothed.csv", "model.toml"}
     assert names["model_file"].parameters == names["parameters"]
-    assert names["solution"].converged
+    assert names["solution"].converged and names["solution"].engine == "chain"
     assert names["ahead"].covariance[0, 0] > names["estimate"].covariance[0, 0]
 
 
@@ -47,22 +56,27 @@ def test_the_term_of_ones_own_has_factors_of_its_density(names):
         graph, values = build_graph(chain(track), model, states)
         return graph.error(values)
 
-    near = with_term.terms[-1].near(track.position)
-    assert near.any(), "nobody passes the window, so that nothing is tested"
+    _, kappa = with_term.terms[-1].pull(track.position)
+    assert kappa.any(), "nobody passes the window, so that nothing is tested"
     density = with_term.cost(states, track) - without.cost(states, track)
     assert density > 0.0
     assert graph_cost(with_term) - graph_cost(without) == pytest.approx(density)
 
 
-@pytest.mark.parametrize("slow", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_everything_about_tracks_runs_from_top_to_bottom(tmp_path, monkeypatch, slow):
-    monkeypatch.chdir(tmp_path)
-    written = run(OF_TRACKS, {}, slow=slow)
-    (answer,) = (text for line, text in written.items() if "|" in line)
+def check_tracks(names):
+    (answer,) = (text for line, text in names["outputs"].items() if "|" in line)
     assert answer.count('"status": "new"') == 1
-    assert {"smoothed.csv", "report.html", "scores.json", "learned.toml"} <= {
-        p.name for p in Path().iterdir()
-    }
+    assert {"smoothed.csv", "report.html", "scores.json", "learned.toml"} <= names["files"]
+
+
+def test_everything_about_tracks_runs_from_top_to_bottom(names):
+    check_tracks(names)
+
+
+@pytest.mark.slow
+def test_everything_about_tracks_runs_with_what_takes_minutes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    check_tracks(follow(slow=True))
 
 
 def test_everything_from_video_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):

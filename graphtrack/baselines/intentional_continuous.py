@@ -15,8 +15,8 @@ from graphtrack.baselines.kalman import GaussianStates, as_track, position_std
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit
 from graphtrack.inference.initial import observed_vectors, require_position
-from graphtrack.model.intentional import steered_step
 from graphtrack.model.parameters import Parameters
+from graphtrack.model.terms.intentional_motion import steered_step
 from graphtrack.tracks import Track
 
 HEAD_RATE = 2.0

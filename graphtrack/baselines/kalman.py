@@ -11,8 +11,8 @@ import numpy as np
 
 from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.motion import process_noise, transition_matrix
 from graphtrack.model.parameters import Parameters
+from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks import Track
 
 MEASUREMENT_MATRIX = np.eye(2, 4)

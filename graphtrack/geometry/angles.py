@@ -96,3 +96,16 @@ def concentration_from_resultant(length: float) -> float:
         if abs(step) <= 1e-10 * (1.0 + kappa):
             break
     return kappa
+
+
+def class_centres(n_classes: int) -> FloatArray:
+    """Centres (n,) of the classes in radians: 2π·k/n."""
+    return 2.0 * np.pi * np.arange(n_classes) / n_classes
+
+
+def class_kappa(n_classes: int) -> float:
+    """Concentration of one class: σ is half the distance of the centres.
+
+    That is the narrowest for which equal weights give a flat density (the ripple is 2·exp(−π²/2) = 1.4 %).
+    """
+    return (n_classes / np.pi) ** 2

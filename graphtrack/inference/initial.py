@@ -7,18 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from graphtrack.errors import NO_POSITION, SolveError
-from graphtrack.geometry.angles import FloatArray, unit
+from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.problem import Problem, Result
+from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.model import Model, States
 from graphtrack.model.kernels.packing import PackedTracks
-from graphtrack.model.pose import class_centres
+from graphtrack.model.kernels.problem import Problem
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
-
-ANCHOR_KAPPA = 1e-6
-"""Concentration at which a first orientation is held to its initial value: it says next to nothing, but an
-orientation that nothing else determines has a solution."""
 
 WINDOW = 0.5
 """Seconds to either side over which observed angles are averaged for the initial values."""
@@ -29,29 +26,9 @@ SLOW = 0.1
 """m/s up to which a direction of travel does not stand in for an orientation, whatever the threshold."""
 
 
-def pack(
-    tracks: Sequence[Track],
-    model: Model,
-    camera: GroundCamera | None = None,
-    *,
-    dt: FloatArray | None = None,
-    starts: bool = True,
-) -> PackedTracks:
-    """Tracks end to end, with the records that the model's compiled terms fill in.
-
-    A single frame that stands within a track has a ``dt`` (1,) in seconds since the frame before it, and says
-    whether the track ``starts`` there.
-    """
-    packed = (
-        PackedTracks.of(tracks, camera) if dt is None else PackedTracks.within(tracks, camera, dt, starts)
-    )
-    for term in model.terms:
-        if term.is_compiled:
-            term.pack(packed)
-    # An orientation that the model does not have stands still.
-    packed.records["body_anchor"] = np.where(packed.is_first, ANCHOR_KAPPA, 0.0) if model.has_body else 1.0
-    packed.records["head_anchor"] = np.where(packed.is_first, ANCHOR_KAPPA, 0.0) if model.has_head else 1.0
-    return packed
+def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
+    """Tracks end to end, with the records that the model's compiled terms fill in."""
+    return PackedTracks.of(tracks, camera, model.compiled_terms, program_of(model).types)
 
 
 def problem_of(packed: PackedTracks) -> Problem:

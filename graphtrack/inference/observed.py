@@ -10,7 +10,7 @@ import numpy as np
 from graphtrack.bounds import FIELDS, LARGEST_SECONDS
 from graphtrack.errors import InputError
 from graphtrack.model import Observation
-from graphtrack.model.steps import CHANNELS
+from graphtrack.model.observation import CHANNELS
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 
 _SIZES = {"position": 2, "pixel": 2, "body_likelihood": BODY_CLASSES, "head_likelihood": HEAD_CLASSES}

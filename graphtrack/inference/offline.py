@@ -15,7 +15,7 @@ from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
-from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
+from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.solution import (

@@ -38,7 +38,7 @@ from graphtrack.inference.state import (
 from graphtrack.inference.warm import SOLVER, online_rehearsal
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.steps import CHANNELS, observations, seconds_between
+from graphtrack.model.observation import CHANNELS, observations, seconds_between
 from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track, TrackSet
 

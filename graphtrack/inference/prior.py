@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.custom import variable_dimension
+from graphtrack.model.factors.custom import variable_dimension
 
 
 @dataclass(frozen=True, eq=False)

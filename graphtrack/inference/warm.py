@@ -10,15 +10,13 @@ import numpy as np
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import finish, is_chain, solve_packed
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
-from graphtrack.inference.chain.newton import minimise
-from graphtrack.inference.chain.restart import solve_tracks
+from graphtrack.inference.chain.programs import ChainProgram, program_of
 from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.chain.window import ChainWindow
-from graphtrack.inference.chain.window_kernels import let_go, solve_window
 from graphtrack.inference.initial import pack
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
-from graphtrack.model.steps import observations, seconds_between
+from graphtrack.model.observation import observations, seconds_between
 from graphtrack.readiness import Costs, Rehearsal, make_ready
 from graphtrack.tracks import Track
 
@@ -27,11 +25,21 @@ SOLVER = "the solver"
 
 # Seconds that compiling takes on a core, about.
 _START: Costs = {initialise: 8.0, finish: 1.0}
-_STEPS: Costs = {solve_tracks: 22.0}
-_DESCENT: Costs = {minimise: 18.0}
 _MODES: Costs = {renew_tracks: 2.0}
 _COUPLINGS: Costs = {renew_couplings: 9.0}
-_WINDOW: Costs = {solve_window: 10.0, let_go: 7.0}
+
+
+def _steps(program: ChainProgram) -> Costs:
+    return {program.solve_tracks: 22.0}
+
+
+def _descent(program: ChainProgram) -> Costs:
+    return {program.minimise: 18.0}
+
+
+def _window(program: ChainProgram) -> Costs:
+    return {program.solve_window: 10.0, program.let_go: 7.0}
+
 
 _STEP = 0.1
 TRACK = Track(0, np.arange(4), np.linspace(0.0, 3 * _STEP, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
@@ -66,10 +74,10 @@ def solver_rehearsal(model: Model, engine: OfflineEngine, camera: GroundCamera |
 
 def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps: bool = False) -> Rehearsal:
     """What the chain engine calls for whole tracks; Newton's ``steps`` even where the model is linear."""
-    is_linear = model.is_linear and model.parameters.likelihood.robust == "none" and camera is None
-    if is_linear and not steps:
+    if camera is None and not steps and model.is_linear(pack([TRACK], model)):
         return start_rehearsal()
-    called, inlined = {**_START, **_STEPS}, _DESCENT
+    program = program_of(model)
+    called, inlined = {**_START, **_steps(program)}, _descent(program)
     if model.has_modes:
         called, inlined = {**called, **_MODES}, {**inlined, **_COUPLINGS}
     return Rehearsal(lambda: _solve(_like(model)), called, inlined)
@@ -82,13 +90,17 @@ def start_rehearsal() -> Rehearsal:
 
 def online_rehearsal(model: Model) -> Rehearsal:
     """What the compiled window calls."""
-    called = {**_WINDOW, **_COUPLINGS} if model.has_modes else _WINDOW
-    return Rehearsal(lambda: _slide(ChainWindow(_like(model), 1.5 * _STEP, 1e-8, 5)), called, _DESCENT)
+    program = program_of(model)
+    called = {**_window(program), **(_COUPLINGS if model.has_modes else {})}
+    return Rehearsal(
+        lambda: _slide(ChainWindow(_like(model), 1.5 * _STEP, 1e-8, 5)), called, _descent(program)
+    )
 
 
 def _like(model: Model) -> Model:
-    """A preset that calls the same functions, whatever terms of its own the model has."""
-    return Model("full" if model.has_modes else "joint")
+    """A model that calls the same functions, whatever its parameters."""
+    own = [kind for kind in model.own_terms if "kernels" in vars(kind)]
+    return Model("full" if model.has_modes else "joint", terms=own)
 
 
 def _solve(model: Model) -> None:

@@ -4,47 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model import Model, Parameters, Term
-from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.model.gait import GaitOffsets
-from graphtrack.model.intentional import IntentionalMotion
-from graphtrack.model.motion import Motion
-from graphtrack.model.orientation import BodyDynamics, HeadDynamics
-from graphtrack.model.parameters import GaitParameters, range_of
-from graphtrack.model.pose import BodyLikelihood, HeadLikelihood
-from graphtrack.model.position import PositionLikelihood
+from graphtrack.model import Model, Parameters
+from graphtrack.model.parameters import range_of, scale_of
 from graphtrack.tracks import Track
-
-_OF_TERM: dict[type[Term], tuple[str, ...]] = {
-    Motion: ("motion.acceleration_density", "motion.initial_speed_std"),
-    IntentionalMotion: ("motion.acceleration_density", "motion.initial_speed_std", "motion.head_rate"),
-    BodyDynamics: ("orientation.body_diffusion",),
-    HeadDynamics: ("orientation.head_diffusion",),
-    BodyFollowsMotion: ("coupling.motion_body_kappa", "coupling.speed_threshold"),
-    HeadFollowsBody: ("coupling.head_body_kappa",),
-    GaitOffsets: tuple(f"gait.{field.name}" for field in fields(GaitParameters)),
-    PositionLikelihood: (
-        "likelihood.position_std",
-        "likelihood.pixel_std",
-        "likelihood.robust_threshold",
-    ),
-    BodyLikelihood: (
-        "likelihood.body_kappa",
-        "likelihood.outlier_probability",
-        "likelihood.class_outlier_probability",
-    ),
-    HeadLikelihood: (
-        "likelihood.head_kappa",
-        "likelihood.outlier_probability",
-        "likelihood.class_outlier_probability",
-    ),
-}
-"""What a term has to learn. The couplings' correlation time is not: at one frame rate, only κ/T counts."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +24,7 @@ class Free:
     @property
     def is_probability(self) -> bool:
         """Whether it is learned by its log odds; else by its logarithm."""
-        return self._range[1] < 1.0
+        return scale_of(*self._place) == "log odds"
 
     def get(self, model: Model) -> float:
         """Its value in a model."""
@@ -74,11 +42,21 @@ class Free:
         low, high = self._range
         return min(max(value, low), high)
 
+    @property
+    def _place(self) -> tuple[Any, str]:
+        """The group that it is in, and its key there."""
+        group, key = self.name.split(".")
+        return getattr(Parameters(), group), key
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether the parameter may be learned."""
+        return scale_of(*self._place) is not None
+
     @cached_property
     def _range(self) -> tuple[float, float]:
         """The least and the greatest value that is tried: it may have both, and neither is out of the way."""
-        group, key = self.name.split(".")
-        limits = range_of(getattr(Parameters(), group), key)
+        limits = range_of(*self._place)
         assert limits is not None  # only numbers are learned
         low, high = limits
         return low, min(high, 0.999 if high <= 1.0 else 1e3)
@@ -93,12 +71,12 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
         For a term whose parameters cannot be learned.
     """
     for term in model.terms:
-        if type(term) not in _OF_TERM:
+        if not term.states("reads"):
             raise InputError(
                 f"the term {type(term).__name__}, whose parameters cannot be learned",
                 "a preset's terms alone",
             )
-    names = dict.fromkeys(name for term in model.terms for name in _OF_TERM.get(type(term), ()))
+    names = dict.fromkeys(name for term in model.terms for name in term.reads or ())
     absent = {
         "likelihood.robust_threshold": model.parameters.likelihood.robust == "none",
         "likelihood.pixel_std": all(track.pixel is None for track in tracks),
@@ -107,7 +85,7 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
         ),
     }
     free = (Free(name) for name in names if not absent.get(name, False))
-    return tuple(one for one in free if one.get(model) > 0.0)
+    return tuple(one for one in free if one.is_learned and one.get(model) > 0.0)
 
 
 def with_values(model: Model, free: Sequence[Free], x: FloatArray) -> Model:

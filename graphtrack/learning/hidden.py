@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.model import Model
-from graphtrack.model.kernels.frames import BODY, HEAD
+from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.packing import PackedTracks
-from graphtrack.model.pose import class_centres, class_kappa
 from graphtrack.tracks import Track
 
 FOLDS = 3

@@ -7,8 +7,9 @@ import math
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace
 from graphtrack.inference.chain.newton import sweep_forward
-from graphtrack.inference.chain.problem import N, Problem
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.layout import N
+from graphtrack.model.kernels.problem import Problem
 
 
 @compiled

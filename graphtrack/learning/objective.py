@@ -15,7 +15,7 @@ from graphtrack.learning.hidden import FOLDS, foretold, told
 from graphtrack.learning.kernels import log_determinants
 from graphtrack.learning.solving import Solved, Solver
 from graphtrack.model import Model
-from graphtrack.model.kernels.frames import BODY, HEAD
+from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.tracks import Track
 
 Criterion = Literal["truth", "evidence", "prediction"]

@@ -11,13 +11,13 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import solve_packed, solve_terms
-from graphtrack.inference.chain.newton import NOT_FINITE
-from graphtrack.inference.chain.problem import Problem, Result
+from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.inference.solution import bounded
 from graphtrack.inference.warm import SOLVER, offline_rehearsal
 from graphtrack.model import Model
 from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.kernels.problem import Problem
 from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track
 

@@ -1,7 +1,8 @@
 """The model: terms, parameters and presets."""
 
-from graphtrack.model.custom import FactorShapeError, custom_factor
+from graphtrack.model.factors.custom import FactorShapeError, custom_factor
 from graphtrack.model.model import Model, presets
+from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.parameters import (
     CouplingParameters,
     GaitParameters,
@@ -10,7 +11,6 @@ from graphtrack.model.parameters import (
     OrientationParameters,
     Parameters,
 )
-from graphtrack.model.steps import Observation, States, Step
 from graphtrack.model.term import Term
 
 __all__ = [

@@ -15,16 +15,19 @@ from graphtrack.display import html_table, listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
-from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.model.gait import GaitOffsets
-from graphtrack.model.intentional import IntentionalMotion
-from graphtrack.model.motion import Motion
-from graphtrack.model.orientation import BodyDynamics, HeadDynamics
+from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import LikelihoodParameters, MotionParameters, Parameters
-from graphtrack.model.pose import BodyLikelihood, HeadLikelihood
-from graphtrack.model.position import PositionLikelihood
-from graphtrack.model.steps import States, Step
 from graphtrack.model.term import Term
+from graphtrack.model.terms.anchor import Anchor
+from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.gait import GaitOffsets
+from graphtrack.model.terms.head_follows_body import HeadFollowsBody
+from graphtrack.model.terms.intentional_motion import IntentionalMotion
+from graphtrack.model.terms.motion import Motion
+from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
+from graphtrack.model.terms.position import PositionLikelihood
+from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.tracks import Track
 
 _POSITION: tuple[type[Term], ...] = (Motion, PositionLikelihood)
@@ -40,6 +43,11 @@ presets: dict[str, tuple[type[Term], ...]] = {
 }
 """Name → the terms of the model: positions only; orientations too, each for itself; all coupled (002);
 positions and the head that steers them (000); all of these; `joint` whose couplings have modes."""
+
+
+def every_term() -> tuple[type[Term], ...]:
+    """All that the presets are made of, and what holds a track's first orientations."""
+    return (*dict.fromkeys(kind for terms in presets.values() for kind in terms), Anchor)
 
 
 preset_parameters: dict[str, Parameters] = {
@@ -69,6 +77,13 @@ class Model:
     preset : name of a list in `presets`
     parameters : their parameters; by default those of the preset
     terms : further terms of your own, as classes
+
+    Attributes
+    ----------
+    terms : all terms, in order
+    own_terms : the classes of your own
+    has_body, has_head : whether some term acts on them; if so they are estimated
+    has_modes : whether the couplings have modes
     """
 
     def __init__(
@@ -81,15 +96,14 @@ class Model:
             raise InputError(f"model {preset!r}", f"one of {', '.join(presets)}, or a model file (.toml)")
         self.preset = preset
         self.parameters = default_parameters(preset) if parameters is None else parameters
-        self._extra = tuple(terms)
-        self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self._extra))
+        self.own_terms = tuple(terms)
+        self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self.own_terms))
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used
         self.has_modes = any(isinstance(term, GaitOffsets) for term in self.terms)
-        self.is_linear = all(term.is_linear for term in self.terms)
 
     def __repr__(self) -> str:
-        parts = [repr(self.preset), *(kind.__name__ for kind in self._extra), *self._changed()]
+        parts = [repr(self.preset), *(kind.__name__ for kind in self.own_terms), *self._changed()]
         return f"Model({listed(parts, 5)})"
 
     def _repr_html_(self) -> str:
@@ -107,11 +121,21 @@ class Model:
         ]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Model, (self.preset, self.parameters, self._extra)
+        return Model, (self.preset, self.parameters, self.own_terms)
 
     def with_parameters(self, parameters: Parameters) -> Model:
         """The same terms with other parameters."""
-        return Model(self.preset, parameters, self._extra)
+        return Model(self.preset, parameters, self.own_terms)
+
+    @property
+    def compiled_terms(self) -> tuple[Term, ...]:
+        """What the chain engine packs: the terms that it knows, and what holds first orientations."""
+        known = tuple(term for term in self.terms if term.is_compiled)
+        return (*known, Anchor(self.parameters, self.has_body, self.has_head))
+
+    def is_linear(self, packed: PackedTracks) -> bool:
+        """Whether the linear solution of tracks that were packed is all there is to find."""
+        return all(term.states("is_linear") and term.is_linear(packed) for term in self.terms)
 
     def factors(self, step: Step) -> list[gtsam.NonlinearFactor]:
         """All factors that arrive with a step."""
@@ -129,8 +153,8 @@ class Model:
         InputError
             If the model has terms of its own: they are code, and would be left out.
         """
-        if self._extra:
-            names = ", ".join(kind.__name__ for kind in self._extra)
+        if self.own_terms:
+            names = ", ".join(kind.__name__ for kind in self.own_terms)
             raise InputError(
                 f"a model with terms of its own ({names}), which a file cannot hold",
                 "a preset and its parameters: save Model(preset, parameters), add the terms once loaded",

@@ -12,18 +12,33 @@ import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 
 Robust = Literal["none", "huber", "cauchy"]
 
 
-def _number(default: float, low: float, high: float, unit: str = "") -> Any:
-    """A field of a parameter with its range, in its unit.
+Scale = Literal["log", "log odds"]
+"""How a parameter is moved when it is learned: by its logarithm or, a probability, by its log odds."""
+
+
+def _number(
+    default: float, low: float, high: float, unit: str = "", *, scale: Scale = "log", learned: bool = True
+) -> Any:
+    """A field of a parameter with its range, in its unit, and how `fit` may learn it, if it may.
 
     Within all ranges estimates are finite: what lies beyond is no property of people, and some of it can not
     be solved in double precision.
     """
-    return field(default=default, metadata={"range": (low, high), "unit": unit})
+    metadata = {"range": (low, high), "unit": unit, "scale": scale, "learned": learned}
+    return field(default=default, metadata=metadata)
+
+
+def _share(default: float, high: float = 1.0) -> Any:
+    """A field of a probability or a share."""
+    return _number(default, 0.0, high, scale="log odds")
 
 
 class _Group:
@@ -38,6 +53,13 @@ def range_of(group: Any, name: str) -> tuple[float, float] | None:
     """Lowest and highest value of a parameter of a group, in its unit; None for one that is no number."""
     limits: tuple[float, float] | None = group.__dataclass_fields__[name].metadata.get("range")
     return limits
+
+
+def scale_of(group: Any, name: str) -> Scale | None:
+    """On which scale a parameter of a group is learned; None for one that is not."""
+    metadata = group.__dataclass_fields__[name].metadata
+    scale: Scale | None = metadata["scale"] if metadata.get("learned") else None
+    return scale
 
 
 def _check(group: Any, name: str) -> None:
@@ -97,13 +119,14 @@ class CouplingParameters(_Group):
     motion_body_kappa: float = _number(38.0, 0.0, 1e6, "(m/s)⁻²")
     speed_threshold: float = _number(0.13, 0.0, 100.0, "m/s")
     head_body_kappa: float = _number(4.5, 0.0, 1e6)
-    correlation_time: float = _number(0.38, 0.0, 1e3, "s")
+    # At one frame rate only κ over this time counts: it is not learned beside κ.
+    correlation_time: float = _number(0.38, 0.0, 1e3, "s", learned=False)
 
-    def weight(self, step: float | None) -> float:
-        """How much a coupling counts at a frame ``step`` seconds after the one before (None: the first)."""
-        if step is None or step >= self.correlation_time:
-            return 1.0
-        return step / self.correlation_time
+    def weights(self, dt: FloatArray | float | None) -> FloatArray:
+        """How much a coupling counts at frames ``dt`` seconds after the ones before (0, None: the first)."""
+        dt = np.asarray(0.0 if dt is None else dt, dtype=float)
+        short = (dt > 0.0) & (dt < self.correlation_time)
+        return np.divide(dt, self.correlation_time, out=np.ones_like(dt), where=short)
 
 
 @dataclass(frozen=True)
@@ -128,15 +151,15 @@ class GaitParameters(_Group):
     head_rate_seen : share of the motion's ``head_rate`` that holds where a position is seen, 0 to 1
     """
 
-    body_aligned: float = _number(0.36, 0.0, 1.0)
+    body_aligned: float = _share(0.36)
     body_switching: float = _number(0.013, 0.0, 1e3, "1/s")
     body_spread: float = _number(0.07, 0.0, math.pi, "rad")
     body_drift: float = _number(0.003, 0.0, 1e3, "rad²/s")
     body_strength: float = _number(3.3, 0.0, 1e3)
     body_free_strength: float = _number(0.63, 0.0, 1e3)
     body_lead: float = _number(0.13, 0.0, 10.0, "s")
-    head_evidence: float = _number(0.25, 0.0, 1.0)
-    head_aligned: float = _number(0.31, 0.0, 1.0)
+    head_evidence: float = _share(0.25)
+    head_aligned: float = _share(0.31)
     head_switching: float = _number(0.011, 0.0, 1e3, "1/s")
     head_spread: float = _number(0.07, 0.0, math.pi, "rad")
     head_drift: float = _number(0.003, 0.0, 1e3, "rad²/s")
@@ -145,7 +168,7 @@ class GaitParameters(_Group):
     head_lead: float = _number(0.35, 0.0, 10.0, "s")
     body_offset_kappa: float = _number(0.2, 0.0, 100.0)
     head_offset_kappa: float = _number(3.0, 0.0, 100.0)
-    head_rate_seen: float = _number(0.54, 0.0, 1.0)
+    head_rate_seen: float = _share(0.54)
 
 
 @dataclass(frozen=True)
@@ -171,8 +194,8 @@ class LikelihoodParameters(_Group):
     robust_threshold: float = _number(3.0, 0.01, 1e3, "standard deviations")
     body_kappa: float = _number(4.0, 0.0, 1e6)
     head_kappa: float = _number(4.0, 0.0, 1e6)
-    outlier_probability: float = _number(0.0, 0.0, 0.999)
-    class_outlier_probability: float = _number(0.05, 0.0, 0.999)
+    outlier_probability: float = _share(0.0, 0.999)
+    class_outlier_probability: float = _share(0.05, 0.999)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.model import Model, Parameters
-from graphtrack.model.coupling import BodyFollowsMotion
-from graphtrack.model.intentional import IntentionalMotion, smooth_speed, steered_step
-from graphtrack.model.motion import process_noise, transition_matrix
 from graphtrack.model.parameters import CouplingParameters, OrientationParameters
+from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.intentional_motion import IntentionalMotion, smooth_speed, steered_step
+from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.simulation.scenario import scenario
 from graphtrack.tracks import Track, TrackSet
 
@@ -205,7 +205,7 @@ def _turn(
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
     """Body and head (m,) ``dt`` seconds (None: the first) on; ``velocity`` (m, 2) is the new one."""
-    weight = coupling.weight(dt)
+    weight = coupling.weights(dt)
     body_dynamics = 0.0 if dt is None else 1.0 / (turning.body_diffusion * dt)
     head_dynamics = 0.0 if dt is None else 1.0 / (turning.head_diffusion * dt)
     excess = np.maximum(np.linalg.norm(velocity, axis=-1) - coupling.speed_threshold, 0.0)

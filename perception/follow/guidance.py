@@ -12,8 +12,8 @@ from scipy.special import logit
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.model import Model, Observation, Parameters
-from graphtrack.model.motion import process_noise, transition_matrix
 from graphtrack.model.parameters import MotionParameters
+from graphtrack.model.terms.motion import process_noise, transition_matrix
 from perception.follow.world import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate, Proposal

@@ -34,10 +34,10 @@ from graphtrack.baselines.particle.kernels import (
 )
 from graphtrack.baselines.particle.recovery import draw_orientations, recover
 from graphtrack.errors import InputError, InputWarning, SolveError
-from graphtrack.geometry.angles import difference, von_mises_log_density, wrap
+from graphtrack.geometry.angles import class_centres, class_kappa, difference, von_mises_log_density, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters, States, Step, Term
-from graphtrack.model.pose import VonMisesMixture, class_centres, class_kappa
+from graphtrack.model.terms.pose import mixture_log_density
 from graphtrack.particles import (
     effective_sample_size,
     generator,
@@ -177,12 +177,11 @@ def test_the_pose_likelihood_is_the_models(outliers: float, classes: bool) -> No
     add_pose_log_density(particles, 5, 3, job.head, job.camera, found)
     if classes:
         assert track.head_likelihood is not None
-        scores = tuple(track.head_likelihood[3])
-        mixture = VonMisesMixture(tuple(class_centres(12)), scores, class_kappa(12), outliers)
+        means, weights, kappa = class_centres(12), track.head_likelihood[3], class_kappa(12)
     else:
         assert track.head is not None
-        mixture = VonMisesMixture((float(track.head[3]),), (1.0,), 6.0, outliers)
-    expected = [-mixture.negative_log_density(angle) for angle in particles[:, 5]]
+        means, weights, kappa = track.head[3:4], np.ones(1), 6.0
+    expected = mixture_log_density(particles[:, 5], means, np.tile(weights, (60, 1)), kappa, outliers)
     np.testing.assert_allclose(found, expected, atol=1e-9)
     assert np.trapezoid(np.exp(found), particles[:, 5]) == pytest.approx(1.0, abs=0.02)
 
@@ -216,7 +215,7 @@ def test_angles_are_drawn_from_the_normalised_product(speed: float) -> None:
     for row in after:
         draw_angles(rng, 1, False, before, row, job.motion)
     turning, coupling = model.parameters.orientation, model.parameters.coupling
-    weight = coupling.weight(0.3)
+    weight = coupling.weights(0.3)
     pull = weight * coupling.motion_body_kappa * max(speed - coupling.speed_threshold, 0.0) ** 2
     mean, kappa = von_mises_product(1.0, 1.0 / (turning.body_diffusion * 0.3), 2.0, pull)
     assert stats.kstest(difference(after[:, 4], mean), stats.vonmises(kappa).cdf).pvalue > 0.01
@@ -370,9 +369,8 @@ def angle_on_a_grid(track: Track, model: Model, size: int = 720) -> tuple[np.nda
         assert track.body_likelihood is not None
         likelihood = np.ones(size)
         if np.isfinite(track.body_likelihood[k]).all():
-            scores = tuple(track.body_likelihood[k])
-            mixture = VonMisesMixture(tuple(class_centres(8)), scores, class_kappa(8), 0.05)
-            likelihood = np.exp([-mixture.negative_log_density(angle) for angle in grid])
+            scores = np.tile(track.body_likelihood[k], (size, 1))
+            likelihood = np.exp(mixture_log_density(grid, class_centres(8), scores, class_kappa(8), 0.05))
         logs.append(math.log(np.sum(ahead * likelihood) * width))
         filtered.append(ahead * likelihood / math.exp(logs[-1]))
         likelihoods.append(likelihood)

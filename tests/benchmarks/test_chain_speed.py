@@ -23,8 +23,8 @@ from graphtrack.inference import Solution, smooth_track, solve
 from graphtrack.inference.graph.batch import build_graph
 from graphtrack.inference.initial import initial_states
 from graphtrack.model import Model
-from graphtrack.model.motion import process_noise, transition_matrix
-from graphtrack.model.steps import Step, chain
+from graphtrack.model.observation import Step, chain
+from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks import Track, TrackSet
 
 pytestmark = pytest.mark.benchmark
@@ -180,7 +180,7 @@ def naive_graph(track: Track, model: Model) -> tuple[gtsam.NonlinearFactorGraph,
     for step in steps:
         for factor in Model("position", model.parameters).factors(step):
             graph.push_back(factor)
-        weight, seen = coupling.weight(step.dt), step.observation
+        weight, seen = float(coupling.weights(step.dt)), step.observation
         assert seen.body is not None and seen.head is not None
         graph.push_back(naive_von_mises(step.body_key, seen.body, model.parameters.likelihood.body_kappa))
         graph.push_back(naive_von_mises(step.head_key, seen.head, model.parameters.likelihood.head_kappa))

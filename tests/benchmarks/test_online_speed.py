@@ -13,7 +13,7 @@ from walks import walk
 from graphtrack.inference import OnlineSmoother
 from graphtrack.inference.graph.batch import variable_keys
 from graphtrack.model import Model, Observation
-from graphtrack.model.steps import Step, chain, observations
+from graphtrack.model.observation import Step, chain, observations
 
 pytestmark = pytest.mark.benchmark
 LAG = 2.0

@@ -12,15 +12,17 @@ from scipy import stats
 from walks import walk, without
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import difference, direction
+from graphtrack.geometry.angles import class_centres, class_kappa, difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Failure, Solution, SolverOptions, smooth_track, solve
 from graphtrack.inference.graph.batch import smooth_graph
+from graphtrack.inference.initial import pack
 from graphtrack.inference.offline import engine_of
 from graphtrack.model import LikelihoodParameters, Model, Parameters, States, Term, presets
 from graphtrack.model.kernels.packing import PackedTracks
-from graphtrack.model.motion import Motion
-from graphtrack.model.pose import class_centres, class_kappa
+from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.motion import Motion
+from graphtrack.model.terms.pose import BodyLikelihood
 from graphtrack.tracks import Track, TrackSet
 
 EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)
@@ -139,7 +141,7 @@ def grid_course(states: States, track: Track, model: Model, bins: int = 72) -> S
     coupling, turning = model.parameters.coupling, model.parameters.orientation
     n, angles = len(track), 2.0 * np.pi * np.arange(bins) / bins
     dt = np.diff(track.t)
-    weight = np.array([coupling.weight(None), *(coupling.weight(step) for step in dt.tolist())])
+    weight = coupling.weights(track.dt)
     unary = {"body": np.zeros((n, bins)), "head": np.zeros((n, bins))}
     for name, cost in unary.items():
         seen, classes = getattr(track, name), getattr(track, f"{name}_likelihood")
@@ -336,8 +338,11 @@ def test_a_term_without_a_kernel_is_gtsams_work() -> None:
 class OneWay(Homesick):
     """A compiled term of a user's own beside positions: whoever moves, moves along the world's x."""
 
+    fields = (*BodyLikelihood.fields, *BodyFollowsMotion.fields)
+    kernels = (*BodyLikelihood.kernels, *BodyFollowsMotion.kernels)
+
     def pack(self, packed: PackedTracks) -> None:
-        packed.records["body_cos"], packed.records["body_kappa"] = 1.0, 1e6
+        packed.records["seen_body_cos"], packed.records["body_kappa"] = 1.0, 1e6
         packed.records["motion_body_cos"], packed.records["motion_body_kappa"] = 1.0, 1e4
 
 
@@ -354,6 +359,10 @@ def test_a_term_is_linear_only_if_its_own_class_says_so() -> None:
     class Steered(Motion):
         """A parent's word is not taken for what a child may have changed."""
 
-    assert Model("position").is_linear
-    assert not Model("position", terms=[Steered]).is_linear
-    assert [name for name in presets if Model(name).is_linear] == ["position"]
+    def is_linear(model: Model) -> bool:
+        return model.is_linear(pack([walk()], model))
+
+    assert is_linear(Model("position"))
+    assert not is_linear(Model("position", terms=[Steered]))
+    assert [name for name in presets if is_linear(Model(name))] == ["position"]
+    assert not is_linear(Model("position", Parameters(likelihood=LikelihoodParameters(robust="huber"))))

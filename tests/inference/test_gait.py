@@ -10,20 +10,35 @@ from scipy import special
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import difference, direction, mean_absolute_error, unit, wrap
+from graphtrack.geometry.angles import (
+    class_centres,
+    class_kappa,
+    difference,
+    direction,
+    mean_absolute_error,
+    unit,
+    wrap,
+)
 from graphtrack.inference import smooth_track, solve
-from graphtrack.inference.chain.frames import add_frame
 from graphtrack.inference.chain.modes import leading_angles, loosened
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.inference.online import OnlineSmoother, track_online
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
-from graphtrack.model.gait import angle_information, class_information, gait_of
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.frames import FRAME
-from graphtrack.model.kernels.gait import BINS, NEAR, ROW, infer_modes, switch, switch_back
-from graphtrack.model.kernels.motion import steer
-from graphtrack.model.pose import class_centres, class_kappa
-from graphtrack.model.steps import observations
+from graphtrack.model.kernels.program import FRAME, add_frame
+from graphtrack.model.observation import observations
+from graphtrack.model.terms.gait import (
+    BINS,
+    NEAR,
+    ROW,
+    angle_information,
+    class_information,
+    gait_of,
+    infer_modes,
+    switch,
+    switch_back,
+)
+from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
 from graphtrack.tracks import Track, TrackSet
 

@@ -18,9 +18,10 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, unit, wrap
 from graphtrack.inference import smooth_track
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters, States, Step
-from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.model.custom import unit_noise
-from graphtrack.model.steps import Observation
+from graphtrack.model.factors.custom import unit_noise
+from graphtrack.model.observation import Observation
+from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks import Track, TrackSet
 

@@ -15,16 +15,15 @@ from walks import walk, without
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.geometry.angles import unit
 from graphtrack.inference import SolverOptions, smooth_track
-from graphtrack.inference.chain.elimination import clear, workspace
+from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.window_kernels import marginalise
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.inference.online import track_online
 from graphtrack.io import read
 from graphtrack.model import Model, MotionParameters, OrientationParameters, Parameters, States
-from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.model.kernels.frames import HEAD
-from graphtrack.model.kernels.motion import add_steered_motion
+from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.simulation.degrade import add_noise, occlude, withhold
 from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks import Track
@@ -32,56 +31,6 @@ from graphtrack.tracks import Track
 EXACTLY = SolverOptions(max_iterations=2000, relative_tolerance=0.0, step_tolerance=1e-11)
 STEERED = pytest.mark.parametrize("preset", ["intentional", "joint-intentional"])
 UNSTEERED = Parameters(MotionParameters(head_rate=0.0))
-
-
-def of_step(two: np.ndarray, model: Model, dt: float, exact: bool) -> tuple[float, np.ndarray, np.ndarray]:
-    """Cost, gradient (12,) and curvature (12, 12) of the kernel at the states (2, 6) of two frames."""
-    track = replace(walk(2), t=np.array([0.0, dt]))
-    frame = pack([track], model).records[1]
-    gradient, blocks = np.zeros((2, 6)), np.zeros((3, 6, 6))
-    clear(gradient[0], blocks[0], blocks[2])
-    head = two[0, HEAD]
-    cost = add_steered_motion(
-        frame, two[0], two[1], np.cos(head), np.sin(head), exact, *gradient, blocks[0], blocks[1], blocks[2]
-    )
-    full = np.block([[np.tril(blocks[0]), np.zeros((6, 6))], [blocks[2].T, np.tril(blocks[1])]])
-    return cost, gradient.ravel(), full + np.tril(full, -1).T
-
-
-def random_pair(seed: int) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    two = rng.normal(0.0, 1.0, (2, 6))
-    two[0, 2:4] *= rng.choice([1e-4, 0.01, 0.3, 1.0, 3.0])  # standing, too
-    two[:, 4:] *= np.pi
-    return two
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_the_kernel_has_the_derivatives_of_its_cost(seed: int) -> None:
-    rng = np.random.default_rng(100 + seed)
-    model = Model("intentional", Parameters(MotionParameters(0.5, 1.5, rng.choice([0.1, 2.0, 10.0]))))
-    two, dt = random_pair(seed), rng.choice([0.03, 0.1, 1.0])
-    _, gradient, curvature = of_step(two, model, dt, True)
-    for i in range(12):
-        delta = np.zeros(12)
-        delta[i] = 1e-5
-        delta = delta.reshape(2, 6)
-        above, below = (of_step(two + sign * delta, model, dt, True) for sign in (1.0, -1.0))
-        scale = 1.0 + np.abs(curvature).max()
-        assert gradient[i] == pytest.approx((above[0] - below[0]) / 2e-5, abs=1e-5 * scale)
-        np.testing.assert_allclose(curvature[i], (above[1] - below[1]) / 2e-5, atol=1e-4 * scale)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_the_other_curvature_is_never_negative_and_that_of_the_factor(seed: int) -> None:
-    model = Model("intentional")
-    _, gradient, curvature = of_step(random_pair(seed), model, 0.1, False)
-    values = np.linalg.eigvalsh(curvature)
-    assert values[0] > -1e-9 * values[-1]
-    # Four residuals, so four directions that cost anything.
-    assert np.sum(values > 1e-9 * values[-1]) == 4
-    exact = of_step(random_pair(seed), model, 0.1, True)
-    np.testing.assert_array_equal(gradient, exact[1])
 
 
 def test_the_optimum_is_that_of_gtsams_graph() -> None:

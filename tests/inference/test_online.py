@@ -17,7 +17,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track, track_online
 from graphtrack.inference.graph.batch import anchors, build_graph, variable_keys
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
-from graphtrack.model.steps import chain, observations
+from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
 from graphtrack.tracks import Track
 

@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.model import Observation
-from graphtrack.model.steps import observations
+from graphtrack.model.observation import observations
 from graphtrack.tracks import Track
 
 CAMERA = GroundCamera.from_homography([[0.02, 0.001, -6.0], [0.0, -0.03, 14.0], [0.0, 0.0012, 1.0]])

@@ -22,8 +22,8 @@ from graphtrack.model import (
     Parameters,
     States,
 )
-from graphtrack.model.pose import HeadLikelihood
-from graphtrack.model.position import PositionLikelihood
+from graphtrack.model.terms.pose import HeadLikelihood
+from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.tracks import Track, TrackSet
 
 

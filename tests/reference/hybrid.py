@@ -26,8 +26,8 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.graph.batch import anchors, insert_state
 from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model, States, Step
+from graphtrack.model.observation import chain
 from graphtrack.model.parameters import Parameters
-from graphtrack.model.steps import chain
 from graphtrack.tracks import Track
 
 ALIGNED, FREE, ANEW = range(3)
@@ -194,7 +194,7 @@ def _leaves(step: Step, parameters: Parameters, speed: float, guesses: list[floa
     kappas = coupling.motion_body_kappa, coupling.head_body_kappa
     for side, (name, letter, scale) in enumerate(zip(_SIDES, (O, P), (excess**2, 1.0), strict=True)):
         gait = {key: getattr(parameters.gait, f"{name}_{key}") for key in _GAIT}
-        strengths = [coupling.weight(step.dt) * kappas[side] * gait[key] for key in _GAIT[:2]]
+        strengths = [float(coupling.weights(step.dt)) * kappas[side] * gait[key] for key in _GAIT[:2]]
         near, anywhere = (
             body_coupling(step, kappa, coupling.speed_threshold) if side == 0 else head_coupling(step, kappa)
             for kappa in strengths
@@ -228,7 +228,7 @@ def _gaussian(std: float) -> float:
 
 
 def _chains(dt: FloatArray, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
-    """The Markov chains of `kernels.gait.switch`; an aligned offset that is drawn anew is not told apart."""
+    """The Markov chains of `terms.gait.switch`; an aligned offset that is drawn anew is not told apart."""
     first, transitions = np.zeros((2, MODES)), np.zeros((2, len(dt), MODES, MODES))
     for side, name in enumerate(_SIDES):
         aligned = getattr(parameters.gait, f"{name}_aligned")

@@ -16,7 +16,7 @@ from gtsam.symbol_shorthand import O, P
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Step
-from graphtrack.model.custom import unit_noise
+from graphtrack.model.factors.custom import unit_noise
 
 
 def body_coupling(step: Step, kappa: float, threshold: float) -> gtsam.CustomFactor:

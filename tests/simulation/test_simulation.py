@@ -15,7 +15,7 @@ from graphtrack.model import (
     OrientationParameters,
     Parameters,
 )
-from graphtrack.model.motion import process_noise, transition_matrix
+from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.simulation.sampling import (
     sample_motion,
     sample_orientations,

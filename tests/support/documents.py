@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -67,7 +68,7 @@ def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, 
 
     Parameters
     ----------
-    names : of the Python blocks
+    names : of the Python blocks, before and then after them
     slow : whether lines that take minutes are run too
 
     Returns
@@ -75,12 +76,16 @@ def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, 
     What each command line wrote to standard output, where it ran in a shell; a line that fails is an error.
     """
     written = {}
+    # A module, as a script is one: what compiles a function looks there for it.
+    module = sys.modules["document"] = ModuleType("document")
+    vars(module).update(names)
     for block in chosen:
         if block.kind == "python":
-            exec(compile(block.text, "document", "exec"), names)
+            exec(compile(block.text, "document", "exec"), vars(module))
         for line in block.lines() if block.kind == "sh" else ():
             if not line.startswith(NOT_RUN) and (slow or not line.startswith(SLOW)):
                 written[line] = run_line(line)
+    names.update(vars(module))
     return written
 
 

@@ -54,7 +54,7 @@ def filtered(
             noise = np.sqrt(motion.acceleration_density * dt) * rng.standard_normal((particles, 2))
             velocity, angles = clouds[-1].velocity[chosen] + noise, clouds[-1].angles[:, chosen]
             kappas = 1.0 / (turning.body_diffusion * dt), 1.0 / (turning.head_diffusion * dt)
-        share = coupling.weight(dt)
+        share = coupling.weights(dt)
         excess = np.maximum(np.linalg.norm(velocity, axis=1) - coupling.speed_threshold, 0.0)
         body, first = turn(
             angles[0],
@@ -129,7 +129,7 @@ def sample_graph(
 
 def coupling_cost(velocity: FloatArray, angles: FloatArray, t: FloatArray, parameters: Parameters) -> float:
     """What 002's second coupling costs along a course, per unit of κ₂."""
-    weights = [parameters.coupling.weight(dt) for dt in (None, *np.diff(t).tolist())]
+    weights = parameters.coupling.weights(np.diff(t, prepend=t[0]))
     return float(np.sum(np.array(weights) * (1.0 - np.cos(difference(angles[1], angles[0])))))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from walks import walk, without
 
-from graphtrack.geometry.angles import wrap
+from graphtrack.geometry.angles import class_centres, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import (
     CouplingParameters,
@@ -18,7 +18,6 @@ from graphtrack.model import (
     OrientationParameters,
     Parameters,
 )
-from graphtrack.model.pose import class_centres
 from graphtrack.tracks import Track
 
 

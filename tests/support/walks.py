@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.geometry.angles import direction, unit, wrap
-from graphtrack.model.pose import class_centres
+from graphtrack.geometry.angles import class_centres, direction, unit, wrap
 from graphtrack.tracks import Track
 
 

@@ -11,15 +11,16 @@ from scipy import special
 
 from graphtrack.baselines.kalman import position_std
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
-from graphtrack.model.coupling import BodyFollowsMotion, HeadFollowsBody
-from graphtrack.model.intentional import IntentionalMotion, steered_step
-from graphtrack.model.motion import Motion as MotionTerm
-from graphtrack.model.orientation import BodyDynamics, HeadDynamics
-from graphtrack.model.pose import BodyLikelihood, HeadLikelihood, class_centres, class_kappa
-from graphtrack.model.position import PositionLikelihood
+from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.head_follows_body import HeadFollowsBody
+from graphtrack.model.terms.intentional_motion import IntentionalMotion, steered_step
+from graphtrack.model.terms.motion import Motion as MotionTerm
+from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
+from graphtrack.model.terms.position import PositionLikelihood
+from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
 from graphtrack.tracks import Track
 
 PoseModel = Literal["smooth", "closest"]
@@ -136,7 +137,7 @@ def prepare(
 def _motion(track: Track, model: Model) -> Motion:
     kinds = {type(term) for term in model.terms}
     parameters = model.parameters
-    dt = np.diff(track.t, prepend=track.t[:1])
+    dt = track.dt
     q = parameters.motion.acceleration_density
     moments = steered_step(dt, parameters.motion.head_rate if IntentionalMotion in kinds else 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -146,7 +147,7 @@ def _motion(track: Track, model: Model) -> Motion:
         body_turn = 1.0 / (parameters.orientation.body_diffusion * dt)
         head_turn = 1.0 / (parameters.orientation.head_diffusion * dt)
     coupling = parameters.coupling
-    weight = np.array([coupling.weight(None), *(coupling.weight(step) for step in dt[1:].tolist())])
+    weight = coupling.weights(dt)
     return Motion(
         dt,
         moments.keep,
@@ -222,7 +223,7 @@ def _fill(
     kappa: FloatArray,
     uniform: float,
 ) -> None:
-    """The mixture ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ) of MODEL term 7, as `VonMisesMixture` has it."""
+    """The mixture ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ) of MODEL term 7; see `mixture_log_density`."""
     size = weights.shape[1]
     peak = 1.0 / (2.0 * np.pi * special.i0e(kappa))
     pose.components[rows], pose.kappa[rows] = size, kappa

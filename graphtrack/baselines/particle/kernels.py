@@ -19,7 +19,7 @@ from graphtrack.baselines.particle.densities import (
 )
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.motion import STANDSTILL
+from graphtrack.model.terms.intentional_motion import STANDSTILL
 from graphtrack.particles import (
     effective_sample_size,
     normalise,

@@ -11,8 +11,12 @@ from graphtrack.baselines.kalman import position_std
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.inference import Solution, solve
 from graphtrack.model import Model
-from graphtrack.model.intentional import IntentionalMotion, smooth_speed, steered_step
-from graphtrack.model.kernels.motion import STANDSTILL
+from graphtrack.model.terms.intentional_motion import (
+    STANDSTILL,
+    IntentionalMotion,
+    smooth_speed,
+    steered_step,
+)
 from graphtrack.tracks import Track, TrackSet
 
 

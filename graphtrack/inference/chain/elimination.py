@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.problem import N
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.layout import N
 
 
 class Workspace(NamedTuple):

@@ -8,16 +8,16 @@ import numpy as np
 
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.modes import renew_tracks
-from graphtrack.inference.chain.newton import NOT_FINITE
-from graphtrack.inference.chain.problem import N, Problem, Result
-from graphtrack.inference.chain.restart import solve_tracks
+from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
-from graphtrack.model.gait import gait_of
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.frames import BODY, HEAD, X, Y
+from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.terms.gait import gait_of
 
 PASSES = 2
 """Times that the modes of the couplings, and the states with them, are found anew; a third changes
@@ -54,7 +54,7 @@ def solve_packed(
         weighed by the modes' probabilities, and costs and covariances are those given these weights.
     """
     result, problem, seen = empty_result(packed), problem_of(packed), seen_in(packed, model)
-    linear = model.is_linear and packed.is_linear
+    linear = model.is_linear(packed)
     longest = int(np.diff(packed.offsets).max())
     initialise(problem, seen, linear, np.empty((3, longest)), result)
     if not linear:
@@ -73,12 +73,14 @@ def solve_terms(
     result: Result,
 ) -> None:
     """Solve all tracks from the states in ``result``, in place; modes of couplings alternate with states."""
+    program = program_of(model)
+    solve_tracks = program.solve_tracks
     if not model.has_modes:
         solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
         return
     # Without couplings first: from there both the modes and the states are found.
-    for name in ("motion_body_kappa", "head_body_kappa", "steer_gain"):
-        problem.records[name] = 0.0
+    for gate in program.switched:
+        problem.records[gate] = 0.0
     solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
     gait = gait_of(model.parameters.gait)
     for _ in range(PASSES):

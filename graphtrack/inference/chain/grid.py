@@ -2,7 +2,9 @@
 
 Newton's method ends in the basin it began in. Where observations contradict each other (a classifier that
 takes front for back) another course of the orientations may cost less. Two steps look for it, with the motion
-fixed: `greatest_gain` tells at little cost whether there can be one, `best_course` finds it.
+fixed: `greatest_gain` tells at little cost whether there can be one, `best_course` finds it. They know what
+each orientation costs by itself, how it turns, and how the head follows the body; another kind of term that
+depends on both is left to the descent.
 """
 
 from __future__ import annotations
@@ -13,56 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.problem import Problem
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.frames import BODY, HEAD, VX, VY
-from graphtrack.model.kernels.pose import angle_cost
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.kernels.program import add_over, set_quarters
 
 Single = NDArray[np.float32]
-
-
-@compiled
-def motion_pull(problem: Problem, place: int, state: FloatArray) -> tuple[float, float, float]:
-    """Cosine and sine of a frame's direction of motion, and the concentration of the body about it."""
-    kappa, threshold = problem.records[place].motion_body_kappa, problem.shared[0].speed_threshold
-    speed = math.hypot(state[VX], state[VY])
-    if kappa == 0.0 or speed <= threshold or speed < 1e-12:
-        return 1.0, 0.0, 0.0
-    return state[VX] / speed, state[VY] / speed, kappa * (speed - threshold) ** 2
-
-
-@compiled
-def add_quarters(
-    cos: float, sin: float, mean_cos: float, mean_sin: float, kappa: float, uniform: float, cost: FloatArray
-) -> None:
-    """Add what an observed angle costs at a direction and one, two and three quarters on; ``cost`` (4,)."""
-    if kappa > 0.0:
-        close = cos * mean_cos + sin * mean_sin
-        across = sin * mean_cos - cos * mean_sin
-        cost[0] += angle_cost(close, kappa, uniform)
-        cost[1] += angle_cost(-across, kappa, uniform)
-        cost[2] += angle_cost(-close, kappa, uniform)
-        cost[3] += angle_cost(across, kappa, uniform)
-
-
-@compiled
-def add_class_quarters(
-    cos: float, sin: float, heights: FloatArray, directions: FloatArray, kappa: float, cost: FloatArray
-) -> None:
-    """The same of class likelihoods. A quarter on, a class is where another was: its density is known."""
-    n = len(directions)
-    quarter = n // 4
-    here = onward = opposite = back = heights[n]
-    for c in range(n):
-        value = math.exp(kappa * (cos * directions[c, 0] + sin * directions[c, 1] - 1.0))
-        here += heights[c] * value
-        onward += heights[(c + quarter) % n] * value
-        opposite += heights[(c + 2 * quarter) % n] * value
-        back += heights[(c + 3 * quarter) % n] * value
-    cost[0] -= math.log(here)
-    cost[1] -= math.log(onward)
-    cost[2] -= math.log(opposite)
-    cost[3] -= math.log(back)
 
 
 @compiled
@@ -71,27 +28,12 @@ def greatest_gain(problem: Problem, track: int, states: FloatArray) -> float:
 
     Turning there and back is free, so that this is more than any such course can gain.
     """
-    body, head, gain = np.empty(4), np.empty(4), np.zeros((3, 4))
+    body, head, gain, turns = np.empty(4), np.empty(4), np.zeros((3, 4)), np.empty((4, 4))
     greatest, offset = 0.0, problem.offsets[track]
     for k in range(len(states)):
-        place, state = offset + k, states[k]
-        frame = problem.records[place]
-        body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
-        head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
-        body[:] = 0.0
-        head[:] = 0.0
-        cos, sin, kappa = motion_pull(problem, place, state)
-        add_quarters(body_cos, body_sin, cos, sin, kappa, 0.0, body)
-        cos, sin, kappa = frame.body_cos, frame.body_sin, frame.body_kappa
-        add_quarters(body_cos, body_sin, cos, sin, kappa, frame.body_uniform, body)
-        cos, sin, kappa = frame.head_cos, frame.head_sin, frame.head_kappa
-        add_quarters(head_cos, head_sin, cos, sin, kappa, frame.head_uniform, head)
-        if frame.body_class_kappa > 0.0:
-            heights, directions = problem.body_heights[place], problem.body_directions
-            add_class_quarters(body_cos, body_sin, heights, directions, frame.body_class_kappa, body)
-        if frame.head_class_kappa > 0.0:
-            heights, directions = problem.head_heights[place], problem.head_directions
-            add_class_quarters(head_cos, head_sin, heights, directions, frame.head_class_kappa, head)
+        frame = problem.records[offset + k]
+        set_quarters(problem, track, k, states[k], turns, body, head)
+        body_cos, body_sin, head_cos, head_sin = turns[0, 0], turns[1, 0], turns[2, 0], turns[3, 0]
         # The cosine of head minus body once the head, or the body, has turned by a quarter more.
         close = body_cos * head_cos + body_sin * head_sin
         across = head_sin * body_cos - head_cos * body_sin
@@ -125,47 +67,6 @@ def nodes_of(problem: Problem, track: int, n: int, spread: float, node: np.ndarr
                 count, body, head = count + 1, 0.0, 0.0
         node[k] = count
     return count + 1
-
-
-@compiled
-def add_angles(
-    mean_cos: float,
-    mean_sin: float,
-    kappa: float,
-    uniform: float,
-    cos: FloatArray,
-    sin: FloatArray,
-    cost: FloatArray,
-) -> None:
-    """Add what an observed angle costs at each direction of the grid."""
-    if kappa > 0.0:
-        for b in range(len(cos)):
-            cost[b] += angle_cost(cos[b] * mean_cos + sin[b] * mean_sin, kappa, uniform)
-
-
-@compiled
-def add_densities(heights: FloatArray, densities: FloatArray, cost: FloatArray) -> None:
-    """Add what class likelihoods cost at each direction; ``densities`` (bins, n) of the classes there."""
-    n = densities.shape[1]
-    for b in range(len(cost)):
-        density = heights[n]
-        for c in range(n):
-            density += heights[c] * densities[b, c]
-        cost[b] -= math.log(density)
-
-
-@compiled
-def densities_on(cos: FloatArray, sin: FloatArray, directions: FloatArray, kappa: FloatArray) -> FloatArray:
-    """Densities (bins, n) of the classes over those at their centres, at each direction of the grid.
-
-    ``kappa`` is that of each frame: all the same, or 0.
-    """
-    sharpness = kappa.max()
-    found = np.empty((len(cos), len(directions)))
-    for b in range(len(cos)):
-        for c in range(len(directions)):
-            found[b, c] = math.exp(sharpness * (cos[b] * directions[c, 0] + sin[b] * directions[c, 1] - 1.0))
-    return found
 
 
 @compiled
@@ -219,21 +120,12 @@ def best_course(
     count = nodes_of(problem, track, n, spread, node)
     angles = 2.0 * np.pi * np.arange(bins) / bins
     cos, sin = np.cos(angles), np.sin(angles)
-    body_densities = densities_on(cos, sin, problem.body_directions, records["body_class_kappa"])
-    head_densities = densities_on(cos, sin, problem.head_directions, records["head_class_kappa"])
     body, head, kappa = np.zeros((count, bins)), np.zeros((count, bins)), np.zeros(count)
     body_turn, head_turn = np.zeros(count), np.zeros(count)
+    add_over(problem, track, states, cos, sin, node, body, head)
     for k in range(n):
         frame, g = records[k], node[k]
         kappa[g] += frame.head_body_kappa
-        motion_cos, motion_sin, pull = motion_pull(problem, a + k, states[k])
-        add_angles(motion_cos, motion_sin, pull, 0.0, cos, sin, body[g])
-        add_angles(frame.body_cos, frame.body_sin, frame.body_kappa, frame.body_uniform, cos, sin, body[g])
-        add_angles(frame.head_cos, frame.head_sin, frame.head_kappa, frame.head_uniform, cos, sin, head[g])
-        if frame.body_class_kappa > 0.0:
-            add_densities(problem.body_heights[a + k], body_densities, body[g])
-        if frame.head_class_kappa > 0.0:
-            add_densities(problem.head_heights[a + k], head_densities, head[g])
         if frame.body_turn_kappa > 0.0:
             body_turn[g] += 1.0 / frame.body_turn_kappa
         if frame.head_turn_kappa > 0.0:

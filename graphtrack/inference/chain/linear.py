@@ -11,16 +11,19 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.frames import VX, VY, X, Y
+from graphtrack.model.kernels.layout import VX, VY, X, Y
 
 
 @compiled
-def solve_linear(frames: np.ndarray, states: FloatArray, spread: FloatArray, memory: FloatArray) -> float:
+def solve_linear(
+    frames: np.ndarray, origin: FloatArray, states: FloatArray, spread: FloatArray, memory: FloatArray
+) -> float:
     """Posterior mean and covariance of positions and velocities of one track; returns the cost there.
 
     Fills in the first four columns of ``states`` (n, 6), and ``spread`` (n, 3): the variance of the position,
     the covariance of position and velocity, and the variance of the velocity, on each axis. ``memory`` is
-    (n, 7). NaN comes out where no position determines the track.
+    (n, 7). Positions are counted from the ``origin`` (2,). NaN comes out where no position determines the
+    track.
     """
     n = len(frames)
     pp = pv = vv = px = py = vx = vy = 0.0
@@ -53,8 +56,8 @@ def solve_linear(frames: np.ndarray, states: FloatArray, spread: FloatArray, mem
         vv += frame.velocity_information
         weight = frame.position_information
         pp += weight
-        px += weight * frame.x
-        py += weight * frame.y
+        px += weight * (frame.x - origin[X])
+        py += weight * (frame.y - origin[Y])
     determinant = pp * vv - pv * pv
     a, b, c = vv / determinant, -pv / determinant, pp / determinant
     state = states[n - 1]
@@ -80,7 +83,7 @@ def solve_linear(frames: np.ndarray, states: FloatArray, spread: FloatArray, mem
     cost = 0.0
     for k in range(n):
         frame, state = frames[k], states[k]
-        dx, dy = state[X] - frame.x, state[Y] - frame.y
+        dx, dy = state[X] - (frame.x - origin[X]), state[Y] - (frame.y - origin[Y])
         cost += 0.5 * frame.position_information * (dx * dx + dy * dy)
         cost += 0.5 * frame.velocity_information * (state[VX] * state[VX] + state[VY] * state[VY])
         if frame.motion_information > 0.0:

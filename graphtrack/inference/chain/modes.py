@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.problem import Problem
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.frames import BODY, VX, VY
-from graphtrack.model.kernels.gait import (
+from graphtrack.model.kernels.layout import BODY, VX, VY
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.terms.body_follows_motion import squared_excess
+from graphtrack.model.terms.gait import (
     ROW,
     Gait,
     Modes,
@@ -21,7 +22,7 @@ from graphtrack.model.kernels.gait import (
     expected,
     infer_modes,
 )
-from graphtrack.model.kernels.motion import steer
+from graphtrack.model.terms.intentional_motion import steer
 
 BODY_MODE, HEAD_MODE = 0, 1
 """Places of the two couplings in arrays of both."""
@@ -83,23 +84,16 @@ def loosened(frame: Any, kappa: float, excess: float, missing: float, diffusion:
 
 
 @compiled
-def motion_concentration(problem: Problem, place: int, state: FloatArray) -> float:
-    """Concentration of an aligned body about the motion, were the frame alone: without its weight of w."""
-    frame = problem.records[place]
-    excess = math.hypot(state[VX], state[VY]) - problem.shared[0].speed_threshold
-    return frame.body_aligned_kappa * excess * excess if excess > 0.0 else 0.0
-
-
-@compiled
 def judge_body(
     problem: Problem, track: int, states: FloatArray, motion: FloatArray, gait: Gait, row: FloatArray
 ) -> None:
     """Log likelihoods (n, ROW) of what was seen of body and head at each offset from the motion."""
-    offset = problem.offsets[track]
+    offset, threshold = problem.offsets[track], problem.shared[0].speed_threshold
     row[:] = 0.0
     for k in range(len(states)):
         frame = problem.records[offset + k]
-        coupling = motion_concentration(problem, offset + k, states[k])
+        # What holds an aligned body to the motion, without the weight of what other frames say again.
+        coupling = frame.body_aligned_kappa * squared_excess(states[k, VX], states[k, VY], threshold)
         if coupling == 0.0 or not is_seen(frame):
             continue
         # Frames within the time in which deviations persist tell of the same deviation, so of the information
@@ -113,8 +107,8 @@ def judge_body(
             gait.body,
             share,
             motion[k],
-            frame.body_cos,
-            frame.body_sin,
+            frame.seen_body_cos,
+            frame.seen_body_sin,
             frame.body_kappa,
             frame.body_uniform,
         )
@@ -123,8 +117,8 @@ def judge_body(
             gait.body,
             head_share,
             motion[k],
-            frame.head_cos,
-            frame.head_sin,
+            frame.seen_head_cos,
+            frame.seen_head_sin,
             frame.head_kappa,
             frame.head_uniform,
         )
@@ -157,8 +151,8 @@ def judge_head(
             modes,
             share,
             body[k],
-            frame.head_cos,
-            frame.head_sin,
+            frame.seen_head_cos,
+            frame.seen_head_sin,
             frame.head_kappa,
             frame.head_uniform,
         )
@@ -213,8 +207,8 @@ def renew_couplings(
     for k in range(n - 1, -1, -1):
         frame, lead = problem.records[offset + k], angle[k] - own[k]
         kappa, cos, sin = couple(gait.body, frame.body_aligned_kappa, lead, smoothed[k])
-        excess = max(0.0, math.hypot(states[k, VX], states[k, VY]) - shared.speed_threshold)
-        kappa = loosened(frame, kappa, excess * excess, gait.body.lead - left, shared.body_diffusion)
+        excess = squared_excess(states[k, VX], states[k, VY], shared.speed_threshold)
+        kappa = loosened(frame, kappa, excess, gait.body.lead - left, shared.body_diffusion)
         frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin = kappa, cos, sin
         cos, sin = expected(smoothed[k], gait.body, 1.0, 1.0)
         modes[k, 0], modes[k, 1] = aligned(smoothed[k]), math.atan2(sin, cos)

@@ -10,9 +10,25 @@ import math
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, clear, eliminate, invert_cholesky, sweep_back
-from graphtrack.inference.chain.frames import add_frame, add_prior
-from graphtrack.inference.chain.problem import N, Problem
+from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.layout import N
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.kernels.program import add_frame
+
+
+@compiled
+def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessian: FloatArray) -> float:
+    """½·dᵀ·Λ·d − ηᵀ·d, where d is the deviation from the prior's point."""
+    cost = 0.0
+    for i in range(N):
+        slope = 0.0
+        for j in range(N):
+            slope += prior[i, j] * (state[j] - prior[N + 1, j])
+            hessian[i, j] += prior[i, j]
+        cost += (0.5 * slope - prior[N, i]) * (state[i] - prior[N + 1, i])
+        gradient[i] += slope - prior[N, i]
+    return cost
 
 
 @compiled
@@ -65,7 +81,6 @@ def sweep_forward(
     return cost, definite
 
 
-CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2
 _SMALLEST_SCALE = 1e-9
 
 

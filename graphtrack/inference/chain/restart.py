@@ -9,10 +9,11 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, marginals
 from graphtrack.inference.chain.grid import best_course, greatest_gain
-from graphtrack.inference.chain.newton import NOT_FINITE, minimise, sweep_forward
-from graphtrack.inference.chain.problem import N, Problem, Result
+from graphtrack.inference.chain.newton import minimise, sweep_forward
+from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.frames import BODY, HEAD
+from graphtrack.model.kernels.layout import BODY, HEAD, N
+from graphtrack.model.kernels.problem import Problem
 
 WORTHWHILE = 4.0
 """Least `greatest_gain` for which a grid is searched: turning there and back costs more than that."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.linear import solve_linear, spread_to_covariance
-from graphtrack.inference.chain.newton import CONVERGED, NOT_FINITE
-from graphtrack.inference.chain.problem import Problem, Result
+from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE, Result
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.frames import BODY, HEAD, VX, VY
+from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY
+from graphtrack.model.kernels.problem import Problem
 
 
 class Seen(NamedTuple):
@@ -86,7 +86,7 @@ def initialise(problem: Problem, seen: Seen, only: bool, angles: FloatArray, res
         a, b = problem.offsets[track], problem.offsets[track + 1]
         n, t, states = b - a, seen.t[a:b], result.states[a:b]
         spread, memory = np.empty((n, 3)), np.empty((n, 7))
-        cost = solve_linear(problem.records[a:b], states, spread, memory)
+        cost = solve_linear(problem.records[a:b], problem.origin[track], states, spread, memory)
         if only:
             result.first_cost[track] = result.cost[track] = cost
             result.status[track] = CONVERGED if math.isfinite(cost) else NOT_FINITE

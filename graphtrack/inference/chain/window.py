@@ -8,32 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.geometry.camera import GroundCamera
+from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.inference.chain.elimination import workspace
-from graphtrack.inference.chain.problem import N, Problem
-from graphtrack.inference.chain.window_kernels import let_go, solve_window
+from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.window_modes import WindowModes
-from graphtrack.inference.initial import pack
 from graphtrack.inference.prior import MarginalPrior
 from graphtrack.inference.solution import bounded
 from graphtrack.inference.state import Angles, Newest, Window
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.gait import gait_of
-from graphtrack.model.kernels.frames import BODY, FRAME, HEAD
-from graphtrack.model.kernels.packing import PackedTracks
-from graphtrack.model.pose import class_centres
-from graphtrack.model.steps import CHANNELS
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
-
-_PLACE = {name: place for place, name in enumerate(FRAME.names or ())}
-"""Where a field stands in a record, seen as a row of numbers: writing to the fields themselves is slow."""
+from graphtrack.model.kernels.layout import BODY, HEAD, N
+from graphtrack.model.kernels.packing import FramePacker
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.terms.gait import gait_of
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 
 _FACTORISATION = ("inverse", "link", "trigonometry")
 """The rows of the workspace that the next observation reads; all others are written before they are read."""
-
-_TEMPLATES = 256
-"""Kinds of frame (what was seen, how long after the last) that are remembered, packed."""
 
 
 class ChainWindow:
@@ -55,7 +45,11 @@ class ChainWindow:
     def __init__(self, model: Model, lag: float, tolerance: float, max_iterations: int) -> None:
         self._model, self._lag = model, lag
         self._tolerance, self._max_iterations = tolerance, max_iterations
-        self._templates: dict[tuple[object, ...], PackedTracks] = {}
+        self._program = program_of(model)
+        self._packer = FramePacker(model.compiled_terms, self._program.types)
+        # Records are seen as rows of numbers: writing to their fields is slow.
+        fields: Mapping[str, Any] = self._program.types.frame.fields or {}
+        self._place = {name: known[1] // 8 for name, known in fields.items()}
         self._anchor: Angles | None = None
         self._steps: list[Step] = []
         self._has_prior = False
@@ -72,7 +66,7 @@ class ChainWindow:
     def state(self, step: Step) -> tuple[float, ...]:
         """x, y, vx, vy, body, head of a step of the window; NaN for what the model does not have."""
         # The newest step is asked for at every observation.
-        back = 1 if step is self._steps[-1] else len(self._steps) - self._place(step)
+        back = 1 if step is self._steps[-1] else len(self._steps) - self._index(step)
         return self._read(self._offsets[1] - back)
 
     @property
@@ -186,9 +180,9 @@ class ChainWindow:
         self._offsets = np.zeros(2, np.int64)
         self._prior = np.zeros((N + 2, N))
         self._memory, self._warm = workspace(n), False
-        records = np.zeros(n, FRAME)
+        records = np.zeros(n, self._program.types.frame)
         self._rows = records.view(float).reshape(n, -1)
-        shared = self._template(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
+        shared = self._packer(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
         self._problem = Problem(
             records,
             shared,
@@ -228,78 +222,32 @@ class ChainWindow:
     def _put(self, row: int, step: Step, state: Sequence[float], linked: bool) -> None:
         """Write a step into a row of the arrays; ``linked`` if there is one before it in the window."""
         seen = step.observation
-        packed = self._template(seen, step.dt, step.starts, step.camera)
-        left, bottom = self._origin.tolist()
+        packed, place = self._packer(seen, step.dt, step.starts, step.camera), self._place
         record = self._rows[row]
         record[:] = packed.records.view(float)
-        if record[_PLACE["pixel_information"]] > 0.0:
-            self._problem.shared[:] = packed.shared  # with the camera
-        record[_PLACE["dt"]] = 0.0 if step.dt is None else step.dt
+        if step.camera is not None:
+            self._problem.shared[:] = packed.shared  # the camera is part of it
+        record[place["dt"]] = 0.0 if step.dt is None else step.dt
+        for name, value in self._packer.live(seen):
+            record[place[name]] = value
         if not linked:
-            for link in ("motion_information", "body_turn_kappa", "head_turn_kappa"):
-                record[_PLACE[link]] = 0.0
-        if seen.position is not None:
-            x, y = seen.position
-            record[_PLACE["x"]], record[_PLACE["y"]] = x - left, y - bottom
-        if seen.body is not None:
-            record[_PLACE["body_cos"]], record[_PLACE["body_sin"]] = math.cos(seen.body), math.sin(seen.body)
-        if seen.head is not None:
-            record[_PLACE["head_cos"]], record[_PLACE["head_sin"]] = math.cos(seen.head), math.sin(seen.head)
+            for name in self._program.links:
+                record[place[name]] = 0.0
         if len(packed.body_heights):
             self._problem.body_heights[row] = packed.body_heights[0]
         if len(packed.head_heights):
             self._problem.head_heights[row] = packed.head_heights[0]
+        left, bottom = self._origin.tolist()
         x, y, vx, vy, body, head = state
         known = (body if math.isfinite(body) else 0.0, head if math.isfinite(head) else 0.0)
         self._states[row] = (x - left, y - bottom, vx, vy, *known)
-
-    def _template(
-        self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
-    ) -> PackedTracks:
-        """A frame of this kind, packed; its position and angles stand for any."""
-        # Of times that differ in their last digits one is packed, whichever came first: estimates must not
-        # depend on what else has been seen.
-        near = 0.0 if dt is None else (round(dt, 9) or dt)
-        kind: tuple[object, ...] | None = None
-        if seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None:
-            kind = (
-                near,
-                starts,
-                seen.position is None,
-                seen.body is None,
-                seen.head is None,
-                seen.position_std,
-                seen.body_kappa,
-                seen.head_kappa,
-            )
-            known = self._templates.get(kind)
-            if known is not None:
-                return known
-        given = {name: getattr(seen, name) for name in CHANNELS}
-        position = given.pop("position") or (np.nan, np.nan)
-        channels: dict[str, Any] = {
-            name: np.array([value]) for name, value in given.items() if value is not None
-        }
-        track = Track(0, np.array([0]), np.array([seen.t]), np.array([position]), **channels)
-        packed = pack(
-            [track],
-            self._model,
-            camera,
-            dt=np.array([near]),
-            starts=starts,
-        )
-        if kind is not None:
-            if len(self._templates) == _TEMPLATES:
-                self._templates.clear()
-            self._templates[kind] = packed
-        return packed
 
     # -- solving -------------------------------------------------------------------------------------------
 
     def _solve(self) -> bool:
         if self._modes is not None:
             self._modes.renew(self._problem, self._states)
-        self._warm = solve_window(
+        self._warm = self._program.solve_window(
             self._problem,
             self._states,
             self._warm,
@@ -320,7 +268,7 @@ class ChainWindow:
     def _slide(self) -> None:
         horizon = self._steps[-1].observation.t - self._lag
         while self._steps[0].observation.t < horizon:
-            let_go(self._problem, self._states, self._memory)
+            self._program.let_go(self._problem, self._states, self._memory)
             if self._modes is not None:
                 self._modes.let_go()
             self._has_prior = True
@@ -328,7 +276,7 @@ class ChainWindow:
 
     # -- priors --------------------------------------------------------------------------------------------
 
-    def _place(self, step: Step) -> int:
+    def _index(self, step: Step) -> int:
         return next(k for k, known in enumerate(self._steps) if known.index == step.index)
 
     def _keys(self, step: Step) -> list[tuple[int, slice]]:

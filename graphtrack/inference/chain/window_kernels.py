@@ -6,13 +6,12 @@ import math
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, clear, eliminate, invert_cholesky, sweep_back
-from graphtrack.inference.chain.frames import add_frame, add_prior
-from graphtrack.inference.chain.newton import NOT_FINITE, minimise, sweep_forward
-from graphtrack.inference.chain.problem import N, Problem
+from graphtrack.inference.chain.newton import add_prior, minimise, sweep_forward
+from graphtrack.inference.chain.result import NOT_FINITE
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.frames import BODY, HEAD
-from graphtrack.model.kernels.motion import add_motion, add_steered_motion
-from graphtrack.model.kernels.orientation import add_turn
+from graphtrack.model.kernels.layout import BODY, HEAD, N
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.kernels.program import add_frame, add_links, add_own, cut, note_turns
 
 _FAR = 0.5
 """Radians beyond which a first guess is not better than that nothing turns."""
@@ -149,9 +148,7 @@ def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
         for j in range(i + 1):
             prior[i, j] = prior[j, i] = matrix[i, j]
     # Its links to the frame before are part of the prior now.
-    after.motion_information = 0.0
-    after.body_turn_kappa = 0.0
-    after.head_turn_kappa = 0.0
+    cut(after)
     problem.offsets[0] = begin + 1
 
 
@@ -161,71 +158,32 @@ def marginalise(problem: Problem, states: FloatArray, exact: bool, workspace: Wo
 
     Returns whether it is positive definite.
     """
-    scratch, inverse = workspace.scratch, workspace.inverse[0]
+    scratch, inverse, turns = workspace.scratch, workspace.inverse[0], workspace.trigonometry
     gradient, gradient_after, hessian, hessian_after = scratch[0, 0], scratch[0, 1], scratch[1], scratch[2]
-    transition, after = scratch[3], problem.records[problem.offsets[0] + 1]
+    transition, track = scratch[3], the_only(problem)
     clear(gradient, hessian, transition)
     clear(gradient_after, hessian_after, transition)
-    add_frame(
+    note_turns(states[0], turns[0])
+    note_turns(states[1], turns[1])
+    add_own(problem, track, 0, states[0], states[0], exact, turns[0], gradient, hessian)
+    add_prior(problem.prior, states[0], gradient, hessian)
+    add_links(
         problem,
-        0,
-        0,
-        states[0],
+        track,
+        1,
         states,
         exact,
-        workspace.trigonometry,
-        gradient_after,
+        turns,
         gradient,
-        hessian_after,
+        gradient_after,
         hessian,
+        hessian_after,
         transition,
     )
-    add_prior(problem.prior, states[0], gradient, hessian)
-    if after.steer_gain > 0.0 and after.motion_information > 0.0:
-        add_steered_motion(
-            after,
-            states[0],
-            states[1],
-            math.cos(states[0, HEAD]),
-            math.sin(states[0, HEAD]),
-            exact,
-            gradient,
-            gradient_after,
-            hessian,
-            hessian_after,
-            transition,
-        )
-    elif after.motion_information > 0.0:
-        add_motion(
-            states[0],
-            states[1],
-            after.dt,
-            after.motion_information,
-            gradient,
-            gradient_after,
-            hessian,
-            hessian_after,
-            transition,
-        )
-    for place, kappa in ((BODY, after.body_turn_kappa), (HEAD, after.head_turn_kappa)):
-        if kappa > 0.0:
-            add_turn(
-                math.cos(states[0, place]),
-                math.sin(states[0, place]),
-                math.cos(states[1, place]),
-                math.sin(states[1, place]),
-                place,
-                kappa,
-                exact,
-                gradient,
-                gradient_after,
-                hessian,
-                hessian_after,
-                transition,
-            )
-        else:
-            # An orientation that the model does not have, or that nothing carries on.
-            hessian_after[place, place] += 1e-12
+    for place in (BODY, HEAD):
+        # An orientation that the model does not have, or that nothing carries on.
+        if hessian_after[place, place] == 0.0:
+            hessian_after[place, place] = 1e-12
     link, solution = workspace.link[0], workspace.solution[0]
     if not eliminate(hessian, gradient, transition, hessian_after, gradient_after, inverse, link, solution):
         return False

@@ -6,8 +6,8 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.modes import renew_couplings
-from graphtrack.inference.chain.problem import Problem
-from graphtrack.model.kernels.gait import ROW, Gait
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.terms.gait import ROW, Gait
 
 
 class WindowModes:

@@ -11,11 +11,12 @@ import numpy as np
 from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.initial import ANCHOR_KAPPA, initial_states
+from graphtrack.inference.initial import initial_states
 from graphtrack.inference.solution import Solution, SolverOptions, bounded, estimated_track
 from graphtrack.model import Model, States, Step
-from graphtrack.model.orientation import von_mises_prior
-from graphtrack.model.steps import chain
+from graphtrack.model.factors.native import von_mises_prior
+from graphtrack.model.observation import chain
+from graphtrack.model.terms.anchor import ANCHOR_KAPPA
 from graphtrack.tracks import Track
 
 

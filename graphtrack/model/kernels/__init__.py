@@ -1,7 +1,11 @@
-"""Compiled twins of the terms: one module beside each, with its cost, gradient and curvature for one frame.
+"""What terms and the compiled engine share: the layout of a frame, kernels, packing, and the frame program.
 
-They are what the chain solver adds up. A kernel takes the states of one frame (or of two that follow each
-other), adds to the gradient and to the blocks of the Hessian, and returns its cost. ``exact`` chooses the
-true second derivative; without it the curvature is one that is never negative, for when a full Newton step
-leads nowhere.
+The chain solver adds kernels up. One takes the states of a frame (or of two that follow each other), adds to
+the gradient and to the blocks of the Hessian, and returns its cost; see `Kernel`.
 """
+
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.kernel import Kernel, Search
+from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, Field, X, Y
+
+__all__ = ["BODY", "HEAD", "VX", "VY", "Field", "Kernel", "Search", "X", "Y", "compiled"]

@@ -18,6 +18,10 @@ Function = TypeVar("Function", bound=Callable[..., object])
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 
+UNKEPT = "graphtrack_unkept_"
+"""Begins the names of packages whose machine code is of use to one process alone."""
+
+
 def compiled(function: Function) -> Function:
     """The function as machine code; calls between such functions are inlined.
 
@@ -36,14 +40,33 @@ def compiled(function: Function) -> Function:
 
 def _folder(function: FunctionType) -> str:
     """Where the machine code of a function is kept; "" if nowhere."""
+    # `exec` may leave no module at all, and what was written for a cell's kernel goes with the process.
+    if function.__module__ is None or function.__module__.startswith(UNKEPT):
+        return ""
     source, written = source_file(function.__module__), Path(function.__code__.co_filename)
     # A module may also run what was not written in its file: cells, `exec`.
     if source is None or not written.is_file() or not written.samefile(source):
         return ""
-    try:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphtrack"
-        folder = Path(numba.config.CACHE_DIR or home) / fingerprint(function.__module__)
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # a folder that cannot be made; a user without a home
+    home = cache_home()
+    if home is None:
         return ""
-    return str(folder) if os.access(folder, os.W_OK) else ""
+    folder = home / fingerprint(function.__module__)
+    return str(folder) if _is_writable(folder) else ""
+
+
+def cache_home() -> Path | None:
+    """The folder in which machine code is kept; None where there is none that can be written to."""
+    try:
+        user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphtrack"
+    except RuntimeError:  # a user without a home
+        return None
+    home = Path(numba.config.CACHE_DIR or user)
+    return home if _is_writable(home) else None
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)

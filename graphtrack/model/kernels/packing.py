@@ -1,18 +1,22 @@
-"""From tracks to the arrays that the kernels read: all frames of some tracks, one after another."""
+"""From tracks to the arrays that the kernels read: all frames of some tracks, or one at a time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.frames import FRAME, SHARED
+from graphtrack.model.observation import CHANNELS, Observation
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
+
+if TYPE_CHECKING:
+    from graphtrack.model.term import Term
 
 
 @dataclass(eq=False)
@@ -24,8 +28,8 @@ class PackedTracks:
     tracks : the tracks
     camera : camera of the scene, for the pixel likelihood
     offsets : (m + 1,) where each track begins, and the end
-    records : (N,) of `FRAME`
-    shared : (1,) of `SHARED`
+    records : (N,) one for each frame
+    shared : (1,) what all frames share
     body_heights, head_heights : (N, classes + 1) class likelihoods and, last, the outliers' part
     """
 
@@ -38,27 +42,43 @@ class PackedTracks:
     head_heights: FloatArray = field(default_factory=lambda: np.zeros((0, HEAD_CLASSES + 1)))
 
     @classmethod
-    def of(cls, tracks: Sequence[Track], camera: GroundCamera | None = None) -> PackedTracks:
-        """Tracks end to end, with times and origins filled in and no term yet."""
+    def of(
+        cls,
+        tracks: Sequence[Track],
+        camera: GroundCamera | None,
+        terms: Iterable[Term],
+        types: RecordTypes,
+    ) -> PackedTracks:
+        """Tracks end to end, packed by some terms."""
         offsets = np.concatenate([[0], np.cumsum([len(track) for track in tracks])])
-        packed = cls(tracks, camera, offsets, np.zeros(offsets[-1], FRAME), np.zeros(1, SHARED))
-        packed.records["dt"] = packed.dt
-        return packed
+        packed = cls(tracks, camera, offsets, np.zeros(offsets[-1], types.frame), np.zeros(1, types.shared))
+        return packed._filled(terms)
 
     @classmethod
     def within(
-        cls, tracks: Sequence[Track], camera: GroundCamera | None, dt: FloatArray, starts: bool
+        cls,
+        track: Track,
+        camera: GroundCamera | None,
+        dt: float,
+        starts: bool,
+        terms: Iterable[Term],
+        types: RecordTypes,
     ) -> PackedTracks:
-        """Frames from the midst of a track, ``dt`` seconds after the ones before (0: there is none).
+        """A frame from the midst of a track, ``dt`` seconds after the one before (0: there is none).
 
         The track ``starts`` where the prior on the first velocity stands.
         """
-        packed = cls.of(tracks, camera)
-        packed.records["dt"] = packed.dt = dt
-        packed.is_first = dt == 0.0
+        packed = cls([track], camera, np.array([0, 1]), np.zeros(1, types.frame), np.zeros(1, types.shared))
+        packed.dt = np.array([dt])
+        packed.is_first = packed.dt == 0.0
         packed.first_seen = packed.first_seen if starts else packed.first_seen[:0]
-        packed.origin = np.zeros((len(tracks), 2))
-        return packed
+        return packed._filled(terms)
+
+    def _filled(self, terms: Iterable[Term]) -> PackedTracks:
+        self.records["dt"] = self.dt
+        for term in terms:
+            term.pack(self)
+        return self
 
     def channel(self, name: str) -> FloatArray | None:
         """One channel (N, …) of all tracks, NaN where a track does not have it; None where none has."""
@@ -115,12 +135,65 @@ class PackedTracks:
         """(m, 2) metres: the first position of each track, 0 where there is none. States count from it."""
         return np.nan_to_num(self.position[self.first_seen])
 
-    @cached_property
-    def local_position(self) -> FloatArray:
-        """(N, 2) observed positions from the track's origin."""
-        return self.position - np.repeat(self.origin, np.diff(self.offsets), axis=0)
 
-    @property
-    def is_linear(self) -> bool:
-        """Whether positions are judged in metres and without a robust loss."""
-        return not self.shared["robust"][0] and not self.records["pixel_information"].any()
+class RecordTypes(NamedTuple):
+    """Types of the records of frames, and of what all frames share."""
+
+    frame: np.dtype
+    shared: np.dtype
+
+
+_LIVE = ("position", "body", "head")
+_STATED = ("position_std", "body_kappa", "head_kappa")
+_KINDS = 256
+"""Kinds of frame that are remembered, packed."""
+
+
+class FramePacker:
+    """Frames packed one at a time, as they come: of a kind that came before, from memory.
+
+    The kind is what was seen, with its stated spread, and how long after the frame before.
+
+    Parameters
+    ----------
+    terms : that pack
+    types : of the records
+    """
+
+    def __init__(self, terms: Sequence[Term], types: RecordTypes) -> None:
+        self._terms, self._types = terms, types
+        self._repeats = all(term.states("repeats") and term.repeats for term in terms)
+        self._known: dict[tuple[object, ...], PackedTracks] = {}
+
+    def __call__(
+        self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
+    ) -> PackedTracks:
+        """A frame of this kind, packed; what is `live` in it stands for any."""
+        seconds = 0.0 if dt is None else dt
+        simple = seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None
+        if not (simple and self._repeats):
+            return self._packed(seen, seconds, starts, camera)
+        stated = [getattr(seen, name) for name in _STATED]
+        kind = (seconds, starts, *stated, *[getattr(seen, name) is None for name in _LIVE])
+        known = self._known.get(kind)
+        if known is None:
+            if len(self._known) == _KINDS:
+                self._known.clear()
+            known = self._known[kind] = self._packed(seen, seconds, starts, camera)
+        return known
+
+    def live(self, seen: Observation) -> Iterator[tuple[str, float]]:
+        """Fields, with their values, that frames of a kind do not share."""
+        for term in self._terms:
+            yield from term.live(seen)
+
+    def _packed(
+        self, seen: Observation, dt: float, starts: bool, camera: GroundCamera | None
+    ) -> PackedTracks:
+        given = {name: getattr(seen, name) for name in CHANNELS}
+        position = given.pop("position") or (np.nan, np.nan)
+        channels: dict[str, Any] = {
+            name: np.array([value]) for name, value in given.items() if value is not None
+        }
+        track = Track(0, np.array([0]), np.array([seen.t]), np.array([position]), **channels)
+        return PackedTracks.within(track, camera, dt, starts, self._terms, self._types)

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
 
 import gtsam
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.packing import PackedTracks
-from graphtrack.model.steps import States, Step
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.kernel import Kernel
+from graphtrack.model.kernels.layout import VX, Field, X
+from graphtrack.model.observation import States, Step
 from graphtrack.model.term import Term
 from graphtrack.tracks import Track
+
+if TYPE_CHECKING:
+    from graphtrack.model.kernels.packing import PackedTracks
 
 
 def transition_matrix(dt: float) -> FloatArray:
@@ -28,10 +34,78 @@ def process_noise(dt: float, acceleration_density: float) -> FloatArray:
     return acceleration_density * np.kron(block, np.eye(2))
 
 
+@compiled
+def add_motion(
+    before: FloatArray,
+    state: FloatArray,
+    dt: float,
+    motion_information: float,
+    gradient_before: FloatArray,
+    gradient: FloatArray,
+    hessian_before: FloatArray,
+    hessian: FloatArray,
+    transition: FloatArray,
+) -> float:
+    """White-noise acceleration between two frames; ``transition[i, j]`` is ∂²/∂before_i ∂state_j."""
+    half = 0.5 * dt
+    turn = motion_information / dt
+    bend = 12.0 * motion_information / (dt * dt * dt)
+    cost = 0.0
+    for axis in range(2):
+        p, v = X + axis, VX + axis
+        dv = state[v] - before[v]
+        off = state[p] - before[p] - half * (state[v] + before[v])
+        cost += 0.5 * (turn * dv * dv + bend * off * off)
+        gradient[p] += bend * off
+        gradient_before[p] -= bend * off
+        gradient[v] += turn * dv - half * bend * off
+        gradient_before[v] -= turn * dv + half * bend * off
+        hessian[p, p] += bend
+        hessian[v, p] -= half * bend
+        hessian[v, v] += turn + half * half * bend
+        hessian_before[p, p] += bend
+        hessian_before[v, p] += half * bend
+        hessian_before[v, v] += turn + half * half * bend
+        transition[p, p] -= bend
+        transition[p, v] += half * bend
+        transition[v, p] -= half * bend
+        transition[v, v] += half * half * bend - turn
+    return cost
+
+
+@compiled
+def add_first_velocity(
+    state: FloatArray, velocity_information: float, gradient: FloatArray, hessian: FloatArray
+) -> float:
+    """The broad prior on a first velocity."""
+    cost = 0.0
+    for v in range(VX, VX + 2):
+        cost += 0.5 * velocity_information * state[v] * state[v]
+        gradient[v] += velocity_information * state[v]
+        hessian[v, v] += velocity_information
+    return cost
+
+
+ADD_MOTION = Kernel(
+    add_motion,
+    gate="motion_information",
+    variables=("position", "velocity"),
+    before=("position", "velocity"),
+    unless="steer_gain",
+)
+ADD_FIRST_VELOCITY = Kernel(add_first_velocity, gate="velocity_information", variables=("velocity",))
+
+
 class Motion(Term):
     """White-noise acceleration between frames, and a broad prior on the velocity where the track begins."""
 
-    linear = True
+    repeats = True
+    reads: ClassVar[tuple[str, ...]] = ("motion.acceleration_density", "motion.initial_speed_std")
+    fields: ClassVar[tuple[Field, ...]] = (
+        Field("motion_information", "1/q in s³/m²; 0 at the first frame"),
+        Field("velocity_information", "of the prior on the velocity, where it stands"),
+    )
+    kernels: ClassVar[tuple[Kernel, ...]] = (ADD_MOTION, ADD_FIRST_VELOCITY)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """`WnoaMotionFactorPoint2`, native and exact."""
@@ -68,6 +142,10 @@ class Motion(Term):
         motion, dt = self.parameters.motion, np.diff(track.t)
         steps = np.log((2.0 * np.pi * motion.acceleration_density * dt**2) ** 2 / 12.0)
         return float(steps.sum() + np.log(2.0 * np.pi * motion.initial_speed_std**2))
+
+    def is_linear(self, packed: PackedTracks) -> bool:
+        """Always."""
+        return True
 
     def pack(self, packed: PackedTracks) -> None:
         """1/q between frames, and the prior on the first velocity."""

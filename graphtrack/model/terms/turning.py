@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import gtsam
 import numpy as np
@@ -11,26 +11,16 @@ from scipy import special
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.packing import PackedTracks
-from graphtrack.model.steps import States, Step
+from graphtrack.model.factors.native import von_mises_between
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.kernel import Kernel
+from graphtrack.model.kernels.layout import Field
+from graphtrack.model.observation import States, Step
 from graphtrack.model.term import Term, Variable
 from graphtrack.tracks import Track
 
-
-def von_mises_noise(kappa: float) -> gtsam.noiseModel.Base:
-    """Noise with which a Frobenius factor on Rot2 costs exactly κ·(1 − cos Δ)."""
-    # ‖R(a) − R(b)‖² = 4(1 − cos Δ), and the factor costs half of it over σ²: hence σ² = 2/κ.
-    return gtsam.noiseModel.Isotropic.Sigma(4, float(np.sqrt(2.0 / kappa)))
-
-
-def von_mises_prior(key: int, mean: float, kappa: float) -> gtsam.NonlinearFactor:
-    """A native factor that costs κ·(1 − cos(angle − mean)); κ > 0."""
-    return gtsam.FrobeniusPriorRot2(key, gtsam.Rot2(mean).matrix(), von_mises_noise(kappa))
-
-
-def von_mises_between(first: int, second: int, kappa: float) -> gtsam.NonlinearFactor:
-    """A native factor that costs κ·(1 − cos(second − first)); κ > 0."""
-    return gtsam.FrobeniusBetweenFactorRot2(first, second, gtsam.Rot2(), von_mises_noise(kappa))
+if TYPE_CHECKING:
+    from graphtrack.model.kernels.packing import PackedTracks
 
 
 def _turn_kappa(dt: FloatArray, diffusion: float) -> FloatArray:
@@ -43,10 +33,48 @@ def _turns_normaliser(track: Track, diffusion: float) -> float:
     return float(np.log(2.0 * np.pi * special.i0e(kappa)).sum() + np.log(2.0 * np.pi))
 
 
+@compiled
+def add_turn(
+    cos_before: float,
+    sin_before: float,
+    cos: float,
+    sin: float,
+    place: int,
+    turn_kappa: float,
+    exact: bool,
+    gradient_before: FloatArray,
+    gradient: FloatArray,
+    hessian_before: FloatArray,
+    hessian: FloatArray,
+    transition: FloatArray,
+) -> float:
+    """κ·(1 − cos Δ) between an angle and itself a frame before."""
+    close = cos_before * cos + sin_before * sin
+    pull = turn_kappa * (sin * cos_before - cos * sin_before)
+    curvature = turn_kappa * close if exact else turn_kappa
+    gradient[place] += pull
+    gradient_before[place] -= pull
+    hessian[place, place] += curvature
+    hessian_before[place, place] += curvature
+    transition[place, place] -= curvature
+    return turn_kappa * (1.0 - close)
+
+
+def _turning(name: Variable) -> Kernel:
+    names = {"place": name.upper(), "turn_kappa": f"{name}_turn_kappa"}
+    for part in ("cos", "sin"):
+        names |= {part: f"{name}_{part}", f"{part}_before": f"{name}_{part}_before"}
+    return Kernel(add_turn, gate=f"{name}_turn_kappa", variables=(name,), before=(name,), names=names)
+
+
 class BodyDynamics(Term):
     """V(θ_t; θ_{t−1}, 1/(diffusion·Δt)) (002 eq. 8, first factor)."""
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
+    repeats = True
+    reads = ("orientation.body_diffusion",)
+    fields = (Field("body_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
+    kernels = (_turning("body"),)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """One native factor from the step before."""
@@ -73,6 +101,10 @@ class HeadDynamics(Term):
     """V(α_t; α_{t−1}, 1/(diffusion·Δt)) (002 eq. 10, first factor)."""
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
+    repeats = True
+    reads = ("orientation.head_diffusion",)
+    fields = (Field("head_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
+    kernels = (_turning("head"),)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """One native factor from the step before."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
@@ -10,14 +12,20 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.geometry.homography import apply_homography, jacobian
-from graphtrack.model.custom import custom_factor, unit_noise
-from graphtrack.model.kernels.packing import PackedTracks
-from graphtrack.model.kernels.position import CAUCHY, HUBER
+from graphtrack.geometry.homography import apply_homography
+from graphtrack.model.factors.derived import derived_factors
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.kernel import Kernel
+from graphtrack.model.kernels.layout import Field, X, Y
+from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.parameters import LikelihoodParameters
-from graphtrack.model.steps import States, Step
 from graphtrack.model.term import Term
 from graphtrack.tracks import Track
+
+if TYPE_CHECKING:
+    from graphtrack.model.kernels.packing import PackedTracks
+
+HUBER, CAUCHY = 1, 2
 
 
 def robust_loss(distance: FloatArray, likelihood: LikelihoodParameters) -> FloatArray:
@@ -55,36 +63,137 @@ def _mass(likelihood: LikelihoodParameters) -> float:
     return 1.0
 
 
+@compiled
+def robust_weight(square: float, robust: float, robust_threshold: float) -> tuple[float, float, float]:
+    """Cost ρ of a residual whose squared length is ``square``, and ρ' and ρ'' by that square, doubled.
+
+    The doubling makes ρ' the weight of iteratively reweighted least squares: 1 without a robust loss.
+    """
+    if robust == HUBER and square > robust_threshold * robust_threshold:
+        distance = math.sqrt(square)
+        weight = robust_threshold / distance
+        return robust_threshold * (distance - 0.5 * robust_threshold), weight, -0.5 * weight / square
+    if robust == CAUCHY:
+        scale = robust_threshold * robust_threshold
+        weight = scale / (scale + square)
+        return 0.5 * scale * math.log1p(square / scale), weight, -weight * weight / scale
+    return 0.5 * square, 1.0, 0.0
+
+
+@compiled
+def add_position(
+    state: FloatArray,
+    origin_x: float,
+    origin_y: float,
+    x: float,
+    y: float,
+    position_information: float,
+    robust: float,
+    robust_threshold: float,
+    exact: bool,
+    gradient: FloatArray,
+    hessian: FloatArray,
+) -> float:
+    """An observed position in metres."""
+    information = position_information
+    dx, dy = state[X] - (x - origin_x), state[Y] - (y - origin_y)
+    cost, weight, slope = robust_weight(information * (dx * dx + dy * dy), robust, robust_threshold)
+    pull = weight * information
+    gradient[X] += pull * dx
+    gradient[Y] += pull * dy
+    bend = 2.0 * slope * information * information if exact else 0.0
+    hessian[X, X] += pull + bend * dx * dx
+    hessian[Y, X] += bend * dx * dy
+    hessian[Y, Y] += pull + bend * dy * dy
+    return cost
+
+
+@compiled
+def add_pixel(
+    state: FloatArray,
+    origin_x: float,
+    origin_y: float,
+    u: float,
+    v: float,
+    pixel_information: float,
+    to_image: FloatArray,
+    robust: float,
+    robust_threshold: float,
+    exact: bool,
+    gradient: FloatArray,
+    hessian: FloatArray,
+) -> float:
+    """An observed foot point in pixels, through the homography from the ground to the image."""
+    information = pixel_information
+    x, y = state[X] + origin_x, state[Y] + origin_y
+    depth = to_image[2, 0] * x + to_image[2, 1] * y + to_image[2, 2]
+    pu = (to_image[0, 0] * x + to_image[0, 1] * y + to_image[0, 2]) / depth
+    pv = (to_image[1, 0] * x + to_image[1, 1] * y + to_image[1, 2]) / depth
+    cx, cy = to_image[2, 0] / depth, to_image[2, 1] / depth
+    ux, uy = to_image[0, 0] / depth - pu * cx, to_image[0, 1] / depth - pu * cy
+    vx, vy = to_image[1, 0] / depth - pv * cx, to_image[1, 1] / depth - pv * cy
+    du, dv = pu - u, pv - v
+    cost, weight, slope = robust_weight(information * (du * du + dv * dv), robust, robust_threshold)
+    pull = weight * information
+    gx, gy = ux * du + vx * dv, uy * du + vy * dv
+    gradient[X] += pull * gx
+    gradient[Y] += pull * gy
+    hxx, hyx, hyy = ux * ux + vx * vx, uy * ux + vy * vx, uy * uy + vy * vy
+    bend = 0.0
+    if exact:
+        # The second derivatives of a projection follow from the first ones.
+        hxx -= 2.0 * cx * gx
+        hyx -= cx * gy + cy * gx
+        hyy -= 2.0 * cy * gy
+        bend = 2.0 * slope * information * information
+    hessian[X, X] += pull * hxx + bend * gx * gx
+    hessian[Y, X] += pull * hyx + bend * gx * gy
+    hessian[Y, Y] += pull * hyy + bend * gy * gy
+    return cost
+
+
+ADD_POSITION = Kernel(
+    add_position, gate="position_information", variables=("position",), unless="pixel_information"
+)
+ADD_PIXEL = Kernel(add_pixel, gate="pixel_information", variables=("position",))
+
+
 class PositionLikelihood(Term):
     """Gaussian in metres, or in pixels through the camera (002 eq. 12); robust by option."""
 
-    linear = True  # where `PackedTracks.is_linear` finds neither pixels nor a robust loss
+    repeats = True
+    reads = (
+        "likelihood.position_std",
+        "likelihood.pixel_std",
+        "likelihood.image_frame",
+        "likelihood.robust",
+        "likelihood.robust_threshold",
+    )
+    fields = (
+        Field("x", "observed position in the world, metres"),
+        Field("y", ""),
+        Field("position_information", "1/σ²; 0: no position was observed"),
+        Field("u", "observed pixel without the lens"),
+        Field("v", ""),
+        Field("pixel_information", "1/σ² in pixels⁻²; 0: judged in metres, if at all"),
+    )
+    shared = (
+        Field("robust", "0 none, 1 Huber, 2 Cauchy"),
+        Field("robust_threshold", "standard deviations"),
+        Field("to_image", "from metres about the world's origin to ideal pixels", (3, 3)),
+    )
+    kernels = (ADD_POSITION, ADD_PIXEL)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        """A native prior in metres, or a custom factor in pixels."""
+        """A native prior in metres; in pixels, one from the kernel."""
         likelihood, seen = self.parameters.likelihood, step.observation
         if likelihood.image_frame and seen.pixel is not None and step.camera is not None:
-            return [self._pixel_factor(step.position_key, np.array(seen.pixel), step.camera)]
+            return derived_factors(self, step)
         if seen.position is None:
             return []
         std = likelihood.position_std if seen.position_std is None else seen.position_std
         noise = robust_noise(gtsam.noiseModel.Isotropic.Sigma(2, std), likelihood)
         return [gtsam.PriorFactorPoint2(step.position_key, np.array(seen.position), noise)]
-
-    def _pixel_factor(self, key: int, pixel: FloatArray, camera: GroundCamera) -> gtsam.NonlinearFactor:
-        # The lens is taken out of the observation once; what remains is the plane's homography.
-        ideal, std = camera.undistort(pixel), self.parameters.likelihood.pixel_std
-        to_image = np.linalg.inv(camera.homography)
-
-        def residual(values: gtsam.Values) -> FloatArray:
-            return (apply_homography(to_image, values.atPoint2(key)) - ideal) / std
-
-        def linearised(values: gtsam.Values) -> tuple[FloatArray, Sequence[FloatArray]]:
-            position = values.atPoint2(key)
-            return residual(values), [jacobian(to_image, position) / std]
-
-        noise = robust_noise(unit_noise(2), self.parameters.likelihood)
-        return custom_factor([key], 2, residual, linearised, noise)
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of the observed positions."""
@@ -120,6 +229,14 @@ class PositionLikelihood(Term):
             seen |= in_image
         return float(np.log(2.0 * np.pi * std[seen] ** 2).sum() + seen.sum() * np.log(_mass(likelihood)))
 
+    def is_linear(self, packed: PackedTracks) -> bool:
+        """Without a robust loss, and judged in metres."""
+        return not packed.shared["robust"][0] and not packed.records["pixel_information"].any()
+
+    def live(self, seen: Observation) -> Iterable[tuple[str, float]]:
+        """The observed position."""
+        return () if seen.position is None else zip("xy", seen.position, strict=True)
+
     def pack(self, packed: PackedTracks) -> None:
         """Observed positions or pixels with their information, and the robust loss."""
         likelihood, records = self.parameters.likelihood, packed.records
@@ -127,14 +244,15 @@ class PositionLikelihood(Term):
         given = packed.channel("position_std")
         if given is not None:
             std = np.where(np.isfinite(given), given, std)
-        records["x"], records["y"] = np.nan_to_num(packed.local_position).T
+        records["x"], records["y"] = np.nan_to_num(packed.position).T
         records["position_information"] = np.where(packed.has_position, std**-2.0, 0.0)
         packed.shared["robust"] = {"none": 0, "huber": HUBER, "cauchy": CAUCHY}[likelihood.robust]
         packed.shared["robust_threshold"] = likelihood.robust_threshold
         pixel, camera = packed.channel("pixel"), packed.camera
+        if camera is not None:
+            packed.shared["to_image"] = np.linalg.inv(camera.homography)
         if not likelihood.image_frame or pixel is None or camera is None:
             return
         seen = np.isfinite(pixel).all(axis=1)
         records["u"][seen], records["v"][seen] = camera.undistort(pixel[seen]).T
         records["pixel_information"][seen] = likelihood.pixel_std**-2
-        packed.shared["to_image"] = np.linalg.inv(camera.homography)

@@ -1,0 +1,96 @@
+"""What a term hands to the compiled engine: functions that add up its cost, and when they are called."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+VariableName = Literal["position", "velocity", "body", "head"]
+Function = Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the search for other basins looks up a kernel's cost in many directions at once.
+
+    Attributes
+    ----------
+    add_over : compiled; adds to ``cost`` (n,) what the kernel costs at the directions ``cos``, ``sin`` (n,)
+    add_quarters : compiled; the same of a direction ``cos``, ``sin`` and those one, two and three quarters
+        on, ``cost`` (4,), where there is a quicker way
+    prepare : compiled; from the directions of a grid ``cos``, ``sin`` what ``add_over`` takes as ``prepared``
+        for every frame
+    """
+
+    add_over: Function
+    add_quarters: Function | None = None
+    prepare: Function | None = None
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A function that adds a term's part at one frame to the gradient and the Hessian, and returns its cost.
+
+    The names of the function's parameters say what it is given:
+
+    ``state``, ``before``
+        (6,) of the frame and of the one before; places as in `layout`. Positions count from the origin
+    ``origin_x``, ``origin_y``
+        metres, where that is in the world
+    ``body_cos``, ``body_sin``, ``head_cos``, ``head_sin``, and the same with ``_before``
+        of the orientations; a kernel that reads them so takes part in the search for other basins
+    ``gradient``, ``hessian``
+        (6,) and (6, 6) of the frame, to be added to; of the Hessian, the lower triangle
+    ``gradient_before``, ``hessian_before``, ``transition``
+        those of the frame before, and ∂²/∂before_i ∂state_j
+    ``exact``
+        whether to add the true second derivative, or one that is never negative, of Gauss–Newton's kind: with
+        it, ½·gᵀ·H⁻¹·g is no more than the cost
+    ``start``
+        (6,) the state of the track's first frame where the descent began
+    any field
+        of the frame's record, or shared by all frames
+
+    Attributes
+    ----------
+    function : compiled
+    gate : field of the record that is greater than 0 where the kernel is to be called
+    variables, before : variables of the frame, and of the frame before, whose derivatives it adds
+    unless : field that keeps it from being called where that is greater than 0
+    names : parameter → what it is given, where that is not its own name
+    switched : whether the modes of the couplings switch it; see `gait.GaitOffsets`
+    search : a quicker way to look its cost up in many directions
+    """
+
+    function: Function
+    gate: str
+    variables: tuple[VariableName, ...]
+    before: tuple[VariableName, ...] = ()
+    unless: str | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
+    switched: bool = False
+    search: Search | None = None
+
+    @cached_property
+    def arguments(self) -> tuple[str, ...]:
+        """What the function is given, in order."""
+        return arguments_of(self.function, self.names)
+
+    @property
+    def orientation(self) -> Literal["body", "head"] | None:
+        """The one orientation that the cost of the frame alone depends on; None for none, or for both."""
+        if self.before:
+            return None
+        turned = {name for name in ("body", "head") if f"{name}_cos" in self.arguments}
+        if turned == {"body"}:
+            return "body"
+        return "head" if turned == {"head"} else None
+
+
+def arguments_of(function: Function, names: Mapping[str, str]) -> tuple[str, ...]:
+    """The names of a function's parameters, or what stands for them."""
+    parameters = inspect.signature(getattr(function, "py_func", function)).parameters
+    return tuple(names.get(name, name) for name in parameters)

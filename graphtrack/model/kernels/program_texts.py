@@ -1,0 +1,159 @@
+"""What every frame program says: its head, and how its functions open."""
+
+from __future__ import annotations
+
+HEADER = '''"""The frame program of {title}.
+
+Written by `graphtrack.model.kernels.generator`; not to be edited.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.layout import {layout}
+from graphtrack.model.kernels.problem import Problem
+{imports}
+
+'''
+
+OPEN_OWN = '''
+@compiled
+def add_own(
+    problem: Problem,
+    track: int,
+    k: int,
+    start: FloatArray,
+    state: FloatArray,
+    exact: bool,
+    now: FloatArray,
+    gradient: FloatArray,
+    hessian: FloatArray,
+) -> float:
+    """Add the terms of frame k of a track alone; ``now`` as `note_turns` leaves it. Returns their cost."""
+    place = problem.offsets[track] + k
+    frame = problem.records[place]
+    body_cos, body_sin, head_cos, head_sin = now[0], now[1], now[2], now[3]
+    cost = 0.0'''
+
+OPEN_LINKS = '''
+@compiled
+def add_links(
+    problem: Problem,
+    track: int,
+    k: int,
+    states: FloatArray,
+    exact: bool,
+    turns: FloatArray,
+    gradient_before: FloatArray,
+    gradient: FloatArray,
+    hessian_before: FloatArray,
+    hessian: FloatArray,
+    transition: FloatArray,
+) -> float:
+    """Add the terms between frame k of a track and the one before; returns their cost."""
+    place = problem.offsets[track] + k
+    frame, then, now = problem.records[place], turns[k - 1], turns[k]
+    cost = 0.0'''
+
+REST = '''
+@compiled
+def note_turns(state: FloatArray, now: FloatArray) -> None:
+    """Cosine and sine of body and head (4,)."""
+    now[0], now[1] = math.cos(state[BODY]), math.sin(state[BODY])
+    now[2], now[3] = math.cos(state[HEAD]), math.sin(state[HEAD])
+
+
+@compiled
+def add_frame(
+    problem: Problem,
+    track: int,
+    k: int,
+    start: FloatArray,
+    states: FloatArray,
+    exact: bool,
+    turns: FloatArray,
+    gradient_before: FloatArray,
+    gradient: FloatArray,
+    hessian_before: FloatArray,
+    hessian: FloatArray,
+    transition: FloatArray,
+) -> float:
+    """Add all terms that arrive with frame k of a track; returns their cost.
+
+    ``turns`` (n, 4) are noted of frame k, and must have been of the frame before.
+    """
+    note_turns(states[k], turns[k])
+    cost = add_links(
+        problem,
+        track,
+        k,
+        states,
+        exact,
+        turns,
+        gradient_before,
+        gradient,
+        hessian_before,
+        hessian,
+        transition,
+    )
+    return cost + add_own(problem, track, k, start, states[k], exact, turns[k], gradient, hessian)
+'''
+
+OPEN_CUT = '''
+@compiled
+def cut(frame: Any) -> None:
+    """Take a frame's links to the one before out of its record."""'''
+
+OPEN_OVER = '''
+@compiled
+def add_over(
+    problem: Problem,
+    track: int,
+    states: FloatArray,
+    cos: FloatArray,
+    sin: FloatArray,
+    node: np.ndarray,
+    body: FloatArray,
+    head: FloatArray,
+) -> None:
+    """Add what frames cost at each direction of a grid, to the rows of their groups.
+
+    ``node`` (n,) is each frame's group; ``body`` and ``head`` are (groups, directions).
+    """'''
+
+OVER_FRAMES = """\
+    for k in range(len(states)):
+        place, state, g = problem.offsets[track] + k, states[k], node[k]
+        frame = problem.records[place]"""
+
+OPEN_QUARTERS = '''
+@compiled
+def set_quarters(
+    problem: Problem,
+    track: int,
+    k: int,
+    state: FloatArray,
+    turns: FloatArray,
+    body: FloatArray,
+    head: FloatArray,
+) -> None:
+    """What frame k costs as it is, and with body or head one, two and three quarters on.
+
+    ``turns`` (4, 4) becomes cosines and sines of body and head there, ``body`` and ``head`` (4,) the costs.
+    """
+    place = problem.offsets[track] + k
+    frame = problem.records[place]
+    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
+    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+    turns[0, 0], turns[0, 1], turns[0, 2], turns[0, 3] = body_cos, -body_sin, -body_cos, body_sin
+    turns[1, 0], turns[1, 1], turns[1, 2], turns[1, 3] = body_sin, body_cos, -body_sin, -body_cos
+    turns[2, 0], turns[2, 1], turns[2, 2], turns[2, 3] = head_cos, -head_sin, -head_cos, head_sin
+    turns[3, 0], turns[3, 1], turns[3, 2], turns[3, 3] = head_sin, head_cos, -head_sin, -head_cos
+    body[:] = 0.0
+    head[:] = 0.0'''

@@ -1,0 +1,150 @@
+"""Term 3: the body follows the motion (002 eq. 8–9)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray, direction
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.kernel import Kernel, Search
+from graphtrack.model.kernels.layout import BODY, VX, VY, Field
+from graphtrack.model.observation import States
+from graphtrack.model.term import Term, Variable
+from graphtrack.tracks import Track
+
+if TYPE_CHECKING:
+    from graphtrack.model.kernels.packing import PackedTracks
+
+
+@compiled
+def squared_excess(vx: float, vy: float, threshold: float) -> float:
+    """max(0, ‖v‖ − τ)² in (m/s)²; times κ₁ it is κ(v)."""
+    excess = math.sqrt(vx * vx + vy * vy) - threshold
+    return excess * excess if excess > 0.0 else 0.0
+
+
+@compiled
+def add_body_follows_motion(
+    state: FloatArray,
+    body_cos: float,
+    body_sin: float,
+    motion_body_kappa: float,
+    motion_body_cos: float,
+    motion_body_sin: float,
+    speed_threshold: float,
+    exact: bool,
+    gradient: FloatArray,
+    hessian: FloatArray,
+) -> float:
+    """κ₁·(‖v‖ − τ)²·(1 − cos(θ − ang v − δ)) for speeds above τ.
+
+    ``motion_body_cos`` and ``motion_body_sin`` are those of the offset δ.
+    """
+    kappa = motion_body_kappa
+    vx, vy = state[VX], state[VY]
+    speed = math.sqrt(vx * vx + vy * vy)
+    excess = speed - speed_threshold
+    if excess <= 0.0 or speed < 1e-12:
+        return 0.0
+    # A body turned back by the offset is what follows the motion.
+    cos = body_cos * motion_body_cos + body_sin * motion_body_sin
+    sin = body_sin * motion_body_cos - body_cos * motion_body_sin
+    ux, uy = vx / speed, vy / speed
+    aligned = cos * ux + sin * uy
+    across = sin * ux - cos * uy
+    far = 1.0 - aligned
+    strength = kappa * excess * excess
+    # Derivatives by speed s, direction φ of the velocity and body angle θ.
+    by_s = 2.0 * kappa * excess * far
+    by_theta = strength * across
+    by_phi = -by_theta
+    ss = 2.0 * kappa * far
+    if exact:
+        theta_theta = strength * aligned
+        phi_phi = theta_theta
+        s_theta = 2.0 * kappa * excess * across
+        radial = phi_phi / speed + by_s
+        mixed = (-s_theta - by_phi / speed) / speed
+    else:
+        # Gauss–Newton, from the rows √κ·(s − τ)·(u(θ) − u(φ)).
+        theta_theta = strength
+        phi_phi = strength
+        s_theta = kappa * excess * across
+        radial = phi_phi / speed
+        mixed = -s_theta / speed
+    tangential = radial / speed
+    theta_phi = -strength * aligned / speed
+    # To Cartesian velocities: e_s = (ux, uy), e_φ = (−uy, ux).
+    gradient[VX] += by_s * ux - by_phi / speed * uy
+    gradient[VY] += by_s * uy + by_phi / speed * ux
+    gradient[BODY] += by_theta
+    hessian[VX, VX] += ss * ux * ux - 2.0 * mixed * ux * uy + tangential * uy * uy
+    hessian[VY, VX] += (ss - tangential) * ux * uy + mixed * (ux * ux - uy * uy)
+    hessian[VY, VY] += ss * uy * uy + 2.0 * mixed * ux * uy + tangential * ux * ux
+    hessian[BODY, VX] += s_theta * ux - theta_phi * uy
+    hessian[BODY, VY] += s_theta * uy + theta_phi * ux
+    hessian[BODY, BODY] += theta_theta
+    return strength * far
+
+
+@compiled
+def add_motion_over(
+    state: FloatArray,
+    motion_body_kappa: float,
+    speed_threshold: float,
+    cos: FloatArray,
+    sin: FloatArray,
+    cost: FloatArray,
+) -> None:
+    """What each direction of the body costs, as if the coupling rested at 0."""
+    vx, vy = state[VX], state[VY]
+    speed = math.sqrt(vx * vx + vy * vy)
+    if speed <= speed_threshold or speed < 1e-12:
+        return
+    kappa = motion_body_kappa * squared_excess(vx, vy, speed_threshold)
+    ux, uy = vx / speed, vy / speed
+    for i in range(len(cos)):
+        cost[i] += kappa * (1.0 - cos[i] * ux - sin[i] * uy)
+
+
+ADD_BODY_FOLLOWS_MOTION = Kernel(
+    add_body_follows_motion,
+    gate="motion_body_kappa",
+    variables=("velocity", "body"),
+    switched=True,
+    search=Search(add_motion_over),
+)
+
+
+class BodyFollowsMotion(Term):
+    """κ(v)·(1 − cos(θ − ang v)) with κ(v) = κ₁·max(0, ‖v‖ − τ)² (002 eq. 8–9)."""
+
+    uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
+
+    repeats = True
+    reads = ("coupling.motion_body_kappa", "coupling.speed_threshold", "coupling.correlation_time")
+    fields = (
+        Field("motion_body_kappa", "κ₁ with the frame's weight"),
+        Field("motion_body_cos", "of the angle from motion to body at which their coupling rests"),
+        Field("motion_body_sin", ""),
+    )
+    shared = (Field("speed_threshold", "τ in m/s"),)
+    kernels = (ADD_BODY_FOLLOWS_MOTION,)
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Σ κ(v)·(1 − cos(θ − ang v)), weighted by the time since the frame before."""
+        coupling = self.parameters.coupling
+        excess = np.maximum(np.linalg.norm(states.velocity, axis=1) - coupling.speed_threshold, 0.0)
+        kappa = coupling.motion_body_kappa * excess**2 * coupling.weights(track.dt)
+        return float(np.sum(kappa * (1.0 - np.cos(states.body - direction(states.velocity)))))
+
+    def pack(self, packed: PackedTracks) -> None:
+        """κ₁ with the frames' weights, and τ."""
+        coupling = self.parameters.coupling
+        packed.records["motion_body_kappa"] = coupling.motion_body_kappa * coupling.weights(packed.dt)
+        packed.records["motion_body_cos"] = 1.0
+        packed.shared["speed_threshold"] = coupling.speed_threshold

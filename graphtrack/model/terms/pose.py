@@ -1,0 +1,388 @@
+"""Term 7: the orientation likelihoods of body and head, from angles or from class likelihoods.
+
+As a density: L(θ) = ε/2π + (1 − ε)·Σ_k w_k·VM(θ; μ_k, κ). An observed angle is the mixture of one class; with
+ε = 0 it is a von Mises, which is native.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import gtsam
+import numpy as np
+from scipy import special
+
+from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, von_mises_log_density
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.factors.derived import derived_factors
+from graphtrack.model.factors.native import von_mises_prior
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.kernel import Kernel, Search
+from graphtrack.model.kernels.layout import Field
+from graphtrack.model.observation import Observation, States, Step
+from graphtrack.model.term import Term, Variable
+from graphtrack.tracks import Track
+
+if TYPE_CHECKING:
+    from graphtrack.model.kernels.packing import PackedTracks
+
+
+def mixture_log_density(
+    angle: FloatArray, means: FloatArray, weights: FloatArray, kappa: FloatArray | float, uniform: float
+) -> FloatArray:
+    """log of ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ), for n angles.
+
+    Parameters
+    ----------
+    angle : (n,) θ in radians
+    means : (k,) or (n, k) μ in radians
+    weights : (n, k), not negative; they count by their share. All 0 say nothing: the density is 1/2π
+    kappa : κ of every component, of each angle (n,) or of all
+    uniform : ε, the probability of an outlier
+    """
+    total = weights.sum(axis=1, keepdims=True)
+    share = np.divide((1.0 - uniform) * weights, total, out=np.zeros_like(weights), where=total > 0.0)
+    outliers = np.where(total > 0.0, uniform, 1.0) / (2.0 * np.pi)
+    spread = np.broadcast_to(np.asarray(kappa, dtype=float).reshape(-1, 1), weights.shape)
+    with np.errstate(divide="ignore"):
+        logs = np.log(share) + von_mises_log_density(angle[:, None], means, spread)
+        return np.asarray(special.logsumexp(np.hstack([logs, np.log(outliers)]), axis=1))
+
+
+def highest_log_density(kappa: FloatArray | float, uniform: float) -> FloatArray:
+    """log of ε/2π + (1 − ε)·VM(0; 0, κ): no mixture of such components is denser anywhere."""
+    return np.log((uniform + (1.0 - uniform) / special.i0e(kappa)) / (2.0 * np.pi))
+
+
+@compiled
+def angle_cost(close: float, kappa: float, uniform: float) -> float:
+    """What `add_angle` costs at a deviation whose cosine is ``close``."""
+    far = kappa * (1.0 - close)
+    if uniform == 0.0:
+        return far
+    # As the factor has it: never negative, since the resultant is at most κ.
+    return 2.0 * kappa - math.log((math.exp(-far) + uniform) / (1.0 + uniform))
+
+
+@compiled
+def add_angle(
+    cos: float,
+    sin: float,
+    place: int,
+    mean_cos: float,
+    mean_sin: float,
+    kappa: float,
+    uniform: float,
+    exact: bool,
+    gradient: FloatArray,
+    hessian: FloatArray,
+) -> float:
+    """An observed angle: κ·(1 − cos Δ), softened where outliers have a probability.
+
+    ``uniform`` is the outliers' density over the density at the peak of the von Mises, 0 without outliers.
+    """
+    close = cos * mean_cos + sin * mean_sin
+    across = sin * mean_cos - cos * mean_sin
+    far = kappa * (1.0 - close)
+    if uniform == 0.0:
+        gradient[place] += kappa * across
+        hessian[place, place] += kappa * close if exact else kappa
+        return far
+    value = math.exp(-far)
+    inlier = value / (value + uniform)
+    slope = kappa * across
+    gradient[place] += inlier * slope
+    if exact:
+        hessian[place, place] += inlier * kappa * close - inlier * (1.0 - inlier) * slope * slope
+    else:
+        hessian[place, place] += inlier * kappa
+    return angle_cost(close, kappa, uniform)
+
+
+@compiled
+def add_angle_over(
+    mean_cos: float,
+    mean_sin: float,
+    kappa: float,
+    uniform: float,
+    cos: FloatArray,
+    sin: FloatArray,
+    cost: FloatArray,
+) -> None:
+    """What an observed angle costs at each of many directions."""
+    for i in range(len(cos)):
+        cost[i] += angle_cost(cos[i] * mean_cos + sin[i] * mean_sin, kappa, uniform)
+
+
+@compiled
+def add_classes(
+    cos: float,
+    sin: float,
+    place: int,
+    heights: FloatArray,
+    directions: FloatArray,
+    kappa: float,
+    exact: bool,
+    gradient: FloatArray,
+    hessian: FloatArray,
+) -> float:
+    """Class likelihoods: −log of a mixture of von Mises densities and a uniform one.
+
+    ``heights`` (k + 1) are the densities of the classes at their centres and of the outliers, divided by
+    their sum; ``directions`` (k, 2) the centres' cosines and sines.
+    """
+    n_classes = len(directions)
+    density = heights[n_classes]
+    along = turn = square = mean_cos = mean_sin = 0.0
+    for c in range(n_classes):
+        close = cos * directions[c, 0] + sin * directions[c, 1]
+        across = sin * directions[c, 0] - cos * directions[c, 1]
+        value = heights[c] * math.exp(kappa * (close - 1.0))
+        density += value
+        along += value * close
+        turn += value * across
+        square += value * across * across
+        mean_cos += value * directions[c, 0]
+        mean_sin += value * directions[c, 1]
+    scale = 1.0 / density
+    slope = kappa * turn * scale
+    gradient[place] += slope
+    if exact:
+        hessian[place, place] += kappa * scale * (along - kappa * square) + slope * slope
+    else:
+        hessian[place, place] += kappa * scale * math.sqrt(mean_cos * mean_cos + mean_sin * mean_sin)
+    return 2.0 * kappa - math.log(density)
+
+
+@compiled
+def class_densities(cos: FloatArray, sin: FloatArray, directions: FloatArray) -> FloatArray:
+    """Densities (n, k) of the classes at many directions, over those at their centres."""
+    found = np.empty((len(cos), len(directions)))
+    kappa = (len(directions) / math.pi) ** 2
+    for i in range(len(cos)):
+        for c in range(len(directions)):
+            found[i, c] = math.exp(kappa * (cos[i] * directions[c, 0] + sin[i] * directions[c, 1] - 1.0))
+    return found
+
+
+@compiled
+def add_classes_over(heights: FloatArray, prepared: FloatArray, cost: FloatArray) -> None:
+    """What class likelihoods cost at each of many directions, from the classes' densities there."""
+    n = prepared.shape[1]
+    for i in range(len(cost)):
+        density = heights[n]
+        for c in range(n):
+            density += heights[c] * prepared[i, c]
+        cost[i] -= math.log(density)
+
+
+@compiled
+def add_class_quarters(
+    cos: float, sin: float, heights: FloatArray, directions: FloatArray, kappa: float, cost: FloatArray
+) -> None:
+    """The same of class likelihoods. A quarter on, a class is where another was: its density is known."""
+    n = len(directions)
+    quarter = n // 4
+    here = onward = opposite = back = heights[n]
+    for c in range(n):
+        value = math.exp(kappa * (cos * directions[c, 0] + sin * directions[c, 1] - 1.0))
+        here += heights[c] * value
+        onward += heights[(c + quarter) % n] * value
+        opposite += heights[(c + 2 * quarter) % n] * value
+        back += heights[(c + 3 * quarter) % n] * value
+    cost[0] -= math.log(here)
+    cost[1] -= math.log(onward)
+    cost[2] -= math.log(opposite)
+    cost[3] -= math.log(back)
+
+
+def _observed(name: Variable) -> tuple[Kernel, Kernel]:
+    """The kernels of an observed angle and of class likelihoods."""
+    names = {"cos": f"{name}_cos", "sin": f"{name}_sin", "place": name.upper()}
+    angle = {"mean_cos": f"seen_{name}_cos", "mean_sin": f"seen_{name}_sin"}
+    angle |= {"kappa": f"{name}_kappa", "uniform": f"{name}_uniform"}
+    classes = {"kappa": f"{name}_class_kappa"}
+    classes |= {part: f"{name}_{part}" for part in ("heights", "directions")}
+    return (
+        Kernel(add_angle, f"{name}_kappa", (name,), names=names | angle, search=Search(add_angle_over)),
+        Kernel(
+            add_classes,
+            f"{name}_class_kappa",
+            (name,),
+            names=names | classes,
+            search=Search(add_classes_over, add_class_quarters, class_densities),
+        ),
+    )
+
+
+def _fields(name: Variable) -> tuple[Field, ...]:
+    return (
+        Field(f"seen_{name}_cos", f"direction, concentration and ε/2π of an observed {name} angle"),
+        Field(f"seen_{name}_sin", ""),
+        Field(f"{name}_kappa", ""),
+        Field(f"{name}_uniform", "the outliers' density over that at the peak of the von Mises"),
+        Field(f"{name}_class_kappa", "concentration of the classes; 0: no class likelihoods"),
+    )
+
+
+class _PoseLikelihood(Term):
+    name: ClassVar[Variable]
+
+    @property
+    def _default_kappa(self) -> float:
+        """Concentration of an observed angle that does not say its own."""
+        return float(getattr(self.parameters.likelihood, f"{self.name}_kappa"))
+
+    def _kappas(self, given: FloatArray | None, n: int) -> FloatArray:
+        """Concentrations (n,) of observed angles, where given or not."""
+        return (
+            np.full(n, self._default_kappa)
+            if given is None
+            else np.where(np.isfinite(given), given, self._default_kappa)
+        )
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        """A native von Mises where that is exact, else from the kernels."""
+        seen = step.observation
+        angle, kappa = getattr(seen, self.name), getattr(seen, f"{self.name}_kappa")
+        by_class = getattr(seen, f"{self.name}_likelihood") is not None
+        if by_class or self.parameters.likelihood.outlier_probability > 0.0:
+            return derived_factors(self, step)
+        kappa = self._default_kappa if kappa is None else kappa
+        if angle is None or kappa == 0.0:
+            return []
+        return [von_mises_prior(getattr(step, f"{self.name}_key"), angle, kappa)]
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Σ of the negative log densities, each plus a constant that keeps it from being negative.
+
+        For mixtures that is 2κ and the log of the highest density, since −log L − R·(1 − cos) is no less than
+        minus both: the resultant R of the components is at most κ.
+        """
+        likelihood, n = self.parameters.likelihood, len(track)
+        estimate = getattr(states, self.name)
+        angle, classes = getattr(track, self.name), getattr(track, f"{self.name}_likelihood")
+        total, by_class = 0.0, np.zeros(n, bool)
+        if classes is not None:
+            by_class = np.isfinite(classes).all(axis=1)
+            scores, kappa = classes[by_class], class_kappa(classes.shape[1])
+            uniform, centres = likelihood.class_outlier_probability, class_centres(classes.shape[1])
+            total -= float(mixture_log_density(estimate[by_class], centres, scores, kappa, uniform).sum())
+            highest = np.where(scores.any(axis=1), highest_log_density(kappa, uniform), -np.log(2.0 * np.pi))
+            total += float((highest + 2.0 * kappa).sum())
+        if angle is not None:
+            kappas, uniform = (
+                self._kappas(getattr(track, f"{self.name}_kappa"), n),
+                likelihood.outlier_probability,
+            )
+            seen = np.isfinite(angle) & ~by_class & (kappas > 0.0)
+            kappas, mean, at = kappas[seen], angle[seen], estimate[seen]
+            if uniform == 0.0:
+                return total + float(np.sum(kappas * (1.0 - np.cos(at - mean))))
+            density = mixture_log_density(at, mean[:, None], np.ones((len(at), 1)), kappas, uniform)
+            total += float(np.sum(highest_log_density(kappas, uniform) + 2.0 * kappas - density))
+        return total
+
+    def live(self, seen: Observation) -> Sequence[tuple[str, float]]:
+        """The direction of an observed angle."""
+        angle = getattr(seen, self.name)
+        if angle is None:
+            return ()
+        return ((f"seen_{self.name}_cos", math.cos(angle)), (f"seen_{self.name}_sin", math.sin(angle)))
+
+    def _log_normaliser(self, track: Track) -> float:
+        """log ∫ exp(−cost) of each observation: for mixtures, minus the constant that the cost has."""
+        likelihood, n = self.parameters.likelihood, len(track)
+        angle, classes = getattr(track, self.name), getattr(track, f"{self.name}_likelihood")
+        by_class = np.zeros(n, bool) if classes is None else np.isfinite(classes).all(axis=1)
+        total = 0.0
+        if classes is not None:
+            kappa = class_kappa(classes.shape[1])
+            highest = highest_log_density(kappa, likelihood.class_outlier_probability)
+            says = classes[by_class].sum(axis=1) > 0.0
+            total -= float(np.sum(np.where(says, highest, -np.log(2.0 * np.pi)) + 2.0 * kappa))
+        if angle is not None:
+            kappas = self._kappas(getattr(track, f"{self.name}_kappa"), n)[np.isfinite(angle) & ~by_class]
+            uniform = likelihood.outlier_probability
+            constant = highest_log_density(kappas, uniform) + (2.0 * kappas if uniform > 0.0 else 0.0)
+            total -= float(np.sum(constant))
+        return total
+
+    def _pack(self, packed: PackedTracks) -> None:
+        likelihood, records, name = self.parameters.likelihood, packed.records, self.name
+        heights = self._heights(packed)
+        angle = packed.channel(name)
+        if angle is not None:
+            kappa = self._kappas(packed.channel(f"{name}_kappa"), len(angle))
+            records[f"{name}_kappa"] = np.where(np.isfinite(angle), kappa, 0.0)
+            records[f"seen_{name}_cos"], records[f"seen_{name}_sin"] = np.cos(angle), np.sin(angle)
+            if likelihood.outlier_probability > 0.0:
+                # The densities at the outliers and at the peak: ε/2π over (1 − ε)/(2π·I₀(κ)·e^−κ).
+                odds = likelihood.outlier_probability / (1.0 - likelihood.outlier_probability)
+                records[f"{name}_uniform"] = odds * special.i0e(kappa)
+        if heights is not None:
+            seen = np.isfinite(heights[:, 0])
+            records[f"{name}_class_kappa"][seen] = class_kappa(heights.shape[1] - 1)
+            records[f"{name}_kappa"][seen] = 0.0
+            setattr(packed, f"{name}_heights", heights)
+
+    def _heights(self, packed: PackedTracks) -> FloatArray | None:
+        """Class likelihoods and the outliers' part (N, classes + 1), as densities over their sum."""
+        classes = packed.channel(f"{self.name}_likelihood")
+        if classes is None:
+            return None
+        uniform = self.parameters.likelihood.class_outlier_probability
+        total = classes.sum(axis=1, keepdims=True)
+        # As multiples of 1/2π. Scores that are all zero say nothing; a row that was not seen stays NaN.
+        share = np.divide((1.0 - uniform) * classes, total, out=0.0 * classes, where=total > 0.0)
+        outliers = np.where(total > 0.0, uniform, 1.0)
+        heights = np.hstack([share / special.i0e(class_kappa(classes.shape[1])), outliers])
+        return heights / heights.sum(axis=1, keepdims=True)
+
+
+class BodyLikelihood(_PoseLikelihood):
+    """What was seen of the body's orientation (002 eq. 14, smooth)."""
+
+    name: ClassVar[Variable] = "body"
+    uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
+    repeats = True
+    reads = (
+        "likelihood.body_kappa",
+        "likelihood.outlier_probability",
+        "likelihood.class_outlier_probability",
+    )
+    fields = _fields("body")
+    kernels = _observed("body")
+
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """Of what was observed of the body."""
+        return self._log_normaliser(track)
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Observed angles or classes of the body."""
+        self._pack(packed)
+
+
+class HeadLikelihood(_PoseLikelihood):
+    """What was seen of the head's pan (002 eq. 13, smooth; tilt is summed out before)."""
+
+    name: ClassVar[Variable] = "head"
+    uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
+    repeats = True
+    reads = (
+        "likelihood.head_kappa",
+        "likelihood.outlier_probability",
+        "likelihood.class_outlier_probability",
+    )
+    fields = _fields("head")
+    kernels = _observed("head")
+
+    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """Of what was observed of the head."""
+        return self._log_normaliser(track)
+
+    def pack(self, packed: PackedTracks) -> None:
+        """Observed angles or classes of the head."""
+        self._pack(packed)

@@ -1,0 +1,198 @@
+"""A term of a user's own with a kernel: on every engine, offline and online, and in what is told."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kernels import evaluate, packed_alone, rows_of
+from walks import walk
+
+import graphtrack as gt
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import difference, direction, unit
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference import smooth_track, track_online
+from graphtrack.inference.chain.programs import OF_PRESETS, program_of
+from graphtrack.inference.initial import initial_states, pack
+from graphtrack.learning.fit import fit
+from graphtrack.model import Model, States, Term
+from graphtrack.model.kernels import HEAD, Field, Kernel, compiled
+from graphtrack.model.kernels.generator import Program
+from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.model import every_term
+from graphtrack.model.terms.motion import Motion
+from graphtrack.tracks import Track
+
+
+@compiled
+def add_look(
+    head_cos: float,
+    head_sin: float,
+    window_cos: float,
+    window_sin: float,
+    window_kappa: float,
+    exact: bool,
+    gradient: np.ndarray,
+    hessian: np.ndarray,
+) -> float:
+    """κ·(1 − cos(head − bearing of the window))."""
+    close = head_cos * window_cos + head_sin * window_sin
+    across = head_sin * window_cos - head_cos * window_sin
+    gradient[HEAD] += window_kappa * across
+    hessian[HEAD, HEAD] += window_kappa * (close if exact else 1.0)
+    return window_kappa * (1.0 - close)
+
+
+class LooksAtWindow(Term):
+    """Heads turn to a window within reach."""
+
+    uses = frozenset({"head"})
+    window, reach, kappa = np.array([1.0, 2.0]), 9.0, 2.0
+    fields = (Field("window_cos", ""), Field("window_sin", ""), Field("window_kappa", ""))
+    kernels = (Kernel(add_look, gate="window_kappa", variables=("head",)),)
+
+    def pull(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away = self.window - position
+        near = np.linalg.norm(away, axis=1) <= self.reach
+        return unit(direction(away)), np.where(near, self.kappa, 0.0)
+
+    def pack(self, packed: PackedTracks) -> None:
+        bearing, packed.records["window_kappa"] = self.pull(packed.position)
+        packed.records["window_cos"], packed.records["window_sin"] = bearing.T
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        bearing, kappa = self.pull(track.position)
+        return float(np.sum(kappa * (1.0 - np.sum(unit(states.head) * bearing, axis=1))))
+
+
+MODEL = Model("separate", terms=[LooksAtWindow])
+
+
+# An engine of its own takes a minute to compile: the README's term goes through one in every run.
+
+
+@pytest.mark.slow
+def test_it_is_solved_as_gtsam_solves_it_offline_and_online() -> None:
+    track = walk(30, seed=4)
+    found, graph = (smooth_track(track, MODEL, engine=engine) for engine in ("chain", "gtsam"))
+    assert found.engine == "chain"
+    assert found.cost == pytest.approx(graph.cost, rel=1e-7)
+    assert found.track.head is not None and graph.track.head is not None
+    np.testing.assert_allclose(difference(found.track.head, graph.track.head), 0.0, atol=1e-4)
+    last, theirs = (track_online(track, MODEL, engine=e, lag=1.0) for e in ("chain", "fixed-lag"))
+    assert last.head is not None and theirs.head is not None
+    np.testing.assert_allclose(difference(last.head, theirs.head)[5:], 0.0, atol=1e-3)
+
+
+def test_its_kernel_is_its_density() -> None:
+    term, track = LooksAtWindow(MODEL.parameters), walk(12, seed=1)
+    states = initial_states(track, MODEL)
+    rows, packed = np.nan_to_num(rows_of(states)), packed_alone(term, track)
+    total = sum(evaluate(term, packed, k, rows[k - 1], rows[k])[0] for k in range(len(track)))
+    assert total == pytest.approx(term.cost(states, track), rel=1e-12)
+    assert total > 0.0
+
+
+def test_what_brings_nothing_new_takes_the_engine_that_there_is() -> None:
+    class Faster(Motion):
+        kernels, fields = Motion.kernels, Motion.fields
+
+    assert program_of(Model("joint", terms=[Faster])) is OF_PRESETS
+    assert program_of(MODEL) is not OF_PRESETS
+    assert program_of(MODEL) is program_of(Model("separate", terms=[LooksAtWindow]))
+
+
+def test_a_child_s_kernels_are_not_taken_from_its_parent() -> None:
+    class Wider(LooksAtWindow):
+        def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+            return 2.0 * super().cost(states, track, camera)
+
+    with pytest.raises(InputError, match="Wider"):
+        smooth_track(walk(5), Model("position", terms=[Wider]), engine="chain")
+
+
+def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
+    class Mistaken(LooksAtWindow):
+        kernels = (Kernel(add_look, gate="window_kappa", variables=("head",), names={"exact": "precise"}),)
+        fields = LooksAtWindow.fields
+
+    class Doubled(LooksAtWindow):
+        fields = (*LooksAtWindow.fields, Field("motion_information", "another"))
+        kernels = LooksAtWindow.kernels
+
+    class Gateless(LooksAtWindow):
+        fields = LooksAtWindow.fields
+        kernels = (Kernel(add_look, gate="nowhere", variables=("head",)),)
+
+    for kind, said in ((Mistaken, "'precise'"), (Doubled, "motion_information"), (Gateless, "'nowhere'")):
+        with pytest.raises(ValueError, match=said):
+            Program([*every_term(), kind], "a test")
+
+
+@pytest.mark.slow
+def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:
+    """What is remembered of a frame of one kind would be the first person's bearing."""
+    track = walk(20, seed=2)
+    whole = pack([track], MODEL).records
+    smoother = gt.OnlineSmoother(MODEL, engine="chain", lag=100.0)
+    for k in range(len(track)):
+        smoother.update(gt.Observation(t=float(track.t[k]), frame=k, position=tuple(track.position[k])))
+    online = smoother._smoother._problem.records[: len(track)]
+    for name in ("window_cos", "window_sin", "window_kappa", "x", "y", "position_information"):
+        np.testing.assert_allclose(online[name], whole[name], rtol=1e-12, err_msg=name)
+
+
+def test_it_is_not_learned_and_not_saved(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="LooksAtWindow"):
+        fit(gt.TrackSet((walk(30), walk(30, seed=1, track_id=2))), MODEL)
+    with pytest.raises(InputError, match="LooksAtWindow"):
+        MODEL.save(tmp_path / "model.toml")
+    assert list(tmp_path.iterdir()) == []
+
+
+SCRIPT = """
+import numpy as np
+import graphtrack as gt
+from graphtrack.model.kernels import VX, VY, Field, Kernel, compiled
+
+@compiled
+def add_headwind(state, wind, gradient, hessian):
+    gradient[VX] += wind * (state[VX] + 1.0)
+    hessian[VX, VX] += wind
+    return 0.5 * wind * (state[VX] + 1.0) ** 2
+
+class Headwind(gt.Term):
+    fields = (Field("wind", ""),)
+    kernels = (Kernel(add_headwind, gate="wind", variables=("velocity",)),)
+    def pack(self, packed):
+        packed.records["wind"] = 30.0
+    def cost(self, states, track, camera=None):
+        return float(np.sum(15.0 * (states.velocity[:, 0] + 1.0) ** 2))
+
+people = gt.simulate(n_tracks=1, n_steps=20, rng=np.random.default_rng(0))
+model = gt.Model("position", terms=[Headwind])
+(chain,) = gt.solve(people, model, engine="chain")
+(graph,) = gt.solve(people, model, engine="gtsam")
+online = gt.track_online(people, model, engine="chain", lag=1.0).tracks[0]
+print(abs(chain.cost - graph.cost) < 1e-6 * graph.cost, np.isfinite(online.velocity).all())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["script", "prompt"])
+def test_it_may_stand_in_a_script_or_at_the_prompt(how: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(SCRIPT)
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "mine.py"] if how == "script" else [sys.executable, "-"],
+            input=None if how == "script" else SCRIPT,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=900,
+        )
+        assert done.stdout.strip() == "True True", done.stderr

@@ -1,0 +1,576 @@
+"""One battery for all terms: a new term is one line in `CASES`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import B, H, V, X
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kernels import called, evaluate, packed_alone, rows_of
+from scipy import stats
+from scipy.linalg import expm
+from walks import scores
+
+from graphtrack.geometry.angles import class_centres, class_kappa
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.programs import OF_PRESETS
+from graphtrack.inference.initial import pack, problem_of
+from graphtrack.model import (
+    CouplingParameters,
+    LikelihoodParameters,
+    Model,
+    MotionParameters,
+    Parameters,
+    States,
+    Term,
+    presets,
+)
+from graphtrack.model.kernels import program
+from graphtrack.model.kernels.generator import Program
+from graphtrack.model.kernels.layout import BODY, HEAD, PLACES
+from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.model import every_term
+from graphtrack.model.observation import chain
+from graphtrack.model.terms.anchor import Anchor
+from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.head_follows_body import HeadFollowsBody
+from graphtrack.model.terms.intentional_motion import IntentionalMotion
+from graphtrack.model.terms.motion import Motion
+from graphtrack.model.terms.pose import (
+    BodyLikelihood,
+    HeadLikelihood,
+    highest_log_density,
+    mixture_log_density,
+)
+from graphtrack.model.terms.position import PositionLikelihood
+from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
+from graphtrack.tracks import Track
+
+PI = float(np.pi)
+CAMERA = GroundCamera(np.array([[0.02, 0.001, -9.0], [0.0005, -0.03, 14.0], [0.0, 0.0008, 1.0]]))
+DensityOf = Callable[[States, Track, Parameters], float]
+
+
+# The densities once more, from SciPy and straight from the definitions.
+
+
+def motion_density(states: States, track: Track, parameters: Parameters) -> float:
+    """The acceleration is white: mean and covariance of a step by the matrix exponential (Van Loan)."""
+    drift, diffusion = np.zeros((4, 4)), np.zeros((4, 4))
+    drift[:2, 2:] = np.eye(2)
+    diffusion[2:, 2:] = parameters.motion.acceleration_density * np.eye(2)
+    state = np.hstack([states.position, states.velocity])
+    total = np.sum(stats.norm.logpdf(states.velocity[0], scale=parameters.motion.initial_speed_std))
+    for k, dt in enumerate(np.diff(track.t)):
+        both = expm(np.block([[-drift, diffusion], [np.zeros((4, 4)), drift.T]]) * dt)
+        transition = both[4:, 4:].T
+        noise = transition @ both[:4, 4:]
+        deviation = state[k + 1] - transition @ state[k]
+        total += -0.5 * deviation @ np.linalg.solve(noise, deviation)
+    return float(total)
+
+
+def steered_density(states: States, track: Track, parameters: Parameters) -> float:
+    """The noise of position and velocity about an aim that holds for the step, by the matrix exponential."""
+    rate, epsilon = parameters.motion.head_rate, 0.01
+    drift, diffusion = np.zeros((6, 6)), np.zeros((6, 6))
+    drift[:2, 2:4], drift[2:4, 2:4], drift[2:4, 4:] = np.eye(2), -rate * np.eye(2), rate * np.eye(2)
+    diffusion[2:4, 2:4] = parameters.motion.acceleration_density * np.eye(2)
+    total = np.sum(stats.norm.logpdf(states.velocity[0], scale=parameters.motion.initial_speed_std))
+    for k, dt in enumerate(np.diff(track.t)):
+        both = expm(np.block([[-drift, diffusion], [np.zeros((6, 6)), drift.T]]) * dt)
+        transition = both[6:, 6:].T
+        noise = (transition @ both[:6, 6:])[:4, :4]
+        speed = np.hypot(np.linalg.norm(states.velocity[k]), epsilon) - epsilon
+        aim = speed * np.array([np.cos(states.head[k]), np.sin(states.head[k])])
+        before = np.concatenate([states.position[k], states.velocity[k], aim])
+        after = np.concatenate([states.position[k + 1], states.velocity[k + 1]])
+        deviation = after - (transition @ before)[:4]
+        total += -0.5 * deviation @ np.linalg.solve(noise, deviation)
+    return float(total)
+
+
+def turning_density(name: str) -> DensityOf:
+    def density(states: States, track: Track, parameters: Parameters) -> float:
+        diffusion = getattr(parameters.orientation, f"{name}_diffusion")
+        turn = np.diff(getattr(states, name))
+        return float(np.sum(stats.vonmises.logpdf(turn, 1.0 / (diffusion * np.diff(track.t)))))
+
+    return density
+
+
+def metres_density(states: States, track: Track, parameters: Parameters) -> float:
+    std = parameters.likelihood.position_std
+    return float(np.sum(stats.norm.logpdf(states.position - track.position, scale=std)))
+
+
+def pixels_density(states: States, track: Track, parameters: Parameters) -> float:
+    assert track.pixel is not None
+    miss = CAMERA.ground_to_image(states.position) - track.pixel
+    return float(np.sum(stats.norm.logpdf(miss, scale=parameters.likelihood.pixel_std)))
+
+
+def angle_density(name: str) -> DensityOf:
+    def density(states: States, track: Track, parameters: Parameters) -> float:
+        kappa = getattr(parameters.likelihood, f"{name}_kappa")
+        deviation = getattr(states, name) - getattr(track, name)
+        outlier = parameters.likelihood.outlier_probability
+        return float(
+            np.sum(np.log(outlier / (2 * PI) + (1 - outlier) * stats.vonmises.pdf(deviation, kappa)))
+        )
+
+    return density
+
+
+def class_density(name: str) -> DensityOf:
+    def density(states: States, track: Track, parameters: Parameters) -> float:
+        weights = getattr(track, f"{name}_likelihood")
+        n = weights.shape[1]
+        outlier = parameters.likelihood.class_outlier_probability
+        deviation = getattr(states, name)[:, None] - 2 * PI * np.arange(n) / n
+        mixed = np.sum(
+            weights / weights.sum(axis=1, keepdims=True) * stats.vonmises.pdf(deviation, (n / PI) ** 2),
+            axis=1,
+        )
+        return float(np.sum(np.log(outlier / (2 * PI) + (1 - outlier) * mixed)))
+
+    return density
+
+
+@dataclass(frozen=True)
+class Case:
+    """A term in the battery.
+
+    Attributes
+    ----------
+    term, parameters : what is tested
+    density : the log density up to a constant, stated independently; None: not stated
+    channels : the channels of the track that the term sees
+    """
+
+    name: str
+    term: type[Term]
+    parameters: Parameters = Parameters()  # noqa: RUF009
+    density: DensityOf | None = None
+    channels: tuple[str, ...] = ("position",)
+
+
+def likelihood(**values: Any) -> Parameters:
+    return Parameters(likelihood=LikelihoodParameters(**values))
+
+
+def coupling(**values: Any) -> Parameters:
+    return Parameters(coupling=CouplingParameters(**values))
+
+
+def steering(rate: float) -> Parameters:
+    return Parameters(motion=MotionParameters(head_rate=rate))
+
+
+SHARP = likelihood(body_kappa=1e4, head_kappa=1e4, outlier_probability=0.05)
+OUTLIERS = likelihood(outlier_probability=0.1)
+NO_CLASS_OUTLIERS = likelihood(class_outlier_probability=0.0)
+MIXED_8: dict[str, Any] = {"channels": ("body_likelihood",)}
+MIXED_12: dict[str, Any] = {"channels": ("head_likelihood",)}
+SEEN_BODY: dict[str, Any] = {"channels": ("body",)}
+SEEN_HEAD: dict[str, Any] = {"channels": ("head",)}
+
+CASES = [
+    Case("motion", Motion, density=motion_density),
+    Case("intentional motion", IntentionalMotion, density=steered_density),
+    Case("intentional motion, strong", IntentionalMotion, steering(20.0), density=steered_density),
+    Case("intentional motion, weak", IntentionalMotion, steering(1e-3), density=steered_density),
+    Case("intentional motion, none", IntentionalMotion, steering(0.0), density=motion_density),
+    Case("body dynamics", BodyDynamics, density=turning_density("body")),
+    Case("head dynamics", HeadDynamics, density=turning_density("head")),
+    Case("body follows motion", BodyFollowsMotion),
+    Case("body follows motion, each frame", BodyFollowsMotion, coupling(correlation_time=0.0)),
+    Case("body follows any motion", BodyFollowsMotion, coupling(speed_threshold=0.0)),
+    Case("body follows motion, sharp", BodyFollowsMotion, coupling(motion_body_kappa=1e4)),
+    Case("body follows no motion", BodyFollowsMotion, coupling(motion_body_kappa=0.0)),
+    Case("head follows body", HeadFollowsBody),
+    Case("head follows body, sharp", HeadFollowsBody, coupling(head_body_kappa=1e4)),
+    Case("head follows no body", HeadFollowsBody, coupling(head_body_kappa=0.0)),
+    Case("metres", PositionLikelihood, density=metres_density),
+    Case("metres, Huber", PositionLikelihood, likelihood(robust="huber")),
+    Case("metres, Cauchy", PositionLikelihood, likelihood(robust="cauchy")),
+    Case("pixels", PositionLikelihood, density=pixels_density, channels=("position", "pixel")),
+    Case(
+        "pixels, Cauchy",
+        PositionLikelihood,
+        likelihood(robust="cauchy"),
+        channels=("position", "pixel"),
+    ),
+    Case("body angle", BodyLikelihood, density=angle_density("body"), **SEEN_BODY),
+    Case("head angle", HeadLikelihood, density=angle_density("head"), **SEEN_HEAD),
+    Case("body angle, outliers", BodyLikelihood, OUTLIERS, angle_density("body"), **SEEN_BODY),
+    Case("body angle, sharp, outliers", BodyLikelihood, SHARP, angle_density("body"), **SEEN_BODY),
+    Case("body angle, sharp", BodyLikelihood, likelihood(body_kappa=1e4), **SEEN_BODY),
+    Case("body angle without weight", BodyLikelihood, likelihood(body_kappa=0.0), **SEEN_BODY),
+    Case("8 body classes", BodyLikelihood, density=class_density("body"), **MIXED_8),
+    Case("12 head classes", HeadLikelihood, density=class_density("head"), **MIXED_12),
+    Case("8 body classes, no outliers", BodyLikelihood, NO_CLASS_OUTLIERS, class_density("body"), **MIXED_8),
+]
+EVERY_CASE = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+SPEEDS = np.array([0.05, 0.12, 0.129, 0.131, 0.14, 1e-3])
+DEVIATIONS = np.array([0.0, PI, PI - 1e-9, -PI + 1e-9, PI - 1e-3, 1e-6])
+"""Where something changes its sign or its kind."""
+
+
+def somewhere(
+    rng: np.random.Generator, special: np.ndarray, low: float, high: float, shape: Any
+) -> np.ndarray:
+    """Uniform numbers, a third of them among the special ones."""
+    return np.where(rng.random(shape) < 1 / 3, rng.choice(special, shape), rng.uniform(low, high, shape))
+
+
+def situation(seed: int, n: int = 3) -> tuple[States, Track]:
+    """States and observations of a few frames, anywhere: far from the optimum, opposite, slow."""
+    rng = np.random.default_rng(seed)
+    directions, speeds = rng.uniform(-PI, PI, n), somewhere(rng, SPEEDS, 0.02, 4.0, n)
+    deviations = somewhere(rng, DEVIATIONS, -PI, PI, (4, n))
+    body = directions + deviations[0]
+    body[1:] = np.where(rng.random(n - 1) < 0.5, body[:-1] + deviations[3, 1:], body[1:])
+    head = body + deviations[1]
+    position = rng.normal(0.0, 2.0, (n, 2))
+    classes = [scores(angle + deviations[2], k, rng) for angle, k in ((body, 8), (head, 12))]
+    if rng.random() < 0.5:
+        classes = [np.where(rng.random(c.shape) < 0.7, 0.0, c) for c in classes]
+        for c in classes:
+            c[np.arange(n), rng.integers(c.shape[1], size=n)] = 1.0
+    elsewhere = position + rng.choice([0.01, 1.0, 20.0]) * rng.normal(0.0, 0.1, (n, 2))
+    track = Track(
+        track_id=1,
+        frame=np.arange(n),
+        t=np.cumsum(rng.uniform(0.02, 0.5, n)),
+        position=elsewhere,
+        pixel=CAMERA.ground_to_image(elsewhere),
+        body=body + deviations[2],
+        head=head + deviations[2],
+        body_likelihood=classes[0],
+        head_likelihood=classes[1],
+    )
+    velocity = speeds[:, None] * np.column_stack([np.cos(directions), np.sin(directions)])
+    return States(position, velocity, body, head), track
+
+
+def every_situation(case: Case, count: int = 40) -> Iterator[tuple[States, Track]]:
+    """Situations of a case, away from the kink of the coupling where differences would reach across it."""
+    for seed in range(count):
+        states, track = situation(seed)
+        off = np.linalg.norm(states.velocity, axis=1) - case.parameters.coupling.speed_threshold
+        if case.term is not BodyFollowsMotion or np.all(np.abs(off) > 3e-4):
+            yield states, seen_by(case, track)
+
+
+def seen_by(case: Case, track: Track) -> Track:
+    """The track with no orientations but those that the case sees."""
+    channels = ("pixel", "body", "head", "body_likelihood", "head_likelihood")
+    return replace(track, **{name: None for name in channels if name not in case.channels})
+
+
+def values_of(states: States) -> gtsam.Values:
+    values = gtsam.Values()
+    for k in range(len(states.position)):
+        values.insert(X(k), states.position[k])
+        values.insert(V(k), states.velocity[k])
+        values.insert(B(k), gtsam.Rot2(states.body[k]))
+        values.insert(H(k), gtsam.Rot2(states.head[k]))
+    return values
+
+
+def factors_of(case: Case, track: Track) -> list[gtsam.NonlinearFactor]:
+    term = case.term(case.parameters)
+    return [factor for step in chain(track, CAMERA) for factor in term.factors(step)]
+
+
+def derivative(function: Callable[[np.ndarray], Any], at: np.ndarray, step: float = 1e-4) -> np.ndarray:
+    """By differences of fourth order, one row for each number of ``at``."""
+    rows = []
+    for unit_vector in step * np.eye(len(at)):
+        a, b, c, d = (np.asarray(function(at + k * unit_vector)) for k in (-2, -1, 1, 2))
+        rows.append((a - 8.0 * b + 8.0 * c - d) / (12.0 * step))
+    return np.array(rows)
+
+
+@EVERY_CASE
+def test_the_kernels_add_up_to_the_written_density(case: Case) -> None:
+    term = case.term(case.parameters)
+    for states, track in every_situation(case):
+        packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
+        total = sum(evaluate(term, packed, k, rows[k - 1], rows[k])[0] for k in range(len(track)))
+        assert total == pytest.approx(term.cost(states, track, CAMERA), rel=1e-9, abs=1e-9)
+        assert total >= 0.0
+
+
+@EVERY_CASE
+def test_gradient_and_curvature_are_the_derivatives_of_the_cost(case: Case) -> None:
+    term = case.term(case.parameters)
+    for states, track in every_situation(case, 12):
+        packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
+        both = np.concatenate([rows[0], rows[1]])
+
+        def at(both: np.ndarray, exact: bool = True, packed: Any = packed) -> Any:
+            return evaluate(term, packed, 1, both[:6], both[6:], exact)
+
+        cost, gradient, hessian = at(both)
+        # Steps that are short beside the angles and the speeds over which a sharp cost changes.
+        step = 1e-4 / (1.0 + np.sqrt(np.abs(hessian).max()) / 30.0)
+        expected = derivative(lambda x: at(x)[0], both, step)
+        allowed = 1e-6 * (1.0 + np.abs(expected).max()) + 1e-11 * (1.0 + cost) / step
+        np.testing.assert_allclose(gradient, expected, rtol=1e-5, atol=allowed)
+        np.testing.assert_allclose(at(both, False)[1], gradient, rtol=1e-12, atol=1e-12)
+        assert at(both, False)[0] == pytest.approx(cost, rel=1e-13)
+        expected = derivative(lambda x: at(x)[1], both, step)
+        allowed = 1e-6 * (1.0 + np.abs(expected).max()) + 1e-11 * (1.0 + np.abs(gradient).max()) / step
+        np.testing.assert_allclose(hessian, expected, rtol=1e-5, atol=allowed)
+
+
+@EVERY_CASE
+def test_the_other_curvature_is_never_negative_and_goes_with_the_cost(case: Case) -> None:
+    term = case.term(case.parameters)
+    for states, track in every_situation(case):
+        packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
+        for k in range(1, len(track)):
+            cost, gradient, block = evaluate(term, packed, k, rows[k - 1], rows[k], False)
+            values, axes = np.linalg.eigh(block)
+            assert values.min() >= -1e-12 * (1.0 + values.max())
+            real = values > 1e-13 * (1.0 + values.max())
+            along = axes.T @ gradient
+            # The gradient lies in the block, and with it explains no more than there is.
+            np.testing.assert_allclose(along[~real], 0.0, atol=1e-7 * (1.0 + np.abs(gradient).max()))
+            assert 0.5 * np.sum(along[real] ** 2 / values[real]) <= cost * (1.0 + 1e-8) + 1e-9
+
+
+@EVERY_CASE
+def test_the_factors_have_the_cost_and_the_gradient_of_the_kernels(case: Case) -> None:
+    term = case.term(case.parameters)
+    for states, track in every_situation(case):
+        packed, rows, values = packed_alone(term, track, CAMERA), rows_of(states), values_of(states)
+        for k, step in enumerate(chain(track, CAMERA)):
+            cost, gradient, block = evaluate(term, packed, k, rows[k - 1], rows[k], False)
+            error, found, curvature, derived = 0.0, np.zeros(12), np.zeros((12, 12)), True
+            for factor in term.factors(step):
+                error += factor.error(values)
+                jacobian, right = factor.linearize(values).jacobian()
+                places = np.concatenate([place_of(key, k) for key in factor.keys()])  # noqa: SIM118
+                found[places] -= jacobian.T @ right
+                curvature[np.ix_(places, places)] += jacobian.T @ jacobian
+                derived = derived and isinstance(factor, gtsam.CustomFactor)
+            size = 1.0 + np.abs(block).max()
+            assert error == pytest.approx(cost, rel=1e-9, abs=1e-9)
+            np.testing.assert_allclose(found, gradient, atol=1e-8 * size)
+            # GTSAM's own factors may have another curvature of Gauss–Newton's kind.
+            if derived:
+                np.testing.assert_allclose(curvature, block, atol=1e-8 * size)
+
+
+def place_of(key: int, k: int) -> np.ndarray:
+    """Where a variable of frame k or of the one before stands among 12 numbers."""
+    symbol = gtsam.Symbol(key)
+    first = {"x": 0, "v": 2, "b": 4, "h": 5}[chr(symbol.chr())] + 6 * (symbol.index() - k + 1)
+    return np.arange(first, first + (2 if chr(symbol.chr()) in "xv" else 1))
+
+
+@EVERY_CASE
+def test_the_written_density_is_the_one_of_the_definition(case: Case) -> None:
+    if case.density is None:
+        pytest.skip("the definition is the written density itself")
+    term = case.term(case.parameters)
+    for seed, (states, track) in enumerate(every_situation(case, 25)):
+        rng = np.random.default_rng(seed)
+        moved = States(*(value + rng.normal(0.0, 0.5, value.shape) for value in vars(states).values()))
+        written = term.cost(moved, track, CAMERA) - term.cost(states, track, CAMERA)
+        defined = case.density(states, track, case.parameters) - case.density(moved, track, case.parameters)
+        assert written == pytest.approx(defined, rel=1e-8, abs=1e-7)
+
+
+@EVERY_CASE
+def test_a_term_declares_what_it_acts_on(case: Case) -> None:
+    term = case.term(case.parameters)
+    for states, track in every_situation(case, 10):
+        packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
+        for k, step in enumerate(chain(track, CAMERA)):
+            kernels = called(term, packed, k)
+            said = [PLACES[name] for kernel in kernels for name in kernel.variables]
+            free = np.ones(12, bool)
+            for part in said:
+                free[6:][part] = False
+            for part in (PLACES[name] for kernel in kernels for name in kernel.before):
+                free[:6][part] = False
+            _, gradient, hessian = evaluate(term, packed, k, rows[k - 1], rows[k])
+            assert not gradient[free].any() and not hessian[free].any()
+            for factor in term.factors(step):
+                symbols = [gtsam.Symbol(key) for key in factor.keys()]  # noqa: SIM118
+                assert {symbol.index() for symbol in symbols} <= {k, k - 1}
+                letters = {chr(symbol.chr()) for symbol in symbols} & {"b", "h"}
+                assert letters <= {name[0] for name in term.uses}
+
+
+@EVERY_CASE
+def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
+    term, bins = case.term(case.parameters), 24
+    angles = 2.0 * PI * np.arange(bins) / bins
+    searched = [kernel for kernel in term.kernels if kernel.orientation]
+    if not searched:
+        pytest.skip("the term depends on no single orientation")
+    for states, track in every_situation(case, 10):
+        alone, rows = packed_alone(term, track, CAMERA), rows_of(states)
+        packed = PackedTracks.of([track], CAMERA, [term], OF_PRESETS.types)
+        problem, n = problem_of(packed), len(track)
+        local = rows.copy()
+        local[:, :2] -= packed.origin[0]
+        found = {name: np.zeros((n, bins)) for name in ("body", "head")}
+        nodes = np.arange(n)
+        program.add_over(
+            problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"]
+        )
+        quarters, turns = {name: np.zeros(4) for name in ("body", "head")}, np.zeros((4, 4))
+        for k in range(n):
+            program.set_quarters(problem, 0, k, local[k], turns, quarters["body"], quarters["head"])
+            for name, place in (("body", BODY), ("head", HEAD)):
+                if not any(kernel.orientation == name for kernel in searched):
+                    assert not found[name].any() and not quarters[name].any()
+                    continue
+
+                def cost(
+                    angle: float, k: int = k, place: int = place, rows: Any = rows, alone: Any = alone
+                ) -> float:
+                    turned = rows[k].copy()
+                    turned[place] = angle
+                    return evaluate(term, alone, k, rows[k], turned)[0]
+
+                expected = np.array([cost(angle) for angle in angles])
+                np.testing.assert_allclose(
+                    np.diff(found[name][k]), np.diff(expected), atol=1e-6 * (1.0 + np.ptp(expected))
+                )
+                four = rows[k, place] + PI / 2.0 * np.arange(4)
+                expected = costs_at(term, alone, k, rows[k], place, four)
+                np.testing.assert_allclose(
+                    np.diff(quarters[name]), np.diff(expected), atol=1e-6 * (1.0 + np.ptp(expected))
+                )
+
+
+def costs_at(
+    term: Term, packed: PackedTracks, k: int, row: np.ndarray, place: int, angles: np.ndarray
+) -> np.ndarray:
+    """What a frame costs with one orientation at each of the angles."""
+    turned = np.tile(row, (len(angles), 1))
+    turned[:, place] = angles
+    return np.array([evaluate(term, packed, k, row, other)[0] for other in turned])
+
+
+def test_curvatures_that_can_be_indefinite_are() -> None:
+    """Else the two curvatures would not be told apart above."""
+    for case in CASES:
+        if case.name in (
+            "body dynamics",
+            "body follows motion",
+            "head follows body",
+            "body angle",
+            "metres, Cauchy",
+        ):
+            term, least = case.term(case.parameters), 0.0
+            for states, track in every_situation(case):
+                packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
+                least = min(least, np.linalg.eigvalsh(evaluate(term, packed, 1, rows[0], rows[1])[2]).min())
+            assert least < -1e-3, case.name
+
+
+@EVERY_CASE
+def test_a_term_costs_nothing_where_nothing_was_seen(case: Case) -> None:
+    if case.term not in (PositionLikelihood, BodyLikelihood, HeadLikelihood):
+        pytest.skip("the term is about no observation")
+    n = 3
+    nothing = {name: np.full((n, *shape), np.nan) for name, shape in (("position", (2,)), ("body", ()))}
+    blank = Track(1, np.arange(n), np.arange(n) * 0.1, body_likelihood=np.full((n, 8), np.nan), **nothing)
+    assert factors_of(case, blank) == []
+    states = States(np.ones((n, 2)), np.ones((n, 2)), np.ones(n), np.ones(n))
+    term = case.term(case.parameters)
+    assert term.cost(states, blank, CAMERA) == 0.0
+    assert not any(called(term, packed_alone(term, blank, CAMERA), k) for k in range(n))
+
+
+def test_every_kernel_of_every_preset_is_in_the_battery() -> None:
+    tried = {id(kernel) for case in CASES for kernel in case.term.kernels}
+    held = {id(kernel) for kernel in Anchor.kernels}
+    assert {id(kernel) for term in every_term() for kernel in term.kernels} <= tried | held
+
+
+def test_the_frame_program_is_the_one_of_the_terms() -> None:
+    source = Program(every_term(), "the presets' terms").source
+    assert Path(program.__file__).read_text(encoding="utf-8") == source
+
+
+@pytest.mark.parametrize("preset", presets)
+def test_the_engine_adds_up_the_terms_of_a_model(preset: str) -> None:
+    """The frame program against the terms' kernels one by one: cost, gradient and curvature."""
+    model = Model(preset, OUTLIERS)
+    for seed in range(10):
+        states, track = situation(seed, 2)
+        packed = pack([track], model, CAMERA)
+        problem, rows = problem_of(packed), rows_of(states)
+        packed.records["body_anchor"] = packed.records["head_anchor"] = 0.0
+        local = rows.copy()
+        local[:, :2] -= packed.origin[0]
+        gradients, hessians, turns = np.zeros((2, 6)), np.zeros((3, 6, 6)), np.zeros((2, 4))
+        out = (gradients[0], gradients[1], hessians[0], hessians[1], hessians[2])
+        start = local[0].copy()
+        program.note_turns(local[0], turns[0])
+        cost = program.add_frame(problem, 0, 1, start, local, True, turns, *out)
+        expected = [0.0, np.zeros(12), np.zeros((12, 12))]
+        for term in model.terms:
+            if term.kernels:
+                parts = evaluate(term, packed_alone(term, track, CAMERA), 1, rows[0], rows[1])
+                expected = [a + b for a, b in zip(expected, parts, strict=True)]
+        # The kernels of white-noise acceleration and of metres give way to others of the same model.
+        assert cost == pytest.approx(expected[0], rel=1e-10)
+        np.testing.assert_allclose(gradients.ravel(), expected[1], rtol=1e-9, atol=1e-9)
+        then, here = (np.tril(half) + np.tril(half, -1).T for half in hessians[:2])
+        found = np.block([[then, hessians[2]], [hessians[2].T, here]])
+        np.testing.assert_allclose(found, expected[2], rtol=1e-9, atol=1e-7)
+
+
+# Mixtures.
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.data())
+def test_a_mixture_is_what_scipy_says(data: st.DataObject) -> None:
+    n = data.draw(st.integers(1, 12))
+    weight = st.one_of(st.just(0.0), st.floats(1e-6, 10.0))
+    weights = np.array(data.draw(st.lists(weight, min_size=n, max_size=n).filter(any)))
+    means = np.array(data.draw(st.lists(st.floats(-PI, PI), min_size=n, max_size=n)))
+    kappa = data.draw(st.one_of(st.floats(0.01, 100.0), st.sampled_from([1e3, 1e4])))
+    uniform = data.draw(st.sampled_from([0.0, 1e-6, 0.05, 0.9]))
+    angle = data.draw(st.floats(-PI, PI))
+    with np.errstate(divide="ignore"):
+        logs = np.log(np.append(weights / weights.sum() * (1.0 - uniform), uniform / (2 * PI)))
+    logs[:-1] += stats.vonmises.logpdf(np.angle(np.exp(1j * (angle - means))), kappa)
+    (found,) = mixture_log_density(np.array([angle]), means, weights[None], kappa, uniform)
+    assert found == pytest.approx(np.logaddexp.reduce(logs), abs=1e-8 + 1e-11 * kappa)
+    assert found <= highest_log_density(kappa, uniform) + 1e-9
+
+
+@pytest.mark.parametrize("n_classes", [8, 12])
+def test_equal_class_scores_say_next_to_nothing(n_classes: int) -> None:
+    angles, weights = np.linspace(-PI, PI, 1001), np.ones((1001, n_classes))
+    costs = mixture_log_density(angles, class_centres(n_classes), weights, class_kappa(n_classes), 0.0)
+    assert np.ptp(costs) < 0.05
+
+
+def test_scores_that_are_all_zero_say_nothing() -> None:
+    track = Track(1, np.arange(1), np.zeros(1), np.zeros((1, 2)), body_likelihood=np.zeros((1, 8)))
+    (factor,) = factors_of(Case("", BodyLikelihood), track)
+    for angle in (0.0, 1.0, PI):
+        values = gtsam.Values()
+        values.insert(B(0), gtsam.Rot2(angle))
+        assert factor.error(values) == pytest.approx(2.0 * class_kappa(8), abs=1e-12)
+        assert np.abs(factor.linearize(values).jacobian()[0]).max() == 0.0

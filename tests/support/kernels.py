@@ -1,0 +1,68 @@
+"""A term's kernels evaluated one by one, from tracks packed whole."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from graphtrack.geometry.angles import class_centres, unit
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model import States, Term
+from graphtrack.model.kernels.kernel import Kernel
+from graphtrack.model.kernels.layout import BODY, DT, HEAD, record_type
+from graphtrack.model.kernels.packing import PackedTracks, RecordTypes
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
+
+
+def packed_alone(term: Term, track: Track, camera: GroundCamera | None = None) -> PackedTracks:
+    """A track packed by one term."""
+    types = RecordTypes(record_type((DT, *term.fields)), record_type(term.shared))
+    return PackedTracks.of([track], camera, [term], types)
+
+
+def rows_of(states: States) -> np.ndarray:
+    """States (n, 6)."""
+    return np.column_stack([states.position, states.velocity, states.body, states.head])
+
+
+def called(term: Term, packed: PackedTracks, k: int) -> list[Kernel]:
+    """The kernels that are called at a frame."""
+    record = packed.records[k]
+    names = record.dtype.names or ()
+    return [
+        kernel
+        for kernel in term.kernels
+        if record[kernel.gate] > 0.0 and not (kernel.unless in names and record[kernel.unless] > 0.0)
+    ]
+
+
+def evaluate(
+    term: Term, packed: PackedTracks, k: int, before: np.ndarray, state: np.ndarray, exact: bool = True
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Cost, gradient (12,) and Hessian (12, 12) by the frame before and the frame k, of all kernels."""
+    origin = packed.origin[0]
+    local = [np.concatenate([row[:2] - origin, row[2:]]) for row in (before, state)]
+    gradients, hessians = np.zeros((2, 6)), np.zeros((3, 6, 6))
+    given: dict[str, Any] = {
+        **{"BODY": BODY, "HEAD": HEAD, "exact": exact, "origin_x": origin[0], "origin_y": origin[1]},
+        **{"before": local[0], "state": local[1], "transition": hessians[2]},
+        **{"gradient_before": gradients[0], "gradient": gradients[1]},
+        **{"hessian_before": hessians[0], "hessian": hessians[1]},
+        "body_directions": unit(class_centres(BODY_CLASSES)),
+        "head_directions": unit(class_centres(HEAD_CLASSES)),
+    }
+    for row, suffix in ((local[0], "_before"), (local[1], "")):
+        for name, place in (("body", BODY), ("head", HEAD)):
+            given[f"{name}_cos{suffix}"] = np.cos(row[place])
+            given[f"{name}_sin{suffix}"] = np.sin(row[place])
+    for name in ("body", "head"):
+        heights = getattr(packed, f"{name}_heights")
+        given[f"{name}_heights"] = heights[k] if len(heights) else None
+    for record in (packed.records[k], packed.shared[0]):
+        given |= {name: record[name] for name in record.dtype.names or ()}
+    cost = sum(
+        kernel.function(*[given[name] for name in kernel.arguments]) for kernel in called(term, packed, k)
+    )
+    then, here = (np.tril(half) + np.tril(half, -1).T for half in hessians[:2])
+    return cost, gradients.ravel(), np.block([[then, hessians[2]], [hessians[2].T, here]])
