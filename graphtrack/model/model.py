@@ -25,6 +25,7 @@ from graphtrack.model.terms.gait import GaitOffsets
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.model.terms.intentional_motion import IntentionalMotion
 from graphtrack.model.terms.motion import Motion
+from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
@@ -40,9 +41,11 @@ presets: dict[str, tuple[type[Term], ...]] = {
     "intentional": (IntentionalMotion, PositionLikelihood, HeadDynamics, HeadLikelihood),
     "joint-intentional": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody),
     "full": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody, GaitOffsets),
+    "joint-place": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody, PlacePrior),
 }
 """Name → the terms of the model: positions only; orientations too, each for itself; all coupled (002);
-positions and the head that steers them (000); all of these; `joint` whose couplings have modes."""
+positions and the head that steers them (000); all of these; `joint` whose couplings have modes; `joint` with
+a place that people are drawn to or kept from."""
 
 
 def every_term() -> tuple[type[Term], ...]:

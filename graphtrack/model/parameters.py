@@ -206,6 +206,24 @@ class LikelihoodParameters(_Group):
 
 
 @dataclass(frozen=True)
+class PlaceParameters(_Group):
+    """A place that people are drawn to, or kept from, in the presets that have it.
+
+    Attributes
+    ----------
+    x, y : metres in the world
+    radius : metres over which it matters
+    strength : how much less, as the logarithm of a density, it is to be far away than there; negative: more.
+        Frames count by their ``weights``, as those of the couplings do
+    """
+
+    x: float = _number(0.0, -1e7, 1e7, "m", learned=False)
+    y: float = _number(0.0, -1e7, 1e7, "m", learned=False)
+    radius: float = _number(2.0, 0.01, 1e4, "m", learned=False)
+    strength: float = _number(1.0, -1e3, 1e3, learned=False)
+
+
+@dataclass(frozen=True)
 class Parameters:
     """All parameters of the model."""
 
@@ -214,6 +232,7 @@ class Parameters:
     coupling: CouplingParameters = field(default_factory=CouplingParameters)
     gait: GaitParameters = field(default_factory=GaitParameters)
     likelihood: LikelihoodParameters = field(default_factory=LikelihoodParameters)
+    place: PlaceParameters = field(default_factory=PlaceParameters)
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], defaults: Parameters | None = None) -> Parameters:

@@ -19,6 +19,7 @@ from graphtrack.model.terms.body_follows_motion import add_body_follows_motion, 
 from graphtrack.model.terms.head_follows_body import add_head_follows_body
 from graphtrack.model.terms.intentional_motion import add_steered_motion
 from graphtrack.model.terms.motion import add_first_velocity, add_motion
+from graphtrack.model.terms.place import add_place
 from graphtrack.model.terms.pose import (
     add_angle,
     add_angle_over,
@@ -70,6 +71,7 @@ FRAME = np.dtype(
         ("coupling_weight", float),  # that weight
         ("body_information", float),  # Fisher information of what was seen of the body, and of the head
         ("head_information", float),
+        ("place_weight", float),  # |strength| with the frame's weight
         ("body_anchor", float),  # concentration that holds a first orientation to its initial value
         ("head_anchor", float),
     ]
@@ -83,6 +85,10 @@ SHARED = np.dtype(
         ("to_image", float, (3, 3)),  # from metres about the world's origin to ideal pixels
         ("speed_threshold", float),  # τ in m/s
         ("body_diffusion", float),  # rad²/s
+        ("place_x", float),  # the place in the world, metres
+        ("place_y", float),
+        ("place_radius", float),  # metres
+        ("place_sign", float),  # 1: people are drawn to it, −1: kept from it
     ]
 )
 """What all frames of a job share."""
@@ -215,6 +221,20 @@ def add_own(
             frame.head_body_kappa,
             frame.head_body_cos,
             frame.head_body_sin,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.place_weight > 0.0:
+        cost += add_place(
+            state,
+            problem.origin[track, 0],
+            problem.origin[track, 1],
+            frame.place_weight,
+            shared.place_x,
+            shared.place_y,
+            shared.place_radius,
+            shared.place_sign,
             exact,
             gradient,
             hessian,
