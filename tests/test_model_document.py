@@ -31,7 +31,8 @@ def number(text):
     """A number as the tables have it, such as 0.15, 10⁻⁵ or π."""
     power = text.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
     if power != text:
-        return 10.0 ** float(power.removeprefix("10"))
+        sign, _, exponent = power.replace("−", "-").partition("10")
+        return float(f"{sign}1") * 10.0 ** float(exponent)
     return np.pi if text == "π" else float(text)
 
 

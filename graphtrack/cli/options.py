@@ -36,15 +36,16 @@ ModelName = Annotated[
     str,
     typer.Option(
         "--model",
-        help="position, separate, joint, intentional, joint-intentional, full, or a model file (.toml).",
+        help="position, separate, joint, intentional, joint-intentional, full, joint-place, or a model file "
+        "(.toml).",
     ),
 ]
 BestModelName = Annotated[
     str | None,
     typer.Option(
         "--model",
-        help="position, separate, joint, intentional, joint-intentional, full, or a model file (.toml); by "
-        "default full, or joint with an engine of GTSAM's, which do not have its modes.",
+        help="position, separate, joint, intentional, joint-intentional, full, joint-place, or a model file "
+        "(.toml); by default full, or joint with an engine of GTSAM's, which do not have its modes.",
         show_default=False,
     ),
 ]

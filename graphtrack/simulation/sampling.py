@@ -14,6 +14,7 @@ from graphtrack.model.parameters import CouplingParameters, OrientationParameter
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.intentional_motion import IntentionalMotion, smooth_speed, steered_step
 from graphtrack.model.terms.motion import process_noise, transition_matrix
+from graphtrack.model.terms.place import PlacePrior
 from graphtrack.simulation.scenario import scenario
 from graphtrack.tracks import Track, TrackSet
 
@@ -65,9 +66,11 @@ def simulate(
     Raises
     ------
     InputError
-        For a number outside its range.
+        For a number outside its range, and for a model with a place, which cannot be sampled.
     """
     model = Model.named(model)
+    if any(isinstance(term, PlacePrior) for term in model.terms):
+        raise InputError("the term PlacePrior, which cannot be sampled", "a model without a place")
     _check(n_tracks, n_steps, fps, missing)
     likelihood = model.parameters.likelihood
     position_std = likelihood.position_std if position_std is None else position_std

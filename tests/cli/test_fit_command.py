@@ -122,22 +122,22 @@ def people_and_whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Pa
     return folder / "people.csv", folder / "whole.toml"
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_a_fit_that_is_interrupted_is_resumed_to_the_same_result(
-    people_and_whole: tuple[Path, Path], tmp_path: Path, how: signal.Signals
+def test_a_fit_that_is_interrupted_and_then_killed_is_resumed_to_the_same_result(
+    people_and_whole: tuple[Path, Path], tmp_path: Path
 ) -> None:
     people, whole = people_and_whole
     learned, progress = tmp_path / "learned.toml", tmp_path / "learned.toml.progress"
-    interrupted = start(people, learned)
-    while interrupted.poll() is None:
-        if progress.is_file() and progress.read_bytes().count(b"\n") > 5:
-            interrupted.send_signal(how)
-            break
-        time.sleep(0.01)
-    _, said = interrupted.communicate()
-    assert interrupted.returncode == (130 if how is signal.SIGINT else -signal.SIGKILL)
-    assert b"Traceback" not in said
-    assert progress.is_file() and not learned.exists()
+    for how, evaluations in ((signal.SIGINT, 5), (signal.SIGKILL, 10)):
+        interrupted = start(people, learned)
+        while interrupted.poll() is None:
+            if progress.is_file() and progress.read_bytes().count(b"\n") > evaluations:
+                interrupted.send_signal(how)
+                break
+            time.sleep(0.01)
+        _, said = interrupted.communicate()
+        assert interrupted.returncode == (130 if how is signal.SIGINT else -signal.SIGKILL)
+        assert b"Traceback" not in said
+        assert progress.is_file() and not learned.exists()
     resumed = start(people, learned)
     _, said = resumed.communicate()
     assert resumed.returncode == 0 and b"going on from" in said

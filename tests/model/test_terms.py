@@ -38,11 +38,13 @@ from graphtrack.model.kernels.layout import BODY, HEAD, PLACES
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain
+from graphtrack.model.parameters import PlaceParameters
 from graphtrack.model.terms.anchor import Anchor
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.model.terms.intentional_motion import IntentionalMotion
 from graphtrack.model.terms.motion import Motion
+from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.pose import (
     BodyLikelihood,
     HeadLikelihood,
@@ -170,6 +172,10 @@ def coupling(**values: Any) -> Parameters:
     return Parameters(coupling=CouplingParameters(**values))
 
 
+def place(**values: Any) -> Parameters:
+    return Parameters(place=PlaceParameters(x=0.5, y=-1.0, **values))
+
+
 def steering(rate: float) -> Parameters:
     return Parameters(motion=MotionParameters(head_rate=rate))
 
@@ -216,9 +222,22 @@ CASES = [
     Case("body angle without weight", BodyLikelihood, likelihood(body_kappa=0.0), **SEEN_BODY),
     Case("8 body classes", BodyLikelihood, density=class_density("body"), **MIXED_8),
     Case("12 head classes", HeadLikelihood, density=class_density("head"), **MIXED_12),
+    Case("drawn to a place", PlacePrior, place(strength=3.0)),
+    Case("kept from a place", PlacePrior, place(strength=-3.0)),
     Case("8 body classes, no outliers", BodyLikelihood, NO_CLASS_OUTLIERS, class_density("body"), **MIXED_8),
 ]
-EVERY_CASE = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+
+
+def every(cases: list[Case]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("case", cases, ids=lambda case: case.name)
+
+
+EVERY_CASE = every(CASES)
+DEFINED = every([case for case in CASES if case.density is not None])
+SEARCHED = every([case for case in CASES if any(kernel.orientation for kernel in case.term.kernels)])
+OF_OBSERVATIONS = every(
+    [case for case in CASES if case.term in (PositionLikelihood, BodyLikelihood, HeadLikelihood)]
+)
 SPEEDS = np.array([0.05, 0.12, 0.129, 0.131, 0.14, 1e-3])
 DEVIATIONS = np.array([0.0, PI, PI - 1e-9, -PI + 1e-9, PI - 1e-3, 1e-6])
 """Where something changes its sign or its kind."""
@@ -379,15 +398,14 @@ def place_of(key: int, k: int) -> np.ndarray:
     return np.arange(first, first + (2 if chr(symbol.chr()) in "xv" else 1))
 
 
-@EVERY_CASE
+@DEFINED
 def test_the_written_density_is_the_one_of_the_definition(case: Case) -> None:
-    if case.density is None:
-        pytest.skip("the definition is the written density itself")
     term = case.term(case.parameters)
     for seed, (states, track) in enumerate(every_situation(case, 25)):
         rng = np.random.default_rng(seed)
         moved = States(*(value + rng.normal(0.0, 0.5, value.shape) for value in vars(states).values()))
         written = term.cost(moved, track, CAMERA) - term.cost(states, track, CAMERA)
+        assert case.density is not None
         defined = case.density(states, track, case.parameters) - case.density(moved, track, case.parameters)
         assert written == pytest.approx(defined, rel=1e-8, abs=1e-7)
 
@@ -414,13 +432,11 @@ def test_a_term_declares_what_it_acts_on(case: Case) -> None:
                 assert letters <= {name[0] for name in term.uses}
 
 
-@EVERY_CASE
+@SEARCHED
 def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
     term, bins = case.term(case.parameters), 24
     angles = 2.0 * PI * np.arange(bins) / bins
     searched = [kernel for kernel in term.kernels if kernel.orientation]
-    if not searched:
-        pytest.skip("the term depends on no single orientation")
     for states, track in every_situation(case, 10):
         alone, rows = packed_alone(term, track, CAMERA), rows_of(states)
         packed = PackedTracks.of([track], CAMERA, [term], OF_PRESETS.types)
@@ -484,10 +500,8 @@ def test_curvatures_that_can_be_indefinite_are() -> None:
             assert least < -1e-3, case.name
 
 
-@EVERY_CASE
+@OF_OBSERVATIONS
 def test_a_term_costs_nothing_where_nothing_was_seen(case: Case) -> None:
-    if case.term not in (PositionLikelihood, BodyLikelihood, HeadLikelihood):
-        pytest.skip("the term is about no observation")
     n = 3
     nothing = {name: np.full((n, *shape), np.nan) for name, shape in (("position", (2,)), ("body", ()))}
     blank = Track(1, np.arange(n), np.arange(n) * 0.1, body_likelihood=np.full((n, 8), np.nan), **nothing)
