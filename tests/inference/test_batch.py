@@ -180,7 +180,11 @@ def test_estimates_with_outliers_in_the_model_turn_with_the_world(preset: str) -
 
 def assert_equivariant(model: Model, track: Track, angle: float, shift: tuple[float, float]) -> None:
     here = smooth_track(track, model, options=EXACTLY)
-    there = smooth_track(turned(track, angle, shift), model, options=EXACTLY)
+    # A place stands in the world.
+    place = model.parameters.place
+    x, y = rotation(angle) @ [place.x, place.y] + np.asarray(shift)
+    moved = model.with_parameters(replace(model.parameters, place=replace(place, x=x, y=y)))
+    there = smooth_track(turned(track, angle, shift), moved, options=EXACTLY)
     turn = rotation(angle)
     assert here.track.velocity is not None
     assert here.track.covariance is not None

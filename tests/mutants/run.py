@@ -54,8 +54,8 @@ MUTANTS = (
     ),
     Mutant(
         "coupling-weight-of-first-frame",
-        "short = (dt > 0.0) & (dt < coupling.correlation_time)",
-        "short = dt < coupling.correlation_time",
+        "short = (dt > 0.0) & (dt < self.correlation_time)",
+        "short = dt < self.correlation_time",
     ),
     Mutant(
         "steered-jacobian-entry",
@@ -84,9 +84,9 @@ MUTANTS = (
         "kappa * scale * (along - square) + slope * slope",
     ),
     Mutant(
-        "mixture-jacobian-sign",
-        "np.array([[-root * sin], [root * cos], [0.0]])",
-        "np.array([[root * sin], [root * cos], [0.0]])",
+        "derived-residual-factor",
+        "residual[row] = left[pivot] / root",
+        "residual[row] = left[pivot] * root",
     ),
     Mutant(
         "pixel-swapped-columns",
@@ -95,8 +95,8 @@ MUTANTS = (
     ),
     Mutant(
         "huber-factor",
-        "threshold * (distance - 0.5 * threshold), weight",
-        "threshold * (distance - threshold), weight",
+        "robust_threshold * (distance - 0.5 * robust_threshold), weight",
+        "robust_threshold * (distance - robust_threshold), weight",
     ),
     Mutant(
         "drift-circle-off-by-one",
@@ -110,8 +110,8 @@ MUTANTS = (
     ),
     Mutant(
         "lead-of-the-other-coupling",
-        "excess * excess, gait.body.lead - left",
-        "excess * excess, gait.head.lead - left",
+        "excess, gait.body.lead - left",
+        "excess, gait.head.lead - left",
     ),
     # The solver.
     Mutant(
@@ -137,13 +137,13 @@ MUTANTS = (
     # The online window.
     Mutant(
         "turn-counted-twice",
-        "    after.body_turn_kappa = 0.0\n",
+        "    frame.body_turn_kappa = 0.0\n",
         "",
     ),
     Mutant(
         "lag-off-by-one",
-        "while self._steps[0].observation.t < horizon:\n            let_go(",
-        "while self._steps[0].observation.t <= horizon:\n            let_go(",
+        "< horizon:\n            self._program.let_go(",
+        "<= horizon:\n            self._program.let_go(",
     ),
     Mutant(
         "modes-before-off-by-one",
