@@ -102,10 +102,19 @@ SHAPES: Mapping[str, tuple[int, ...]] = dict.fromkeys(FIELDS, ()) | {
 """What each of a `Track`'s attributes has in a frame."""
 
 
+INPUT = "input_"
+"""What the names of channels and columns begin with that are inputs of a track."""
+
+
+def bounds_of(name: str) -> Bounds:
+    """Bounds of a `Track`'s attribute or of one of its inputs, in its units."""
+    return FINITE if name.startswith(INPUT) else FIELDS[name]
+
+
 def out_of_bounds(name: str, value: float, frame: int, track_id: int, **place: Any) -> InputError:
     """The error for a value of an attribute in one frame; ``place`` is where in a file it stands."""
     found = f"{name} = {value:g} in frame {frame} of track {track_id}"
-    return InputError(found, f"{FIELDS[name].expected}, or NaN where it is missing", **place)
+    return InputError(found, f"{bounds_of(name).expected}, or NaN where it is missing", **place)
 
 
 def check_positive(name: str, value: float | None, highest: float) -> None:

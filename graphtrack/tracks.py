@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -18,14 +19,14 @@ from numpy.typing import NDArray
 
 from graphtrack.bounds import (
     BODY_CLASSES,
-    FIELDS,
     HEAD_CLASSES,
+    INPUT,
     LARGEST_FRAME,
     LARGEST_ID,
     SHAPES,
     STATE,
-    out_of_bounds,
 )
+from graphtrack.channels import checked_channel, checked_inputs, input_of_size
 from graphtrack.display import html_of_track, html_of_tracks, line_of_track, line_of_tracks, listed
 from graphtrack.errors import InputError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray
@@ -67,6 +68,8 @@ class Track:
     gait_offset : (n,) radians from the direction of motion to the body, as expected (estimates)
     true_position, true_body, true_head : the truth, where it is known
     label : a name for people to read, such as the clip
+    inputs : name → (n,) or (n, k) what else is known in each frame and a term of the model reads, such as a
+        group's centre or a distance; a row is all finite or all NaN. Estimates keep them.
     """
 
     track_id: int
@@ -89,6 +92,7 @@ class Track:
     true_body: FloatArray | None = None
     true_head: FloatArray | None = None
     label: str = ""
+    inputs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not isinstance(self.track_id, int | np.integer) or abs(int(self.track_id)) > LARGEST_ID:
@@ -109,29 +113,14 @@ class Track:
             value = getattr(self, name)
             if value is None:
                 continue
-            self._set(name, self._checked(name, value, (len(frame), *tail)))
+            self._set(name, checked_channel(name, value, (len(frame), *tail), self))
+        object.__setattr__(self, "inputs", checked_inputs(self))
         if np.any(np.diff(self.frame) <= 0):
             raise InputError(
                 "frames that do not increase", f"each frame once, in order, in track {self.track_id}"
             )
         if not np.all(np.isfinite(self.t)) or np.any(np.diff(self.t) <= 0):
             raise InputError("times that do not increase", f"strictly increasing t in track {self.track_id}")
-
-    def _checked(self, name: str, given: Any, shape: tuple[int, ...]) -> FloatArray:
-        try:
-            value = np.array(given, dtype=float)
-        except (TypeError, ValueError) as error:
-            found = f"{name} of track {self.track_id} that is no array of numbers ({error})"
-            raise InputError(found, f"shape {shape}") from error
-        if value.shape != shape:
-            what = ": x and y in metres" if name == "position" else ""
-            raise InputError(
-                f"{name} of shape {value.shape} in track {self.track_id}", f"shape {shape}{what}"
-            )
-        place = FIELDS[name].first_outside(value)
-        if place is not None:
-            raise out_of_bounds(name, value[place], self.frame[place[0]], self.track_id)
-        return value
 
     @classmethod
     def _trusted(
@@ -140,6 +129,7 @@ class Track:
         frame: NDArray[np.int64],
         channels: Mapping[str, FloatArray | None],
         label: str = "",
+        inputs: Mapping[str, FloatArray] = MappingProxyType({}),
     ) -> Track:
         """A track of arrays that are as the attributes say; they become read-only.
 
@@ -147,9 +137,9 @@ class Track:
         and longer than to smooth them. For readers, who have checked a file as a whole, and for engines.
         """
         track = object.__new__(cls)
-        vars(track).update(track_id=track_id, frame=frame, label=label, **_ABSENT)
+        vars(track).update(track_id=track_id, frame=frame, label=label, inputs=dict(inputs), **_ABSENT)
         vars(track).update(channels)
-        for value in (frame, *channels.values()):
+        for value in (frame, *channels.values(), *inputs.values()):
             if value is not None:
                 value.setflags(write=False)
         return track
@@ -174,12 +164,23 @@ class Track:
 
     def __getitem__(self, index: slice | NDArray[Any]) -> Track:
         """The same person over some of the frames."""
-        parts = {
+        parts: dict[str, Any] = {
             f.name: getattr(self, f.name)[index]
             for f in fields(self)
             if isinstance(getattr(self, f.name), np.ndarray)
         }
+        parts["inputs"] = {name: value[index] for name, value in self.inputs.items()}
         return replace(self, **parts)
+
+    def input(self, name: str, *size: int) -> FloatArray:
+        """One of the `inputs`, (n,) or (n, size), for a term that needs it so; NaN where the track lacks it.
+
+        Raises
+        ------
+        InputError
+            If the track has it in another size.
+        """
+        return input_of_size(self, name, size)
 
     def with_estimates(
         self,
@@ -206,7 +207,7 @@ class Track:
             "aligned_p": aligned_p,
             "gait_offset": gait_offset,
         }
-        return Track._trusted(self.track_id, self.frame, of_person | estimates, self.label)
+        return Track._trusted(self.track_id, self.frame, of_person | estimates, self.label, self.inputs)
 
     def std(self, name: str) -> FloatArray | None:
         """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance.
@@ -282,6 +283,10 @@ class TrackSet:
         if len(set(ids)) != len(ids):
             twice = next(i for i in ids if ids.count(i) > 1)
             raise InputError(f"track {twice} twice", "each track_id once")
+        sizes: dict[str, tuple[int, ...]] = {}
+        for track in self.tracks:
+            for name, values in track.inputs.items():
+                track.input(name, *sizes.setdefault(name, values.shape[1:]))
 
     def __repr__(self) -> str:
         return line_of_tracks(self)
@@ -380,6 +385,8 @@ class TrackSet:
             }
             identity = int(ids[start])
             label = rows.labels.get(identity, "")
-            tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label))
+            given = [name for name in channels if name.startswith(INPUT)]
+            inputs = {name.removeprefix(INPUT): channels.pop(name) for name in given}
+            tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label, inputs))
         summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
         return cls(tuple(tracks), rows.camera, summary)

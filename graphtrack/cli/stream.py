@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from graphtrack.bounds import INPUT
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.inference.online import Estimate, OnlineSmoother
@@ -102,7 +103,26 @@ def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
         channels[f"{name}_kappa"] = cells.get(f"{name}_kappa")
         if f"{name}_p0" in cells:
             channels[f"{name}_likelihood"] = tuple(cells[f"{name}_p{k}"] for k in range(n_classes))
-    return Observation(t=t, frame=cells["frame"], **channels)
+    return Observation(t=t, frame=cells["frame"], inputs=_inputs(cells), **channels)
+
+
+def _inputs(cells: dict[str, Any]) -> dict[str, float | tuple[float, ...]]:
+    given = [name for name in cells if name.startswith(INPUT)]
+    if not given:
+        return {}
+    numbers: dict[str, float] = {}
+    arrays: dict[str, tuple[float, ...]] = {}
+    for name in schema.in_order(given):
+        column = schema.numeric(name)
+        assert column is not None
+        key = column.field.removeprefix(INPUT)
+        if column.index:
+            arrays[key] = (*arrays.get(key, ()), cells[name])
+        else:
+            numbers[key] = cells[name]
+        if key in numbers and key in arrays:
+            raise InputError(f"a key {INPUT}{key} beside {name}", "one of the two", column=name)
+    return {**numbers, **arrays}
 
 
 def _angle(degrees: float) -> float:

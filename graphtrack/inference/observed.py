@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from graphtrack.bounds import FIELDS, LARGEST_SECONDS
+from graphtrack.bounds import FIELDS, FINITE, LARGEST_SECONDS, Bounds
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Observation
 from graphtrack.model.observation import CHANNELS
+from graphtrack.table import schema
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 
 _SIZES = {"position": 2, "pixel": 2, "body_likelihood": BODY_CLASSES, "head_likelihood": HEAD_CLASSES}
@@ -24,14 +27,44 @@ def checked(observation: Observation) -> Observation:
     ------
     InputError
         Naming the channel: a value that is no number within the bounds of `graphtrack.bounds`, or several
-        where there should be one or another number of them.
+        where there should be one or another number of them; or an input that has no numbers.
     """
+    if observation.inputs:
+        observation = replace(observation, inputs=_checked_inputs(observation.inputs))
     try:
         if _wrong(observation) is None:
             return observation
     except (TypeError, ValueError):  # no numbers at all
         pass
     return _mended(observation)
+
+
+def _checked_inputs(inputs: Mapping[str, Any]) -> dict[str, float | tuple[float, ...]]:
+    found: dict[str, float | tuple[float, ...]] = {}
+    for name, value in inputs.items():
+        if not isinstance(name, str) or not schema.is_input_name(name):
+            raise InputError(f"an input {name!r}", schema.INPUT_NAME)
+        numbers = _numbers(value)
+        if numbers is None or numbers.ndim > 1 or not numbers.size or _is_outside(numbers, FINITE):
+            expected = "a finite number, or several; left out where nothing is known"
+            raise InputError(f"input {name} = {_shown(value)}", expected)
+        found[name] = tuple(numbers.tolist()) if numbers.ndim else float(numbers)
+    return found
+
+
+def _numbers(value: object) -> FloatArray | None:
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return None
+
+
+def _is_outside(numbers: FloatArray, bounds: Bounds) -> bool:
+    return bool(np.isnan(numbers).any()) or bounds.first_outside(numbers) is not None
+
+
+def _shown(value: object) -> str:
+    return " ".join(repr(value).split())[:60]
 
 
 def _wrong(observation: Observation) -> str | None:
@@ -59,14 +92,10 @@ def _mended(observation: Observation) -> Observation:
         value, bounds, size = getattr(observation, name), FIELDS[name], _SIZES.get(name, 0)
         if value is None and name != "t":
             continue
-        try:
-            numbers = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
-            numbers = np.full(1, np.nan)
-        right = numbers.shape == ((size,) if size else ())
-        if not right or np.isnan(numbers).any() or bounds.first_outside(numbers) is not None:
+        numbers = _numbers(value)
+        if numbers is None or numbers.shape != ((size,) if size else ()) or _is_outside(numbers, bounds):
             expected = f"{size} numbers, each {bounds.expected}" if size else bounds.expected
             missing = "" if name == "t" else ", or None where nothing was observed"
-            raise InputError(f"{name} = {' '.join(repr(value).split())[:60]}", expected + missing)
+            raise InputError(f"{name} = {_shown(value)}", expected + missing)
         changed[name] = tuple(numbers.tolist()) if size else float(numbers)
     return replace(observation, **changed)

@@ -335,11 +335,13 @@ class OnlineSmoother:
 
 def _merge(known: Observation, new: Observation) -> Observation | None:
     """The known observation with the channels that only the new one has; None if there are none."""
-    added = {
+    added: dict[str, Any] = {
         name: getattr(new, name)
         for name in CHANNELS
         if getattr(known, name) is None and getattr(new, name) is not None
     }
+    if new.inputs.keys() - known.inputs.keys():
+        added["inputs"] = {**new.inputs, **known.inputs}
     return replace(known, **added) if added else None
 
 

@@ -160,7 +160,7 @@ def pack_state(state: SavedState) -> dict[str, Any]:
                 "starts": step.starts,
                 "dt": step.dt,
                 "values": _nulls(window.values[step.index]),
-                "observation": {k: v for k, v in vars(step.observation).items() if v is not None},
+                "observation": {k: v for k, v in vars(step.observation).items() if v is not None and v != {}},
             }
             for step in window.steps
         ],
@@ -224,7 +224,7 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     values: dict[int, tuple[float, ...]] = {}
     for entry in state["steps"]:
         seen = entry["observation"].items()
-        channels: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in seen}
+        channels = {name: _tuples(value) for name, value in seen}
         previous = steps[-1].alone() if steps else None
         observation = Observation(**channels)
         steps.append(Step(entry["index"], observation, previous, entry["dt"], entry["starts"], camera))
@@ -246,6 +246,13 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
         anchor = (body, head)
     modes = None if state["modes"] is None else np.array(state["modes"], dtype=float).reshape(2, -1)
     return Window(tuple(steps), values, prior, anchor, modes)
+
+
+def _tuples(value: Any) -> Any:
+    """A value of an observation with tuples where JSON has lists."""
+    if isinstance(value, dict):
+        return {name: _tuples(part) for name, part in value.items()}
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _estimate(saved: dict[str, Any]) -> Estimate:

@@ -273,6 +273,8 @@ def _fingerprint(
             value = getattr(track, field.name)
             if isinstance(value, np.ndarray):
                 digest.update(field.name.encode() + np.ascontiguousarray(value).tobytes())
+        for name in sorted(track.inputs):
+            digest.update(name.encode() + np.ascontiguousarray(track.inputs[name]).tobytes())
     if camera is not None:
         digest.update(np.ascontiguousarray(camera.homography).tobytes())
     return digest.hexdigest()

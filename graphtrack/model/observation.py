@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from gtsam.symbol_shorthand import B, H, V, X
@@ -16,7 +17,10 @@ from graphtrack.tracks import Track
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What was observed of one person at one time. ``None`` is a missing channel; units as in `Track`."""
+    """What was observed of one person at one time. ``None`` is a missing channel; units as in `Track`.
+
+    ``inputs`` has what else is known then: name → a number or a tuple of them. What is missing is left out.
+    """
 
     t: float
     frame: int = 0
@@ -29,24 +33,33 @@ class Observation:
     head_kappa: float | None = None
     body_likelihood: tuple[float, ...] | None = None
     head_likelihood: tuple[float, ...] | None = None
+    inputs: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
 
 
-CHANNELS = tuple(name for name in Observation.__dataclass_fields__ if name not in ("t", "frame"))
+CHANNELS = tuple(name for name in Observation.__dataclass_fields__ if name not in ("t", "frame", "inputs"))
 
 
 def observations(track: Track) -> Iterator[Observation]:
     """The observations of a track, frame by frame."""
     channels = {name: value for name in CHANNELS if (value := getattr(track, name)) is not None}
     for k in range(len(track)):
-        given: dict[str, object] = {}
-        for name, values in channels.items():
-            value = values[k]
-            if isinstance(value, np.ndarray):
-                if np.isfinite(value).all():
-                    given[name] = tuple(value.tolist())
-            elif math.isfinite(value):
-                given[name] = float(value)
-        yield Observation(t=float(track.t[k]), frame=int(track.frame[k]), **given)  # type: ignore[arg-type]
+        given: dict[str, Any] = _seen(channels, k)
+        if track.inputs:
+            given["inputs"] = _seen(track.inputs, k)
+        yield Observation(t=float(track.t[k]), frame=int(track.frame[k]), **given)
+
+
+def _seen(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:
+    """What the channels have in frame k, without those that are missing there."""
+    seen: dict[str, Any] = {}
+    for name, values in channels.items():
+        value = values[k]
+        if isinstance(value, np.ndarray):
+            if np.isfinite(value).all():
+                seen[name] = tuple(value.tolist())
+        elif math.isfinite(value):
+            seen[name] = float(value)
+    return seen
 
 
 @dataclass(frozen=True, eq=False)

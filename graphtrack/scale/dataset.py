@@ -54,7 +54,7 @@ class Dataset:
     ----------
     path : the file or folder
     files : in the order of their names
-    columns : the columns that any file has, in the order of `schema.NAMES`
+    columns : the columns that any file has, in the order of writing
     ignored : columns that are not of the native table
     labels : what the numbers in the column ``label`` stand for; it grows as blocks are read
     """
@@ -165,7 +165,7 @@ def open_dataset(path: str | Path) -> Dataset:
     if not files:
         raise InputError("no rows", "at least one row", path=path)
     known = frozenset().union(*(file.columns.union(file.constants) for file in files))
-    return Dataset(path, tuple(files), tuple(n for n in schema.NAMES if n in known), tuple(ignored))
+    return Dataset(path, tuple(files), schema.in_order(known), tuple(ignored))
 
 
 def _places(path: Path) -> list[Path]:
@@ -206,7 +206,7 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
         value = unquote(text)
         if name in names or name in constants:
             raise InputError(f"a column {name} and a folder {part}", "one of the two", path=place)
-        if name not in schema.NAMES:
+        if not schema.is_column(name):
             foreign.append((name, value))
         elif name == "label":
             constants[name] = value
@@ -215,6 +215,6 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
             if number is None:
                 raise InputError(f"the folder {part}", f"a number after {name}=", path=place)
             constants[name] = number
-    columns = frozenset(name for name in names if name in schema.NAMES)
+    columns = frozenset(filter(schema.is_column, names))
     others = schema.unknown(names) + [name for name, _ in foreign]
     return DataFile(place, first_row, n_rows, columns, constants, tuple(foreign)), others

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from graphtrack.bounds import INPUT
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
@@ -191,14 +192,14 @@ def _write(
 
 
 def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
-    """The columns that the estimates of a data set can have, in the order of `schema.NAMES`."""
+    """The columns that the estimates of a data set can have, in the order of writing."""
     names = {"track_id", "frame", "t", "x", "y", "vx", "vy", "x_std", "y_std", "vx_std", "vy_std"}
     for name, has in (("body", model.has_body), ("head", model.has_head)):
         if has:
             names |= {f"{name}_deg", f"{name}_std_deg"}
     names |= {"aligned_p", "gait_offset_deg"} if model.has_modes else set()
-    names |= {name for name in dataset.columns if name == "label" or name.startswith("true_")}
-    return tuple(name for name in schema.NAMES if name in names)
+    names |= {name for name in dataset.columns if name == "label" or name.startswith(("true_", INPUT))}
+    return schema.in_order(names)
 
 
 def _with_camera(dataset: Dataset, options: ReadOptions) -> tuple[ReadOptions, tuple[str, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -107,6 +108,12 @@ def simulate(
     for name, angles in truth.items():
         observed[name] = wrap(angles + rng.vonmises(0.0, kappas[name], angles.shape))
         observed[name][_missing(rng, n_tracks, n_steps, missing)] = np.nan
+
+    def orientations(i: int) -> dict[str, Any]:
+        seen = {name: angles[i] for name, angles in observed.items()}
+        kappa = {f"{name}_kappa": np.full(n_steps, kappas[name]) for name in observed}
+        return seen | kappa | {f"true_{name}": angles[i] for name, angles in truth.items()}
+
     tracks = (
         Track(
             i,
@@ -116,9 +123,7 @@ def simulate(
             position_std=np.full(n_steps, position_std),
             true_position=position[i],
             label=f"simulated {i}",
-            **{name: angles[i] for name, angles in observed.items()},
-            **{f"{name}_kappa": np.full(n_steps, kappas[name]) for name in observed},
-            **{f"true_{name}": angles[i] for name, angles in truth.items()},
+            **orientations(i),
         )
         for i in range(n_tracks)
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import SHAPES, STATE, check_frame_rate
+from graphtrack.bounds import INPUT, SHAPES, STATE, check_frame_rate
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.table import schema
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
-    """The columns that any of the tracks has, in the order of `schema.NAMES`; missing numbers are NaN.
+    """The columns that any of the tracks has, in the order of `schema.in_order`; missing numbers are NaN.
 
     Of a covariance the table has the diagonal, as standard deviations.
     """
@@ -32,8 +32,8 @@ def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
         ),
         "frame": _joined([track.frame for track in tracks], np.int64),
     }
-    for column in schema.COLUMNS:
-        if any(getattr(track, column.field) is not None for track in tracks):
+    for column in (*schema.COLUMNS, *_input_columns(tracks)):
+        if any(_channel(track, column.field) is not None for track in tracks):
             columns[column.name] = _joined([_cells(track, column) for track in tracks], np.float64)
     # Spreads that no engine estimated are NaN throughout: leave the column out.
     for column in schema.COLUMNS:
@@ -49,11 +49,26 @@ def _joined(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
     return np.concatenate(parts).astype(dtype) if parts else np.empty(0, dtype)
 
 
+def _input_columns(tracks: TrackSet) -> list[schema.Column]:
+    """The columns of all inputs that any track has, by name; a set's tracks agree on their sizes."""
+    sizes = {name: values.shape[1:] for track in tracks for name, values in track.inputs.items()}
+    names = [column.name for name in sizes for column in schema.input_columns(f"{INPUT}{name}", sizes[name])]
+    return [column for name in schema.in_order(names) if (column := schema.numeric(name)) is not None]
+
+
+def _channel(track: Track, field: str) -> FloatArray | None:
+    if field.startswith(INPUT):
+        return track.inputs.get(field.removeprefix(INPUT))
+    value: FloatArray | None = getattr(track, field)
+    return value
+
+
 def _cells(track: Track, column: schema.Column) -> FloatArray:
-    value = getattr(track, column.field)
+    value = _channel(track, column.field)
     if value is None:
         return np.full(len(track), np.nan)
-    cells = value[(..., *column.index)]
+    place: tuple[Any, ...] = (..., *column.index)
+    cells: FloatArray = value[place]
     if column.field == "covariance":
         cells = np.sqrt(cells)
     return np.rad2deg(cells) if column.degrees else cells
@@ -69,7 +84,7 @@ def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = N
         raise InputError(f"column {twice!r} twice", "each column once")
     columns, notes = {}, []
     for name in names:
-        if name in schema.NAMES:
+        if schema.is_column(name):
             values = table[name]
             if name == "t" and values.dtype.kind in "mM":
                 values = _seconds(values)
@@ -173,10 +188,10 @@ def from_columns(
     for name, highest in schema.INTEGERS.items():
         check_integers(columns[name], name, highest, fail)
     for name, values in columns.items():
-        if name in schema.BY_NAME:
-            _check_bounds(values, schema.BY_NAME[name], fail)
-    for group in schema.TOGETHER:
-        _check_group({name: columns[name] for name in group if name in columns}, fail)
+        if (column := schema.numeric(name)) is not None:
+            _check_bounds(values, column, fail)
+    for group in schema.together(columns):
+        _check_group({name: columns[name] for name in group}, fail)
     if ignored:
         notes = (*notes, f"ignored columns {', '.join(ignored)}")
     track_id = columns["track_id"].astype(np.int64)
@@ -198,11 +213,14 @@ def check_names(names: Collection[str], fps: float | None, fail: Callable[..., I
     for name in schema.INTEGERS:
         if name not in names:
             raise fail("no such column", f"a column {name}", column=name)
-    for group in schema.TOGETHER:
-        have = [name for name in group if name in names]
-        if have and len(have) < len(group):
-            missing = next(name for name in group if name not in names)
-            raise fail("no such column", f"a column {missing} beside {have[0]}", column=missing)
+    for group in schema.together(names):
+        missing = next((name for name in group if name not in names), None)
+        if missing is not None:
+            have = next(name for name in group if name in names)
+            raise fail("no such column", f"a column {missing} beside {have}", column=missing)
+        alone = group[0].removesuffix("_0")
+        if alone != group[0] and alone in names:
+            raise fail(f"a column {alone} beside {group[0]}", "one of the two", column=alone)
     if "x" not in names and "u" not in names:
         raise fail("no position", "columns x, y (metres) or u, v (pixels) with a homography")
     if "t" not in names and fps is None:
@@ -227,8 +245,6 @@ def _check_bounds(values: FloatArray, column: schema.Column, fail: Callable[...,
 
 def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError]) -> None:
     """A row has all cells of a group or none, and class likelihoods are not all zero."""
-    if not group:
-        return
     empty = np.isnan(np.column_stack(list(group.values())))
     partial = empty.any(axis=1) & ~empty.all(axis=1)
     if partial.any():
@@ -245,12 +261,13 @@ def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError
 
 def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
     n = len(columns["track_id"])
+    known = [column for name in schema.in_order(columns) if (column := schema.numeric(name)) is not None]
+    sizes = {column.field: (column.index[0] + 1,) if column.index else () for column in known}
     channels: dict[str, FloatArray] = {}
-    for column in schema.COLUMNS:
-        if column.name not in columns:
-            continue
+    for column in known:
         if column.field not in channels:
-            channels[column.field] = np.full((n, *SHAPES[column.field]), np.nan)
+            shape = SHAPES.get(column.field, sizes[column.field])
+            channels[column.field] = np.full((n, *shape), np.nan)
         cells = np.asarray(columns[column.name], dtype=float)
         if column.degrees:
             cells = np.deg2rad(cells)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import FIELDS, out_of_bounds
+from graphtrack.bounds import bounds_of, out_of_bounds
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
@@ -26,7 +26,7 @@ class Rows:
     path, format : where they come from
     track_id, frame : (n,) int64
     channels : `Track` attribute → (n, ...) in the units of `Track`; ``t`` and ``position`` must be among them
-        when they become tracks
+        when they become tracks. A track's input is the channel ``input_<name>``
     line_of : row number → line in the file
     labels : track id → label
     camera : the camera that made the positions, if any
@@ -129,7 +129,7 @@ def in_order(rows: Rows) -> Rows:
             column="t",
         )
     for name, values in rows.channels.items():
-        place = FIELDS[name].first_outside(values)
+        place = bounds_of(name).first_outside(values)
         if place is not None:
             i = place[0]
             at = {"path": rows.path, "line": rows.line_of(i)}

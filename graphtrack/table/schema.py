@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from graphtrack.bounds import (
     BODY_CLASSES,
     FIELDS,
+    FINITE,
     HEAD_CLASSES,
+    INPUT,
     LARGEST_DEGREES,
     LARGEST_FRAME,
     LARGEST_ID,
@@ -26,7 +30,7 @@ class Column:
     Attributes
     ----------
     name : heading, with the unit where it is not SI
-    field : the `Track` attribute it belongs to
+    field : the `Track` attribute it belongs to; of an input ``input_<name>``
     index : place within that attribute's row; () for a scalar
     bounds : the values allowed
     degrees : whether the file has degrees where the attribute has radians
@@ -91,7 +95,7 @@ BY_NAME = {column.name: column for column in COLUMNS}
 INTEGERS = {"track_id": LARGEST_ID, "frame": LARGEST_FRAME}
 
 NAMES = (*INTEGERS, *BY_NAME, "label")
-"""Every column of the native table, in the order of writing."""
+"""Every column of the native table but inputs, in the order of writing."""
 
 BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
 """Columns that a tracker on pixels writes beside those of a track; nothing is read from them."""
@@ -99,12 +103,56 @@ BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
 ANSWER_COLUMNS = ("status", "reason", "error", "line")
 """What `graphtrack track -` says beside an estimate, or in its place; nothing of a track either."""
 
+_OF_TABLE = frozenset(NAMES)
 _KNOWN = frozenset((*NAMES, *BOX_COLUMNS, *ANSWER_COLUMNS))
 
 
 def unknown(names: Iterable[str]) -> list[str]:
     """The columns of a file that are neither of the native table nor known to say nothing of a track."""
-    return [name for name in names if name not in _KNOWN]
+    return [name for name in names if name not in _KNOWN and numeric(name) is None]
+
+
+_INPUT_COLUMN = re.compile(INPUT + r"([A-Za-z][A-Za-z0-9_]*?)(?:_(0|[1-9][0-9]{0,5}))?", re.ASCII)
+_INPUT_NAME = re.compile(r"[A-Za-z](?!.*_[0-9]+$)[A-Za-z0-9_]*", re.ASCII)
+
+INPUT_NAME = "letters, digits and _, a letter first, and no number after the last _"
+"""What an input may be called: the number is that of a column."""
+
+
+@lru_cache(1024)
+def numeric(name: str) -> Column | None:
+    """The column of numbers of that name, inputs among them; None if the table has none."""
+    match = _INPUT_COLUMN.fullmatch(name)
+    if match is None or not is_input_name(match[1]):
+        return BY_NAME.get(name)
+    return Column(name, INPUT + match[1], () if match[2] is None else (int(match[2]),), FINITE)
+
+
+def is_input_name(name: str) -> bool:
+    """Whether an input of a track may be called so; see `INPUT_NAME`."""
+    return _INPUT_NAME.fullmatch(name) is not None
+
+
+def input_columns(field: str, size: Sequence[int]) -> Iterator[Column]:
+    """The columns of an input that has one number a frame (``size`` is empty) or ``size[0]`` of them."""
+    for index in range(*size) if size else [None]:
+        column = numeric(field if index is None else f"{field}_{index}")
+        assert column is not None
+        yield column
+
+
+def is_column(name: str) -> bool:
+    """Whether the native table has a column of that name."""
+    return name in _OF_TABLE or numeric(name) is not None
+
+
+def in_order(names: Collection[str]) -> tuple[str, ...]:
+    """Those of some names that are columns of the native table, in the order of writing."""
+    inputs = [column for name in names if name not in _OF_TABLE and (column := numeric(name))]
+    inputs.sort(key=lambda column: (column.field, column.index))
+    known = [name for name in NAMES if name in names]
+    place = len(known) - ("label" in known)
+    return (*known[:place], *(column.name for column in inputs), *known[place:])
 
 
 TOGETHER: tuple[tuple[str, ...], ...] = (
@@ -115,7 +163,27 @@ TOGETHER: tuple[tuple[str, ...], ...] = (
     tuple(f"body_p{k}" for k in range(BODY_CLASSES)),
     tuple(f"head_p{k}" for k in range(HEAD_CLASSES)),
 )
-"""Columns of which a file has all or none, and a row likewise."""
+"""Columns of which a file has all or none, and a row likewise; so it is with an input's, see `together`."""
+
+_GROUPS = tuple((group, frozenset(group)) for group in TOGETHER)
+
+
+def together(names: Collection[str]) -> list[tuple[str, ...]]:
+    """Groups of columns of which a row has all or none; those of which ``names`` has some.
+
+    Of an array that has an input, the group is what is there and the first column that is not.
+    """
+    found = [group for group, members in _GROUPS if not members.isdisjoint(names)]
+    places: dict[str, set[int]] = {}
+    for name in names:
+        column = None if name in _OF_TABLE else numeric(name)
+        if column is not None and column.index:
+            places.setdefault(column.field, set()).add(column.index[0])
+    for field, given in places.items():
+        missing = next(k for k in range(len(given) + 1) if k not in given)
+        wanted = given if missing > max(given) else given | {missing}
+        found.append(tuple(f"{field}_{k}" for k in sorted(wanted)))
+    return found
 
 
 def expected_integer(highest: int) -> str:

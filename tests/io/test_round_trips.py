@@ -36,6 +36,7 @@ def tracks(draw: st.DrawFn) -> TrackSet:
         "velocity": draw(st.booleans()),
         "covariance": draw(st.booleans()),
         "true_body": draw(st.booleans()),
+        "inputs": draw(st.booleans()),
     }
     ids = draw(st.lists(st.integers(-LARGEST_ID, LARGEST_ID), min_size=1, max_size=3, unique=True))
     made = []
@@ -68,8 +69,12 @@ def tracks(draw: st.DrawFn) -> TrackSet:
             covariance[:, np.arange(6), np.arange(6)] = variance
             covariance[missing] = np.nan
             channels["covariance"] = covariance
+        inputs = {}
+        if optional["inputs"]:
+            inputs = {"goal": channel(st.floats(width=64, allow_nan=False, allow_infinity=False), 2)}
+            inputs["Area_2a"] = channel(METRES)
         label = draw(st.text(st.characters(codec="utf-8", exclude_categories=("C", "Z")), max_size=8))
-        made.append(Track(identity, frame, frame / 7.0, **channels, label=label))
+        made.append(Track(identity, frame, frame / 7.0, **channels, label=label, inputs=inputs))
     return TrackSet(tuple(made))
 
 
@@ -84,6 +89,10 @@ def assert_same(a: TrackSet, b: TrackSet) -> None:
             elif isinstance(x, np.ndarray):
                 # Radians go through degrees, and variances through standard deviations.
                 np.testing.assert_allclose(y, x, rtol=1e-14, atol=0.0)
+        given = {name: values for name, values in one.inputs.items() if not np.isnan(values).all()}
+        assert given.keys() == other.inputs.keys()
+        for name, values in given.items():
+            np.testing.assert_array_equal(other.inputs[name], values)
 
 
 @pytest.mark.filterwarnings("ignore::graphtrack.errors.InputWarning")

@@ -1,9 +1,11 @@
-"""A term of a user's own with a kernel: on every engine, offline and online, and in what is told."""
+"""A term of a user's own with a kernel that reads an input: on every engine, offline and online."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,7 @@ from graphtrack.model.kernels import HEAD, Field, Kernel, compiled
 from graphtrack.model.kernels.generator import Program
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.model import every_term
+from graphtrack.model.observation import observations
 from graphtrack.model.terms.motion import Motion
 from graphtrack.tracks import Track
 
@@ -48,28 +51,35 @@ def add_look(
 
 
 class LooksAtWindow(Term):
-    """Heads turn to a window within reach."""
+    """Heads turn to a window within reach, or to the input that says where it is in a frame."""
 
     uses = frozenset({"head"})
     window, reach, kappa = np.array([1.0, 2.0]), 9.0, 2.0
     fields = (Field("window_cos", ""), Field("window_sin", ""), Field("window_kappa", ""))
     kernels = (Kernel(add_look, gate="window_kappa", variables=("head",)),)
 
-    def pull(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        away = self.window - position
+    def pull(self, position: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away = np.where(np.isnan(window), self.window, window) - position
         near = np.linalg.norm(away, axis=1) <= self.reach
         return unit(direction(away)), np.where(near, self.kappa, 0.0)
 
     def pack(self, packed: PackedTracks) -> None:
-        bearing, packed.records["window_kappa"] = self.pull(packed.position)
+        bearing, packed.records["window_kappa"] = self.pull(packed.position, packed.input("window", 2))
         packed.records["window_cos"], packed.records["window_sin"] = bearing.T
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        bearing, kappa = self.pull(track.position)
+        bearing, kappa = self.pull(track.position, track.input("window", 2))
         return float(np.sum(kappa * (1.0 - np.sum(unit(states.head) * bearing, axis=1))))
 
 
 MODEL = Model("separate", terms=[LooksAtWindow])
+
+
+def told(track: Track, move: float = 0.4) -> Track:
+    """The track with a window that moves ``move`` metres a frame and is known in most frames."""
+    window = np.column_stack([move * np.arange(len(track)), np.full(len(track), -2.0)])
+    window[::5] = np.nan
+    return replace(track, inputs={"window": window})
 
 
 # An engine of its own takes a minute to compile: the README's term goes through one in every run.
@@ -77,7 +87,7 @@ MODEL = Model("separate", terms=[LooksAtWindow])
 
 @pytest.mark.slow
 def test_it_is_solved_as_gtsam_solves_it_offline_and_online() -> None:
-    track = walk(30, seed=4)
+    track = told(walk(30, seed=4))
     found, graph = (smooth_track(track, MODEL, engine=engine) for engine in ("chain", "gtsam"))
     assert found.engine == "chain"
     assert found.cost == pytest.approx(graph.cost, rel=1e-7)
@@ -89,12 +99,35 @@ def test_it_is_solved_as_gtsam_solves_it_offline_and_online() -> None:
 
 
 def test_its_kernel_is_its_density() -> None:
-    term, track = LooksAtWindow(MODEL.parameters), walk(12, seed=1)
-    states = initial_states(track, MODEL)
-    rows, packed = np.nan_to_num(rows_of(states)), packed_alone(term, track)
-    total = sum(evaluate(term, packed, k, rows[k - 1], rows[k])[0] for k in range(len(track)))
-    assert total == pytest.approx(term.cost(states, track), rel=1e-12)
-    assert total > 0.0
+    totals = []
+    for track in (walk(12, seed=1), told(walk(12, seed=1))):
+        term = LooksAtWindow(MODEL.parameters)
+        states = initial_states(track, MODEL)
+        rows, packed = np.nan_to_num(rows_of(states)), packed_alone(term, track)
+        totals.append(sum(evaluate(term, packed, k, rows[k - 1], rows[k])[0] for k in range(len(track))))
+        assert totals[-1] == pytest.approx(term.cost(states, track), rel=1e-12)
+    assert 0.0 < totals[0] != totals[1] > 0.0
+
+
+def test_its_input_reaches_the_engines_of_gtsam() -> None:
+    """Offline and online, where a state was saved and read between, beside people seen the same."""
+    track = told(walk(20, seed=4))
+    offline = smooth_track(track, MODEL, engine="gtsam").track
+    assert offline.inputs.keys() == track.inputs.keys()
+    moved = smooth_track(told(track, 0.2), MODEL, engine="gtsam").track
+    assert np.abs(difference(offline.head, moved.head)).max() > 0.01
+    smoother = gt.OnlineSmoother(MODEL, engine="fixed-lag", lag=100.0)
+    for k, seen in enumerate(observations(track)):
+        if k == 10:
+            smoother = gt.OnlineSmoother.from_state(json.loads(json.dumps(smoother.state())), MODEL)
+        last = smoother.update(seen)
+    assert difference(last.head, offline.head[-1]) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_an_input_of_another_size_is_told() -> None:
+    track = replace(walk(5), inputs={"window": np.zeros(5)})
+    with pytest.raises(InputError, match=r"input 'window' of one number .*, expected 2 numbers"):
+        smooth_track(track, MODEL, engine="gtsam")
 
 
 def test_what_brings_nothing_new_takes_the_engine_that_there_is() -> None:
@@ -136,11 +169,11 @@ def test_parameters_and_fields_that_nobody_knows_are_told() -> None:
 @pytest.mark.slow
 def test_frames_are_packed_anew_unless_the_term_says_that_they_repeat() -> None:
     """What is remembered of a frame of one kind would be the first person's bearing."""
-    track = walk(20, seed=2)
+    track = told(walk(20, seed=2))
     whole = pack([track], MODEL).records
     smoother = gt.OnlineSmoother(MODEL, engine="chain", lag=100.0)
-    for k in range(len(track)):
-        smoother.update(gt.Observation(t=float(track.t[k]), frame=k, position=tuple(track.position[k])))
+    for seen in observations(track):
+        smoother.update(replace(seen, body=None, head=None, body_kappa=None, head_kappa=None))
     online = smoother._smoother._problem.records[: len(track)]
     for name in ("window_cos", "window_sin", "window_kappa", "x", "y", "position_information"):
         np.testing.assert_allclose(online[name], whole[name], rtol=1e-12, err_msg=name)

@@ -81,7 +81,7 @@ def _read_fast(source: Source, header: list[str]) -> dict[str, NDArray[Any]] | N
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    names = [name for name in header if name in schema.NAMES]
+    names = [name for name in header if schema.is_column(name)]
     types = {name: pa.string() if name == "label" else pa.float64() for name in names}
     try:
         table = arrow_csv.read_csv(
@@ -131,7 +131,7 @@ def _read_slowly(source: Source, header: list[str]) -> tuple[dict[str, NDArray[A
     """The columns and the line of each row, cell by cell: the definition of what is accepted."""
     start = _lines_to_data(source)
     reader = csv.reader(io.StringIO("\n".join(source.lines[start:]), newline=""), strict=True)
-    wanted = [(j, name) for j, name in enumerate(header) if name in schema.NAMES]
+    wanted = [(j, name) for j, name in enumerate(header) if schema.is_column(name)]
     cells: dict[str, list[Any]] = {name: [] for _, name in wanted}
     lines: list[int] = []
     while True:

@@ -43,10 +43,10 @@ def read(source: Source, options: ReadOptions) -> Rows:
     with damage_told(source.path):
         file = pq.ParquetFile(io.BytesIO(source.data), page_checksum_verification=True)
         names = file.schema_arrow.names
-        known = [name for name in schema.NAMES if name in names]
+        known = schema.in_order(names)
         if len(set(names)) < len(names):
             raise InputError("a column twice", "each column once", path=source.path)
-        table = file.read(columns=known)
+        table = file.read(columns=list(known))
         table.validate(full=True)
     columns = {name: column_values(table.column(name), name, source.path) for name in known}
     ignored = schema.unknown(names)

@@ -112,7 +112,7 @@ def read_cells(pairs: Pairs) -> dict[str, Any]:
     for name, value in pairs:
         if value is None:
             continue
-        column = schema.BY_NAME.get(name)
+        column = schema.numeric(name)
         if column is not None:
             within = type(value) is float and column.bounds.low < value < column.bounds.high
             cells[name] = value if within else _number(column, value)
@@ -120,9 +120,8 @@ def read_cells(pairs: Pairs) -> dict[str, Any]:
             if not isinstance(value, str) or isinstance(value, _Literal):
                 raise InputError(_shown(value), "text or null", column=name)
             cells[name] = value
-    for group in schema.TOGETHER:
-        if not cells.keys().isdisjoint(group):
-            _check_group(group, cells)
+    for group in schema.together(cells):
+        _check_group(group, cells)
     return cells
 
 
@@ -275,7 +274,7 @@ def _columns(rows: list[_Row], keys: Iterable[str]) -> dict[str, NDArray[Any]]:
             columns[name] = np.array([row.cells[name] for row in rows], dtype=np.int64)
         elif name == "label":
             columns[name] = np.array([row.cells.get(name) for row in rows], dtype=object)
-        elif name in schema.BY_NAME:
+        elif schema.numeric(name) is not None:
             columns[name] = np.array([row.cells.get(name, np.nan) for row in rows], dtype=float)
     return columns
 

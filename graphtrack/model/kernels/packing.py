@@ -94,6 +94,16 @@ class PackedTracks:
         ]
         return np.concatenate(parts)
 
+    def input(self, name: str, *size: int) -> FloatArray:
+        """One of the tracks' inputs, (N,) or (N, size); NaN where a track does not have it.
+
+        Raises
+        ------
+        InputError
+            If a track has it in another size.
+        """
+        return np.concatenate([track.input(name, *size) for track in self.tracks])
+
     @cached_property
     def t(self) -> FloatArray:
         """(N,) seconds."""
@@ -152,7 +162,8 @@ _KINDS = 256
 class FramePacker:
     """Frames packed one at a time, as they come: of a kind that came before, from memory.
 
-    The kind is what was seen, with its stated spread, and how long after the frame before.
+    The kind is what was seen, with its stated spread, and how long after the frame before. A frame with
+    inputs is of no kind.
 
     Parameters
     ----------
@@ -171,7 +182,7 @@ class FramePacker:
         """A frame of this kind, packed; what is `live` in it stands for any."""
         seconds = 0.0 if dt is None else dt
         simple = seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None
-        if not (simple and self._repeats):
+        if not (simple and self._repeats) or seen.inputs:
             return self._packed(seen, seconds, starts, camera)
         stated = [getattr(seen, name) for name in _STATED]
         kind = (seconds, starts, *stated, *[getattr(seen, name) is None for name in _LIVE])
@@ -195,5 +206,6 @@ class FramePacker:
         channels: dict[str, Any] = {
             name: np.array([value]) for name, value in given.items() if value is not None
         }
-        track = Track(0, np.array([0]), np.array([seen.t]), np.array([position]), **channels)
+        inputs = {name: np.array([value]) for name, value in seen.inputs.items()}
+        track = Track(0, np.array([0]), np.array([seen.t]), np.array([position]), inputs=inputs, **channels)
         return PackedTracks.within(track, camera, dt, starts, self._terms, self._types)

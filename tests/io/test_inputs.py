@@ -1,0 +1,139 @@
+"""Inputs of a track: what they may be called and hold, in memory, in tables and in a stream."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import graphtrack as gt
+from graphtrack import io
+from graphtrack.cli.stream import observation_of
+from graphtrack.errors import InputError
+from graphtrack.inference.observed import checked
+from graphtrack.io.readers.ndjson import parse_line, read_cells
+from graphtrack.scale.dataset import open_dataset
+from graphtrack.scale.job import smooth_dataset
+from graphtrack.table import schema
+from graphtrack.tracks import Track, TrackSet
+
+GOAL = np.array([[1.0, 2.0], [np.nan, np.nan], [3.0, 4.0]])
+
+
+def person(track_id: int = 1, **inputs: object) -> Track:
+    return Track(track_id, np.arange(3), 0.1 * np.arange(3), np.zeros((3, 2)), inputs=inputs)  # type: ignore[arg-type]
+
+
+@given(name=st.text(st.sampled_from("ab_019"), max_size=8))
+def test_a_column_belongs_to_one_input_alone(name: str) -> None:
+    """Were ``goal_0`` the name of an input, its column would be that of an array called ``goal``."""
+    if not schema.is_input_name(name):
+        return
+    for size in ((), (3,)):
+        columns = list(schema.input_columns(f"input_{name}", size))
+        assert [column.field for column in columns] == [f"input_{name}"] * len(columns)
+        assert [schema.numeric(column.name) for column in columns] == columns
+        assert len({column.name for column in columns}) == (size[0] if size else 1)
+
+
+def test_a_track_keeps_its_inputs_and_nobody_changes_them() -> None:
+    track = person(goal=GOAL, density=[1, 2, 3])
+    np.testing.assert_array_equal(track.input("goal", 2), GOAL)
+    np.testing.assert_array_equal(track[1:].input("density"), [2.0, 3.0])
+    assert track.input("absent", 4).shape == (3, 4)
+    with pytest.raises(ValueError, match="read-only"):
+        track.inputs["goal"][0] = 0.0
+    assert GOAL.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("inputs", "said"),
+    [
+        ({"goal_0": np.zeros(3)}, "input 'goal_0'"),
+        ({"ziel des wegs": np.zeros(3)}, "letters, digits"),
+        ({"goal": np.zeros(2)}, r"shape \(3,\)"),
+        ({"goal": np.zeros((3, 0))}, "one number at least"),
+        ({"goal": np.zeros((3, 2, 2))}, "shape"),
+        ({"goal": np.array([[1.0, np.nan]] * 3)}, "frame 0"),
+        ({"goal": [0.0, np.inf, 0.0]}, "input_goal = inf in frame 1"),
+        ({"goal": ["a", "b", "c"]}, "no array of numbers"),
+    ],
+)
+def test_what_is_no_input_is_told(inputs: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        person(**inputs)
+
+
+def test_the_people_of_a_set_agree_on_the_size() -> None:
+    with pytest.raises(InputError, match="input 'goal' of one number a frame in track 2, expected 2 numbers"):
+        TrackSet((person(goal=GOAL), person(2, goal=np.zeros(3))))
+
+
+BAD = {
+    "a gap": ("input_goal_0,input_goal_2", "1,2", "a column input_goal_1 beside input_goal_0"),
+    "no beginning": ("input_goal_1", "1", "a column input_goal_0 beside input_goal_1"),
+    "two sizes": ("input_goal,input_goal_0", "1,2", "a column input_goal beside input_goal_0"),
+    "half a row": ("input_goal_0,input_goal_1", "1,", "an empty cell"),
+    "too long": ("input_goal_999999", "1", "a column input_goal_0 beside"),
+    "infinite": ("input_goal", "1e999", "1e999"),
+    "text": ("input_goal", "north", "'north'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_table_says_where_its_inputs_are_wrong(case: str, tmp_path: Path) -> None:
+    names, cells, said = BAD[case]
+    path = tmp_path / "people.csv"
+    path.write_text(f"track_id,frame,t,x,y,{names}\n1,0,0,0,0,{cells}\n")
+    with pytest.raises(InputError, match=said):
+        io.read(path)
+
+
+def test_a_data_set_gives_its_inputs_to_the_estimates(tmp_path: Path) -> None:
+    path, out = tmp_path / "people.parquet", tmp_path / "out.parquet"
+    people = TrackSet((person(goal=GOAL), person(2, density=np.arange(3.0))))
+    io.write(people, path)
+    assert {"input_goal_0", "input_goal_1", "input_density"} < set(open_dataset(path).columns)
+    smooth_dataset(path, out, "position")
+    found = io.read(out)
+    np.testing.assert_array_equal(found[1].inputs["goal"], GOAL)
+    np.testing.assert_array_equal(found[2].inputs["density"], np.arange(3.0))
+    names = list(found.to_table().columns)
+    assert names[names.index("input_density") :] == ["input_density", "input_goal_0", "input_goal_1"]
+
+
+def cells(**columns: object) -> dict[str, object]:
+    return read_cells(parse_line(json.dumps({"track_id": 1, "frame": 0, "x": 0.0, "y": 0.0, **columns})))
+
+
+def test_a_stream_has_inputs() -> None:
+    seen = observation_of(
+        cells(input_goal_1=2.0, input_goal_0=1.0, input_density=3, input_unknown=None), 10.0
+    )
+    assert checked(seen).inputs == {"goal": (1.0, 2.0), "density": 3.0}
+    with pytest.raises(InputError, match="an empty cell") as raised:
+        cells(input_goal_1=2.0)
+    assert raised.value.column == "input_goal_0"
+    with pytest.raises(InputError, match="one of the two"):
+        observation_of(cells(input_goal=2.0, input_goal_0=1.0), 10.0)
+
+
+@pytest.mark.parametrize("value", ["north", None, [], [[1.0]], [1.0, np.nan], np.inf])
+def test_an_observation_with_an_input_that_is_none_is_refused(value: object) -> None:
+    with pytest.raises(InputError, match="input goal ="):
+        checked(gt.Observation(t=0.0, inputs={"goal": value}))  # type: ignore[dict-item]
+
+
+def test_an_input_that_comes_late_is_taken_in() -> None:
+    smoother = gt.OnlineSmoother("position", engine="fixed-lag", lag=1.0)
+    place = {"position": (0.0, 0.0), "t": 0.0}
+    smoother.update(gt.Observation(**place))  # type: ignore[arg-type]
+    assert smoother.update(gt.Observation(**place)).status == "duplicate"  # type: ignore[arg-type]
+    late = gt.Observation(**place, inputs={"goal": [1, 2]})  # type: ignore[arg-type]
+    assert smoother.update(late).status == "late"
+    (step,) = smoother.state()["steps"]
+    assert tuple(step["observation"]["inputs"]["goal"]) == (1.0, 2.0)
