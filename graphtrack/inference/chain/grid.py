@@ -16,10 +16,14 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_over, set_quarters
 
 Single = NDArray[np.float32]
+
+SURE = 4.0
+"""Greatest concentration that the past of a window has in the search for another basin."""
 
 
 @compiled
@@ -106,6 +110,33 @@ def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> Non
 
 
 @compiled
+def add_past(prior: FloatArray, state: FloatArray, angles: FloatArray, cost: Single) -> None:
+    """Add what the past says of body and head in the first frame of a window, (bins, bins).
+
+    The prior's Gaussian becomes cosines about its mean, given the motion of ``state``. It knows its own basin
+    alone, so it counts for no more than `SURE`: what the window saw can outweigh it.
+    """
+    slope = -prior[N, BODY:]
+    for i in range(2):
+        for j in range(BODY):
+            slope[i] += prior[BODY + i, j] * (state[j] - prior[N + 1, j])
+    both = prior[BODY, HEAD]
+    determinant = prior[BODY, BODY] * prior[HEAD, HEAD] - both * both
+    if not determinant > 0.0:
+        return
+    body = prior[N + 1, BODY] + (both * slope[1] - prior[HEAD, HEAD] * slope[0]) / determinant
+    head = prior[N + 1, HEAD] + (both * slope[0] - prior[BODY, BODY] * slope[1]) / determinant
+    of_body = min(max(prior[BODY, BODY] + both, 0.0), SURE)
+    of_head = min(max(prior[HEAD, HEAD] + both, 0.0), SURE)
+    of_both = min(max(-both, 0.0), SURE)
+    for b in range(len(angles)):
+        for h in range(len(angles)):
+            turn, turn_head = angles[b] - body, angles[h] - head
+            cost[b, h] += of_body * (1.0 - math.cos(turn)) + of_head * (1.0 - math.cos(turn_head))
+            cost[b, h] += of_both * (1.0 - math.cos(turn_head - turn))
+
+
+@compiled
 def best_course(
     problem: Problem, track: int, states: FloatArray, bins: int, spread: float, course: FloatArray
 ) -> None:
@@ -137,6 +168,8 @@ def best_course(
         now = value[g]
         if g == 0:
             now[:] = 0.0
+            if len(problem.prior) > 0:
+                add_past(problem.prior, states[0], angles, now)
         else:
             hops(body_turn[g], cos, body_hop)
             hops(head_turn[g], cos, head_hop)

@@ -53,6 +53,8 @@ class ChainWindow:
         self._anchor: Angles | None = None
         self._steps: list[Step] = []
         self._has_prior = False
+        # Whether what was seen may speak for several directions: then other basins are searched.
+        self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
         self._origin = np.zeros(2)
         self._covariance = np.empty((N, N))
         self._modes = WindowModes(gait_of(model.parameters.gait)) if model.has_modes else None
@@ -233,6 +235,7 @@ class ChainWindow:
         if not linked:
             for name in self._program.links:
                 record[place[name]] = 0.0
+        self._ambiguous = self._ambiguous or bool(len(packed.body_heights) + len(packed.head_heights))
         if len(packed.body_heights):
             self._problem.body_heights[row] = packed.body_heights[0]
         if len(packed.head_heights):
@@ -251,6 +254,7 @@ class ChainWindow:
             self._problem,
             self._states,
             self._warm,
+            self._ambiguous,
             self._max_iterations,
             self._tolerance,
             self._memory,

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, clear, eliminate, invert_cholesky, sweep_back
 from graphtrack.inference.chain.newton import add_prior, minimise, sweep_forward
+from graphtrack.inference.chain.restart import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N
@@ -22,6 +25,7 @@ def solve_window(
     problem: Problem,
     states: FloatArray,
     warm: bool,
+    search: bool,
     max_iterations: int,
     tolerance: float,
     workspace: Workspace,
@@ -30,6 +34,7 @@ def solve_window(
     """Newton steps on the frames ``problem.offsets`` of the states, in place.
 
     ``warm`` if the workspace holds the factorisation of all frames but the newest, from the last call.
+    ``search``: for another basin too, in which the window costs less; the prior is turned with it.
     ``covariance`` (6, 6) becomes that of the newest frame. Returns whether all went well; if not, neither the
     states nor the factorisation are to be used.
     """
@@ -38,9 +43,19 @@ def solve_window(
     here, last, memory = states[begin:end], end - begin - 1, from_frame(workspace, begin)
     if warm and last > 0:
         foresee(problem, here, memory)
-    _, _, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
+    _, cost, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
     if status == NOT_FINITE:
         return False
+    again = np.empty((last + 1, N))
+    if search and find_other_basin(problem, track, here, AT_END, again):
+        before = problem.prior.copy()
+        turn_past(problem.prior, here, again)
+        _, found, _, ended, sound = minimise(problem, track, again, max_iterations, tolerance, memory)
+        if ended != NOT_FINITE and found < cost:
+            here[:], exact = again, sound
+        else:
+            problem.prior[:] = before
+            _, exact = sweep_forward(problem, track, here[0].copy(), here, True, memory)
     if not exact and not sweep_forward(problem, track, here[0].copy(), here, False, memory)[1]:
         return False
     memory.newest[:] = memory.scratch[1 + (last & 1)]
@@ -53,6 +68,23 @@ def solve_window(
                 total += memory.inverse[last, m, i] * memory.inverse[last, m, j]
             covariance[i, j] = covariance[j, i] = total
     return finite
+
+
+@compiled
+def turn_past(prior: FloatArray, states: FloatArray, again: FloatArray) -> None:
+    """Turn the prior with a first frame that went from ``states`` to another basin in ``again``.
+
+    What the Gaussian says holds about its own basin; that it is as sure of the other one is the best guess.
+    The angles of ``again`` go on from those of the states, and from frame to frame.
+    """
+    for place in (BODY, HEAD):
+        reference = states[0, place]
+        for k in range(len(again)):
+            again[k, place] -= 2.0 * math.pi * round((again[k, place] - reference) / (2.0 * math.pi))
+            reference = again[k, place]
+        turn = again[0, place] - states[0, place]
+        if len(prior) > 0 and math.cos(turn) < AT_END:
+            prior[N + 1, place] += turn
 
 
 @compiled

@@ -1,0 +1,55 @@
+"""Classifiers that take front for back: no engine may settle where the body or the head faces backwards."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from walks import walk
+
+from graphtrack.geometry.angles import difference
+from graphtrack.inference import smooth, track_online
+from graphtrack.simulation.classes import add_class_likelihoods
+from graphtrack.tracks import Track, TrackSet
+
+SETTLED = 1.5
+"""Seconds of answers after which the direction must be known: 15 answers, of which three are flipped."""
+
+
+def misjudged(n_people: int = 6) -> TrackSet:
+    people = TrackSet(tuple(walk(60, seed=k, track_id=k) for k in range(n_people)))
+    return add_class_likelihoods(people, rng=np.random.default_rng(7))
+
+
+def far_off(estimate: Track, name: str) -> float:
+    """Share of the frames in which an orientation points more than 90° from the truth, once settled."""
+    late = estimate.t > estimate.t[0] + SETTLED
+    error = difference(getattr(estimate, name), getattr(estimate, f"true_{name}"))
+    return float((np.abs(error[late]) > np.pi / 2.0).mean())
+
+
+@pytest.mark.parametrize("preset", ["separate", "joint", "full"])
+def test_online_nobody_is_left_facing_backwards(preset: str) -> None:
+    """The answers of the first frames, which may be flipped, do not decide for good."""
+    people = misjudged()
+    for track in people:
+        found = track_online(track, preset, engine="chain", lag=1.0)
+        for name in ("body", "head"):
+            assert far_off(found, name) < 0.1, (track.track_id, name)
+    for found in smooth(people, preset):
+        assert far_off(found, "body") == far_off(found, "head") == 0.0
+
+
+def test_whoever_turns_around_is_followed_out_of_the_past() -> None:
+    """What left the window says that the head points one way; then it turns within a few frames."""
+    (track,) = misjudged(1)
+    assert track.true_head is not None
+    turned = np.array(track.true_head)
+    turned[30:] += np.pi
+    people = add_class_likelihoods(
+        TrackSet((Track(1, track.frame, track.t, track.position, true_head=np.angle(np.exp(1j * turned))),)),
+        rng=np.random.default_rng(1),
+    )
+    found = track_online(people.tracks[0], "separate", engine="chain", lag=1.0)
+    error = np.abs(difference(found.head, found.true_head))
+    assert (error[:30] < np.pi / 2.0).mean() > 0.7
+    assert (error[45:] < np.pi / 4.0).all()
