@@ -48,9 +48,9 @@ def add_class_likelihoods(
 ) -> TrackSet:
     """Observe the orientations of tracks by classifiers whose confusion is known.
 
-    In each frame in which an orientation is known, its class (the nearest centre, 360·k/n degrees) is answered
-    as the confusion matrix has it, and the likelihoods are those of that answer: calibrated, and as far as one
-    answer tells. The orientations become the truth unless there is one.
+    In each frame in which an orientation is known, its class (the nearest centre, 360·k/n degrees) is
+    answered as the confusion matrix has it, and the likelihoods are those of that answer: calibrated, and as
+    far as one answer tells. The orientations become the truth unless there is one.
 
     Parameters
     ----------
