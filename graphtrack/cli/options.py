@@ -36,16 +36,16 @@ ModelName = Annotated[
     str,
     typer.Option(
         "--model",
-        help="position, separate, joint, intentional, joint-intentional, full, joint-place, or a model file "
-        "(.toml).",
+        help="position, separate, joint-body, joint, intentional, joint-intentional, full, joint-place, or a "
+        "model file (.toml).",
     ),
 ]
 BestModelName = Annotated[
     str | None,
     typer.Option(
         "--model",
-        help="position, separate, joint, intentional, joint-intentional, full, joint-place, or a model file "
-        "(.toml); by default full, or joint with an engine of GTSAM's, which do not have its modes.",
+        help="position, separate, joint-body, joint, intentional, joint-intentional, full, joint-place, or a "
+        "model file (.toml); by default full, or joint with an engine of GTSAM's, which lack its modes.",
         show_default=False,
     ),
 ]
@@ -248,12 +248,13 @@ def check_outputs(
     *,
     folders: Mapping[str, Path | None] | None = None,
     table: Path | None = None,
+    to_make: Iterable[Path] = (),
 ) -> None:
     """Refuse, before anything is read, what could not be written in the end, or not without a loss.
 
     Parameters
     ----------
-    outputs, inputs, folders : as in `check_distinct`, by the names of their options
+    outputs, inputs, folders, to_make : as in `check_distinct`, by the names of their options
     table : the output that is a file with tracks, whose format is chosen by its name
 
     Raises
@@ -268,7 +269,7 @@ def check_outputs(
         from graphtrack.io.registry import format_for_writing
 
         format_for_writing(table)
-    check_distinct(outputs, inputs or {}, folders=folders)
+    check_distinct(outputs, inputs or {}, folders=folders, to_make=to_make)
 
 
 def model_file(model: str | None) -> Path | None:

@@ -58,11 +58,10 @@ def reproduce(
     options.check_outputs(
         {
             "--json": json_path,
-            "--out": options.files_in(
-                out, (f"{one}.{ending}" for one in chosen for ending in ("png", "json"))
-            ),
+            "--out": [out / f"{one}.{ending}" for one in chosen for ending in ("png", "json")],
         },
         {"--data": [] if folder is None else [folder / kind for kind in RECORDINGS]},
+        to_make=[out],
     )
     options.make_folder(out)
     if folder is None:

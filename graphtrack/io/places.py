@@ -64,6 +64,7 @@ def check_distinct(
     inputs: Mapping[str, Paths],
     *,
     folders: Mapping[str, Path | None] | None = None,
+    to_make: Iterable[Path] = (),
 ) -> None:
     """Refuse outputs that cannot be written, or that would take the place of an input or of one another.
 
@@ -75,6 +76,7 @@ def check_distinct(
     outputs : name, as a user knows it → the files to write
     inputs : name → what is read; in a folder among it nothing may be written
     folders : name → a folder that is written whole, and in which nothing else may be
+    to_make : folders that will be made before anything is written to them
 
     Raises
     ------
@@ -90,8 +92,10 @@ def check_distinct(
     for name, path in _each(folders or {}):
         check_place(path, directory=True)
         closed[_identity(path)] = _claimed(name, path, taken, closed)
+    made = {folder.absolute() for folder in to_make}
     for name, path in _each(outputs):
-        check_place(path)
+        if path.absolute().parent not in made or path.exists():
+            check_place(path)
         _claimed(name, path, taken, closed)
 
 

@@ -37,15 +37,17 @@ _SEPARATE: tuple[type[Term], ...] = (*_POSITION, BodyDynamics, HeadDynamics, Bod
 presets: dict[str, tuple[type[Term], ...]] = {
     "position": _POSITION,
     "separate": _SEPARATE,
+    "joint-body": (*_SEPARATE, BodyFollowsMotion),
     "joint": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody),
     "intentional": (IntentionalMotion, PositionLikelihood, HeadDynamics, HeadLikelihood),
     "joint-intentional": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody),
     "full": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody, GaitOffsets),
     "joint-place": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody, PlacePrior),
 }
-"""Name → the terms of the model: positions only; orientations too, each for itself; all coupled (002);
-positions and the head that steers them (000); all of these; `joint` whose couplings have modes; `joint` with
-a place that people are drawn to or kept from."""
+"""Name → the terms of the model: positions only; orientations too, each for itself; the body coupled to the
+motion, but not the head to the body (what 002 calls separate, κ₂ = 0); all coupled (002); positions and the
+head that steers them (000); all of these; `joint` whose couplings have modes; `joint` with a place that
+people are drawn to or kept from."""
 
 
 def every_term() -> tuple[type[Term], ...]:

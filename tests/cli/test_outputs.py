@@ -53,6 +53,7 @@ COINCIDING = {
     "fit a.csv -o new.toml --report x --json x": ("--report", "--json"),
     "fit a.csv -o new.toml --report new.toml.progress": ("the progress file of --output", "--report"),
     "reproduce baxter-statistics --out . --json baxter-statistics.json": ("--json", "--out"),
+    "reproduce chen-joint --out new --json new/chen-joint.json": ("--json", "--out"),
     "reproduce chen-joint --out full --data data --json data/salsa/features.txt": ("--json", "--data"),
     "demo --out full --model m.toml": ("--out", "--model"),
     "perception observe frames -o a.csv --boxes a.csv": ("--output", "--boxes"),

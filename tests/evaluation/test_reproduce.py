@@ -191,11 +191,11 @@ def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.Monk
     tables = []
     for name in ("first", "again"):
         arguments = ["reproduce", "baxter-statistics", "--quick", "--seed", "3"]
-        arguments += ["--out", str(tmp_path / name), "--json", str(tmp_path / f"{name}.json")]
+        arguments += ["--out", name, "--json", f"{name}/tables.json"]
         result = CliRunner().invoke(app, arguments)
         assert result.exit_code == 0, result.output
         assert (tmp_path / name / "baxter-statistics.png").stat().st_size > 10_000
-        tables.append(json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8")))
+        tables.append(json.loads((tmp_path / name / "tables.json").read_text(encoding="utf-8")))
     assert tables[0] == tables[1]
     detail, beside = tables[0]
     assert detail["columns"][0] == "data"

@@ -127,6 +127,7 @@ def test_presets_estimate_the_orientations_that_they_name() -> None:
         "joint-intentional": (True, True),
         "full": (True, True),
         "joint-place": (True, True),
+        "joint-body": (True, True),
     }
 
 

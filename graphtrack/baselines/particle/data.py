@@ -121,7 +121,7 @@ def prepare(
         if type(term) not in KNOWN:
             raise InputError(
                 f"the term {type(term).__name__}, which the particle filter does not know",
-                "for it, a model of position, separate, joint, intentional or joint-intentional",
+                "for it, a model of position, separate, joint-body, joint, intentional or joint-intentional",
             )
     if image_pose and camera is None:
         raise InputError("poses in the image frame without a camera", "a camera of the scene")

@@ -3,7 +3,7 @@
 A bootstrap filter on the same `Model` object that the factor graph uses: the state is p, v, θ, α; its
 dynamics are the proposal. The angles are drawn from the *normalised* product of the von Mises of their
 dynamics and of their coupling (002 eq. 8 and 10), where the graph holds the product without that
-normalisation. The preset ``separate`` is 002's baseline, κ₂ = 0 without the coupling of body and motion.
+normalisation. 002's baseline, κ₂ = 0, is the preset ``joint-body``.
 """
 
 from __future__ import annotations
