@@ -12,20 +12,20 @@ from typing import Any
 
 logger = logging.getLogger("graphtrack")
 
-Kernel = Any
+CompiledFunction = Any
 """A function that `compiled`, or numba, has made."""
 
-Costs = Mapping[Kernel, float]
+Costs = Mapping[CompiledFunction, float]
 """Function → seconds that compiling takes on a core, about."""
 
 
-def is_loaded(kernel: Kernel) -> bool:
+def is_loaded(kernel: CompiledFunction) -> bool:
     """Whether a compiled function has machine code in this process."""
     # Where numba is told not to compile, functions stay what they are.
     return bool(getattr(kernel, "signatures", True))
 
 
-def is_cold(kernel: Kernel) -> bool:
+def is_cold(kernel: CompiledFunction) -> bool:
     """Whether a compiled function has no machine code yet, neither in this process nor on disk."""
     if is_loaded(kernel):
         return False
@@ -57,7 +57,7 @@ class Rehearsal:
     inlined: Costs = field(default_factory=dict)
 
     @property
-    def seconds(self) -> dict[Kernel, float]:
+    def seconds(self) -> dict[CompiledFunction, float]:
         """What is still to be compiled."""
         if not any(map(is_cold, self.called)):
             return {}
@@ -72,7 +72,7 @@ def make_ready(what: str, *rehearsals: Rehearsal) -> None:
     what : it is that is compiled, in words
     """
     waiting = [one for one in rehearsals if not all(map(is_loaded, one.called))]
-    cold: dict[Kernel, float] = {}
+    cold: dict[CompiledFunction, float] = {}
     for one in waiting:
         cold |= one.seconds
     if sum(cold.values()) < UNNOTICED:

@@ -29,6 +29,7 @@ def follow(slow):
             of_python |= {path.name for path in set(Path().iterdir()) - before}
     names["written"] = of_python
     names["outputs"], names["files"] = outputs, {path.name for path in Path().iterdir()}
+    names["of_demo"] = {path.name for path in Path("demo").iterdir()}
     names["model_file"] = gt.Model.load("model.toml")
     return names
 
@@ -67,6 +68,7 @@ def check_tracks(names):
     (answer,) = (text for line, text in names["outputs"].items() if "|" in line)
     assert answer.count('"status": "new"') == 1
     assert {"smoothed.csv", "report.html", "scores.json", "learned.toml"} <= names["files"]
+    assert {"report.html", "tracks.png", "errors.png", "nees.png", "estimates.csv"} <= names["of_demo"]
 
 
 def test_everything_about_tracks_runs_from_top_to_bottom(names):

@@ -123,12 +123,12 @@ def caption(found: Fit) -> str:
 
 def write_page(found: Fit, path: Path) -> None:
     """The tables as one HTML file."""
-    from graphtrack.report.content import Note, Report, Section, Table
+    from graphtrack.report.content import DataTable, Note, Report, Section
     from graphtrack.report.html import write_report
 
     items = (
         Note(caption(found)),
-        Table.from_records("What changed", parameter_rows(found)),
-        Table.from_records("What it bought: log density a frame", score_rows(found)),
+        DataTable.from_records("What changed", parameter_rows(found)),
+        DataTable.from_records("What it bought: log density a frame", score_rows(found)),
     )
     write_report(path, Report("Learned parameters", sections=(Section("Learning", items),)))

@@ -49,7 +49,7 @@ BestModelName = Annotated[
         show_default=False,
     ),
 ]
-Format = Annotated[
+FormatName = Annotated[
     str | None,
     typer.Option(
         "--format", help="Force the input's format; see 'graphtrack formats'.", rich_help_panel=_READING
@@ -136,7 +136,7 @@ class Reading:
     """What can be said of an input that is already in metres; see `expanded`."""
 
     fps: Fps = None
-    format: Format = None
+    format: FormatName = None
     select: Select = None
 
     def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:

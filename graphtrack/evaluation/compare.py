@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 METHODS = ("kf", "rts", "smoother", "chain", "isam2", "fixed-lag")
 
-Group = Literal["online", "offline"]
+MethodGroup = Literal["online", "offline"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ class Comparison:
         """The methods that failed on a track, with their reason in ``failure``."""
         return tuple(record for record in self.per_track if record.failure)
 
-    def group(self, name: Group) -> tuple[Mapping[str, Any], ...]:
+    def group(self, name: MethodGroup) -> tuple[Mapping[str, Any], ...]:
         """The rows of the online or the offline methods."""
         return tuple(row for row in self.rows if row["group"] == name)
 
@@ -238,7 +238,7 @@ def _preset(method: Method) -> str:
     return model.preset if isinstance(model, Model) else ""
 
 
-def _group(method: Method) -> Group:
+def _group(method: Method) -> MethodGroup:
     return "online" if method.online else "offline"
 
 

@@ -137,7 +137,9 @@ def fit(
     training, held = _split(usable, hold_out, seed, max_frames)
     free = every = free_parameters(model, training)
     mark = _fingerprint(training, model, criterion, tracks.camera)
-    search = _Search(training, model, tracks.camera, criterion, EvaluationJournal(journal, mark), progress)
+    search = _Evaluations(
+        training, model, tracks.camera, criterion, EvaluationJournal(journal, mark), progress
+    )
     start = np.array([one.to_scale(one.get(model)) for one in free])
     shown = search.shown_by_data(free, start)
     free = tuple(one for one, good in zip(free, shown, strict=True) if good)
@@ -168,7 +170,7 @@ def fit(
     return Fit(best, model, criterion, tuple(learned), covariance, scores, counts, len(search.journal))
 
 
-class _Search:
+class _Evaluations:
     """The evaluations of one run, each kept in the journal."""
 
     def __init__(

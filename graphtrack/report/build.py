@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
-from graphtrack.report.content import AngleChart, Card, Note, Picture, Report, Section, Table
+from graphtrack.report.content import AngleChart, Card, DataTable, Note, Picture, Report, Section
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots import plot_errors, plot_nees
 from graphtrack.report.plots.orientation import plot_angles_of
@@ -19,7 +19,7 @@ from graphtrack.report.rows import Records
 from graphtrack.report.shapes import probability_ellipse
 from graphtrack.tracks import ReadSummary, Track, TrackSet
 
-Errors = dict[str, float | None]
+PersonErrors = dict[str, float | None]
 """Column of the table of people → error of one of them."""
 
 CLOCK_TIMES = 1e6
@@ -96,7 +96,7 @@ def tracking_report(
     )
 
 
-def people_table(pairs: Sequence[Pair], errors: Sequence[Errors]) -> Table:
+def people_table(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> DataTable:
     """One line a person: extent in time, what was observed, uncertainty and, where truth is known, errors.
 
     Parameters
@@ -131,14 +131,14 @@ def people_table(pairs: Sequence[Pair], errors: Sequence[Errors]) -> Table:
         "Uncertainties are medians over the frames; the 95 % radius is the longer half-axis of the ellipse."
     )
     rows = tuple(tuple(row[c] for c in columns) for row in table)
-    return Table("Results of each person", tuple(columns), rows, note, person_column="person")
+    return DataTable("Results of each person", tuple(columns), rows, note, person_column="person")
 
 
-def reading_items(summary: ReadSummary) -> tuple[Table | Note, ...]:
+def reading_items(summary: ReadSummary) -> tuple[DataTable | Note, ...]:
     """The reader's account: rows read, used and refused, reasons, and what was assumed."""
     rows: list[tuple[str, int]] = [("read", summary.rows_read), ("used", summary.rows_used)]
     rows += [(f"refused: {reason}", count) for reason, count in summary.refused.items()]
-    table = Table(f"Rows of the input ({summary.format})", ("rows", "number"), tuple(rows))
+    table = DataTable(f"Rows of the input ({summary.format})", ("rows", "number"), tuple(rows))
     return (table, *(Note(note) for note in summary.notes))
 
 
@@ -177,18 +177,18 @@ def _left_out(count: int, limit: int) -> tuple[Note, ...]:
 
 
 def _methods_section(comparison: Records | None, consistency: Records | None) -> Section:
-    items: list[Table | Picture] = []
+    items: list[DataTable | Picture] = []
     if comparison is not None:
         words = "Error of each method: the median, and its spread over the tracks"
-        table = Table.from_records("Comparison of methods", comparison)
+        table = DataTable.from_records("Comparison of methods", comparison)
         items += [Picture(words, plot_errors(comparison)), table]
     if consistency is not None:
         words = "Consistency: the mean NEES of each method, and the 95 % band it should lie in"
-        items += [Picture(words, plot_nees(consistency)), Table.from_records("Consistency", consistency)]
+        items += [Picture(words, plot_nees(consistency)), DataTable.from_records("Consistency", consistency)]
     return Section("Methods", tuple(items))
 
 
-def _cards(pairs: Sequence[Pair], errors: Sequence[Errors]) -> tuple[Card, ...]:
+def _cards(pairs: Sequence[Pair], errors: Sequence[PersonErrors]) -> tuple[Card, ...]:
     frames = sum(len(pair.estimate) for pair in pairs)
     times = [pair.estimate.t for pair in pairs]
     seconds = max(t[-1] for t in times) - min(t[0] for t in times) if times else 0.0
@@ -208,7 +208,7 @@ def _cards(pairs: Sequence[Pair], errors: Sequence[Errors]) -> tuple[Card, ...]:
     return tuple(cards)
 
 
-def person_errors(pair: Pair) -> Errors:
+def person_errors(pair: Pair) -> PersonErrors:
     """Errors of one person in position (root mean square, metres) and angles (mean, degrees).
 
     None where the truth is not known.
@@ -216,7 +216,7 @@ def person_errors(pair: Pair) -> Errors:
     estimate = pair.estimate
     squared = ((estimate.position - pair.true_position) ** 2).sum(axis=1)
     squared = squared[np.isfinite(squared)]
-    line: Errors = {"position RMSE (m)": float(np.sqrt(squared.mean())) if squared.size else None}
+    line: PersonErrors = {"position RMSE (m)": float(np.sqrt(squared.mean())) if squared.size else None}
     for name in ("body", "head"):
         angle = getattr(estimate, name)
         error = np.nan if angle is None else np.degrees(mean_absolute_error(angle, pair.true_angle(name)))

@@ -29,7 +29,7 @@ class Note:
 
 
 @dataclass(frozen=True)
-class Table:
+class DataTable:
     """A table; numbers are shown to four digits, None and NaN as a dash.
 
     Attributes
@@ -48,7 +48,7 @@ class Table:
     person_column: str | None = None
 
     @classmethod
-    def from_records(cls, title: str, table: Records, *, note: str = "") -> Table:
+    def from_records(cls, title: str, table: Records, *, note: str = "") -> DataTable:
         """A table of a DataFrame or a list of dict, in the order of the first row's columns.
 
         Raises
@@ -97,7 +97,7 @@ class Section:
     """A heading and what stands below it."""
 
     title: str
-    items: tuple[Note | Table | Picture | AngleChart, ...]
+    items: tuple[Note | DataTable | Picture | AngleChart, ...]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from graphtrack.io.atomic import atomic_path
-from graphtrack.report.content import AngleChart, Card, Note, Picture, Report, Section, Table
+from graphtrack.report.content import AngleChart, Card, DataTable, Note, Picture, Report, Section
 from graphtrack.report.replay_html import render_angle_chart, render_replay
 from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
 
@@ -143,8 +143,8 @@ def _section(anchor: str, section: Section) -> str:
     return f'<section aria-labelledby="{anchor}">{heading}\n{body}\n</section>'
 
 
-def _item(item: Note | Table | Picture | AngleChart) -> str:
-    if isinstance(item, Table):
+def _item(item: Note | DataTable | Picture | AngleChart) -> str:
+    if isinstance(item, DataTable):
         return _table(item)
     if isinstance(item, Picture):
         return _picture(item)
@@ -153,7 +153,7 @@ def _item(item: Note | Table | Picture | AngleChart) -> str:
     return f"<p>{html.escape(item.text)}</p>"
 
 
-def _table(table: Table) -> str:
+def _table(table: DataTable) -> str:
     numeric = [
         all(isinstance(row[i], numbers.Real) or row[i] is None for row in table.rows)
         for i in range(len(table.columns))

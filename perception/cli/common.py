@@ -22,7 +22,7 @@ _FPS = 25.0
 FILE = {"exists": True, "dir_okay": False}
 """Of options that name a file to read."""
 
-Source = Annotated[
+VideoOrFolder = Annotated[
     Path, typer.Argument(help="A video, or a folder of images.", metavar="VIDEO|FOLDER", exists=True)
 ]
 Homography = Annotated[

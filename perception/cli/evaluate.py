@@ -103,7 +103,7 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None) -> None:
     )
     if plot is not None:
         from graphtrack.io import atomic_path
-        from perception.evaluation.plots import reliability_figure
+        from perception.evaluation.measures import reliability_figure
 
         figure = reliability_figure(scores, degrees)
         with atomic_path(plot) as temporary:

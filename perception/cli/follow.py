@@ -18,7 +18,7 @@ from perception.cli.common import (
     Fps,
     Homography,
     Render,
-    Source,
+    VideoOrFolder,
     check_places,
     frame_rate,
     in_time,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def follow(
-    source: Source,
+    source: VideoOrFolder,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv.")],
     tracker: Annotated[
         str, typer.Option("--tracker", help="mixed-state, sigma-pi or color.")

@@ -19,7 +19,7 @@ from perception.cli.common import (
     Fps,
     Homography,
     Render,
-    Source,
+    VideoOrFolder,
     check_places,
     frame_rate,
     in_time,
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 def observe(
-    source: Source,
+    source: VideoOrFolder,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv, .csv.gz or .parquet.")],
     boxes: Annotated[
         Path | None,

@@ -128,7 +128,7 @@ class TrackerParameters:
 
 
 @dataclass
-class _Track:
+class _Tracklet:
     track_id: int
     frame: int
     place: FloatArray
@@ -153,8 +153,8 @@ class PeopleTracker:
     ) -> None:
         self.camera, self.parameters = camera, parameters
         self._next = 1
-        self._alive: list[_Track] = []
-        self._ended: list[_Track] = []
+        self._alive: list[_Tracklet] = []
+        self._ended: list[_Tracklet] = []
 
     def update(self, frame: int, found: Detections) -> list[int]:
         """Take the boxes of a frame, after all earlier ones; the ids that they are given (n,)."""
@@ -213,13 +213,13 @@ class PeopleTracker:
         pixel = foot_point((left, top, width, height))
         return pixel if self.camera is None else self.camera.image_to_ground(pixel)
 
-    def _born(self, frame: int, place: FloatArray, colours: FloatArray) -> _Track:
-        track = _Track(self._next, frame, place, np.zeros(2), colours)
+    def _born(self, frame: int, place: FloatArray, colours: FloatArray) -> _Tracklet:
+        track = _Tracklet(self._next, frame, place, np.zeros(2), colours)
         self._next += 1
         self._alive.append(track)
         return track
 
-    def _extend(self, track: _Track, frame: int, place: FloatArray, colours: FloatArray) -> None:
+    def _extend(self, track: _Tracklet, frame: int, place: FloatArray, colours: FloatArray) -> None:
         share = self.parameters.smoothing
         if frame > track.frame:
             track.velocity = (1 - share) * track.velocity + share * (place - track.place) / (

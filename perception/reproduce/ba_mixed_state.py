@@ -50,7 +50,7 @@ _SOME = 0.3
 """Clutter behind heads that are hidden: with much of it guided trackers, too, cling to what is like the head.
 The guide was tuned on other sequences with this amount."""
 
-Result = tuple[HeadClip, dict[str, Run]]
+ClipRuns = tuple[HeadClip, dict[str, Run]]
 
 
 def _effort(settings: Settings) -> tuple[int, int, int]:
@@ -113,7 +113,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     return Reproduction("ba-mixed-state", tables, _figure(_median(facing)), notes)
 
 
-def _on_top(facing: Sequence[tuple[HeadJob, Result]]) -> Table:
+def _on_top(facing: Sequence[tuple[HeadJob, ClipRuns]]) -> Table:
     records: list[dict[str, Cell]] = []
     for name in (SEQUENTIAL, JOINT):
         runs = [result[1][name].on_top for _, result in facing]
@@ -169,7 +169,7 @@ def _identification(settings: Settings, progress: Progress) -> Table:
     return Table.of("Identification of nine pans, in brackets people learned from", records)
 
 
-def _rows(pans: str, done: Sequence[tuple[HeadJob, Result]]) -> list[dict[str, Cell]]:
+def _rows(pans: str, done: Sequence[tuple[HeadJob, ClipRuns]]) -> list[dict[str, Cell]]:
     rows: list[dict[str, Cell]] = []
     for name in METHODS:
         runs = [(job.seed[1], result[1][name]) for job, result in done if name in result[1]]
@@ -195,7 +195,7 @@ def _by_seed(values: Sequence[tuple[int, float]]) -> FloatArray:
     return np.array([np.mean([value for k, value in values if k == seed]) for seed in seeds])
 
 
-def _beside(facing: Sequence[tuple[HeadJob, Result]]) -> Table:
+def _beside(facing: Sequence[tuple[HeadJob, ClipRuns]]) -> Table:
     def mean(name: str, attribute: str) -> float:
         return float(np.mean([getattr(result[1][name], attribute).mean() for _, result in facing]))
 
@@ -215,13 +215,13 @@ def _beside(facing: Sequence[tuple[HeadJob, Result]]) -> Table:
     return Table.of("Paper / ours: joint against sequential, heads that face the camera", records)
 
 
-def _median(facing: Sequence[tuple[HeadJob, Result]]) -> Result:
+def _median(facing: Sequence[tuple[HeadJob, ClipRuns]]) -> ClipRuns:
     """Of the sequences with all methods, that in which the mixed-state tracker's error is the median one."""
     whole = [result for job, result in facing if len(job.methods) == len(METHODS)]
     return sorted(whole, key=lambda result: float(result[1][JOINT].error.mean()))[len(whole) // 2]
 
 
-def _figure(shown: Result) -> Figure:
+def _figure(shown: ClipRuns) -> Figure:
     from graphtrack.report.style import new_figure, tidy
 
     clip, runs = shown

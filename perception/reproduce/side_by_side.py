@@ -10,17 +10,17 @@ from typing import TypeVar
 
 from graphtrack.evaluation.reproduce.experiment import Progress
 
-Job = TypeVar("Job")
-Result = TypeVar("Result")
+Task = TypeVar("Task")
+Answer = TypeVar("Answer")
 
 
 def run_all(
-    function: Callable[[Job], Result],
-    jobs: Sequence[Job],
+    function: Callable[[Task], Answer],
+    jobs: Sequence[Task],
     progress: Progress,
     *,
     processes: int | None = None,
-) -> list[Result]:
+) -> list[Answer]:
     """What a function of a module gives for each job, in their order.
 
     Parameters

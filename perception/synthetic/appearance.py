@@ -9,7 +9,7 @@ import numpy as np
 
 from perception.synthetic.solids import CHECKED, PLAIN, SPECKLED, STRIPED
 
-Colour = tuple[float, float, float]
+Reflectance = tuple[float, float, float]
 Hair = Literal["short", "long", "bun", "bald", "receding", "afro", "ponytail"]
 Hat = Literal["none", "cap", "beanie", "brim", "hood"]
 
@@ -60,17 +60,17 @@ class Appearance:
     build : factor of the body's width
     """
 
-    skin: Colour
-    hair_colour: Colour
+    skin: Reflectance
+    hair_colour: Reflectance
     hair: Hair
     hat: Hat
-    hat_colour: Colour
+    hat_colour: Reflectance
     glasses: bool
     beard: bool
-    top: Colour
-    shirt: Colour
-    trousers: Colour
-    shoes: Colour
+    top: Reflectance
+    shirt: Reflectance
+    trousers: Reflectance
+    shoes: Reflectance
     open_jacket: bool
     backpack: bool
     bare_arms: bool
@@ -83,7 +83,7 @@ class Appearance:
 def random_appearance(rng: np.random.Generator) -> Appearance:
     """Draw one person."""
 
-    def cloth(low: float = 0.03, high: float = 0.9) -> Colour:
+    def cloth(low: float = 0.03, high: float = 0.9) -> Reflectance:
         grey = rng.uniform(low, high)
         return _colour(np.clip(grey + rng.normal(0.0, 0.12, 3), 0.02, 0.95))
 
@@ -116,6 +116,6 @@ def random_appearance(rng: np.random.Generator) -> Appearance:
     )
 
 
-def _colour(values: np.ndarray) -> Colour:
+def _colour(values: np.ndarray) -> Reflectance:
     b, g, r = (float(value) for value in values)
     return b, g, r

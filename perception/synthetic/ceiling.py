@@ -12,12 +12,13 @@ from types import MappingProxyType
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, unit
+from perception.images.pixels import Image
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.ceiling_walks import INSIDE, ROOM, CeilingKind, Walk, walk
 from perception.synthetic.raycast import Ground, Light
 from perception.synthetic.scene import Furniture, Label, Person, Scene
-from perception.synthetic.sensor import Image, Sensor
+from perception.synthetic.sensor import Sensor
 from perception.synthetic.still import StillScene
 
 SIZE = (320, 240)

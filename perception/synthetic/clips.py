@@ -13,13 +13,14 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks import Track, TrackSet
 from perception.detection.boxes import PersonBox
+from perception.images.pixels import Image
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.pedestrians import jittered_box
 from perception.synthetic.person import Posture
 from perception.synthetic.raycast import Ground
 from perception.synthetic.scene import Furniture, Person, Scene
-from perception.synthetic.sensor import Image, Sensor, random_light, random_sensor
+from perception.synthetic.sensor import Sensor, random_light, random_sensor
 from perception.synthetic.still import StillScene
 
 _SIZE = (640, 480)

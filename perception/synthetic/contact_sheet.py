@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from perception.synthetic.sensor import Image
+from perception.images.pixels import Image
 
 _TITLE_HEIGHT = 18
 

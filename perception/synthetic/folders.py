@@ -17,13 +17,13 @@ from graphtrack.io.cameras import write_calibration
 from graphtrack.tracks import Track, TrackSet
 from perception.detection.boxes import PersonBox, write_boxes
 from perception.images.drawing.output import pictures
+from perception.images.pixels import Image
 from perception.synthetic.ceiling import KINDS as CEILING_KINDS
 from perception.synthetic.ceiling import CeilingSequence, ceiling_sequence
 from perception.synthetic.clips import draw_walks
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
 from perception.synthetic.heads import HeadVariation, make_heads
 from perception.synthetic.pedestrians import make_pedestrians
-from perception.synthetic.sensor import Image
 
 VIDEO, IMAGES, BOXES, TRUTH, LABELS = "video.mp4", "images", "boxes.txt", "truth.csv", "labels.csv"
 HOMOGRAPHY, CALIBRATION = "homography.txt", "camera.ci"

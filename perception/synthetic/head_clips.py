@@ -12,12 +12,13 @@ from scipy.ndimage import gaussian_filter1d
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, wrap
+from perception.images.pixels import Image
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.head_scenery import room, wall
 from perception.synthetic.person import Posture, person_solids
 from perception.synthetic.raycast import Light, cast
-from perception.synthetic.sensor import Image, develop, random_light, random_sensor
+from perception.synthetic.sensor import develop, random_light, random_sensor
 from perception.synthetic.solids import Solids
 
 _FOCAL = 800.0
@@ -99,7 +100,7 @@ class HeadClip:
 
 
 @dataclass(frozen=True, eq=False)
-class _Walk:
+class _HeadPath:
     """Pixels (n, 2) of the head's origin, its distance (n,) in metres, angles (n,), phase of steps (n,)."""
 
     pixel: FloatArray
@@ -186,7 +187,7 @@ def _smooth(n: int, frames: float, rng: np.random.Generator) -> FloatArray:
     return np.asarray(noise * np.sqrt(2.0 * np.sqrt(np.pi) * frames), float)
 
 
-def _walk(p: HeadClipParameters, rng: np.random.Generator) -> _Walk:
+def _walk(p: HeadClipParameters, rng: np.random.Generator) -> _HeadPath:
     """Across the image and back again, nearer and farther, while the head turns smoothly."""
     n, (w, h) = p.frames, p.size
     low, high = p.head_width
@@ -211,17 +212,17 @@ def _walk(p: HeadClipParameters, rng: np.random.Generator) -> _Walk:
     shoulders = gaussian_filter1d(pan, 12.0, mode="nearest")
     tilt = np.clip(p.tilt * _smooth(n, 15.0, rng), -0.5, 0.5)
     pixel = np.column_stack([margin + across, down])
-    return _Walk(pixel, _FOCAL * _HEAD_WIDTH / width, pan, tilt, shoulders, phase)
+    return _HeadPath(pixel, _FOCAL * _HEAD_WIDTH / width, pan, tilt, shoulders, phase)
 
 
-def _passes(walk: _Walk, occlusion: tuple[int, int]) -> bool:
+def _passes(walk: _HeadPath, occlusion: tuple[int, int]) -> bool:
     """Whether the head goes one way all through the occlusion and a little before and after."""
     first, length = occlusion
     step = np.diff(walk.pixel[max(first - 4, 0) : first + length + 4, 0])
     return bool((step > 0.6).all() or (step < -0.6).all())
 
 
-def _camera(p: HeadClipParameters, look: Appearance, walk: _Walk, rng: np.random.Generator) -> Camera:
+def _camera(p: HeadClipParameters, look: Appearance, walk: _HeadPath, rng: np.random.Generator) -> Camera:
     """Above the head, and pitched so that the head is as high in the image as the walk says on average."""
     above = rng.uniform(0.0, 0.25)
     distance = float(walk.distance.mean())
@@ -229,7 +230,9 @@ def _camera(p: HeadClipParameters, look: Appearance, walk: _Walk, rng: np.random
     return Camera((0.0, 0.0, look.height * _HEAD_ORIGIN + above), 0.0, float(pitch), _FOCAL, p.size)
 
 
-def _person(k: int, walk: _Walk, look: Appearance, camera: Camera, rays: FloatArray, light: Light) -> _Shown:
+def _person(
+    k: int, walk: _HeadPath, look: Appearance, camera: Camera, rays: FloatArray, light: Light
+) -> _Shown:
     """The person of frame k; rays are followed only where the person can be."""
     w, h = camera.size
     u, v = walk.pixel[k]

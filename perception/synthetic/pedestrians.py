@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
+from perception.images.pixels import Image
 from perception.synthetic.appearance import random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.person import Posture
 from perception.synthetic.raycast import Ground
 from perception.synthetic.scene import Furniture, Person, Scene, render_frame
 from perception.synthetic.sensor import (
-    Image,
     random_background,
     random_clutter,
     random_light,

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, direction, wrap
+from perception.images.pixels import Image
 from perception.synthetic.appearance import Appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.person import Posture, person_solids
 from perception.synthetic.raycast import Cast, Ground, Light, cast
-from perception.synthetic.sensor import Image, Sensor, develop
+from perception.synthetic.sensor import Sensor, develop
 from perception.synthetic.solids import Builder, Solids, rotation_z
 
 _GREY_FLOOR = Ground((0.42, 0.45, 0.47))

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.images.pixels import Image
 from perception.synthetic.raycast import Light
-
-Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

@@ -64,13 +64,6 @@ def test_a_track_without_positions_is_named_and_the_others_come_out(tmp_path):
     assert set(pd.read_csv(tmp_path / "out.csv").track_id) == {1}
 
 
-def test_demo_writes_report_tables_and_figures(tmp_path):
-    done = run("demo", "--out", tmp_path / "demo", "--seconds", 12)
-    assert done.returncode == 0, done.stderr
-    names = {path.name for path in (tmp_path / "demo").iterdir()}
-    assert {"report.html", "tracks.png", "errors.png", "nees.png", "estimates.csv"} <= names
-
-
 def test_simulate_says_what_it_simulates(tmp_path):
     for model, said in (("joint", "model joint\n"), ("full", "model full, without its modes\n")):
         output = tmp_path / "out.csv"

@@ -120,7 +120,7 @@ def test_the_window_of_the_preset_position_equals_rauch_tung_striebel(engine: An
 def test_the_fixed_lag_tends_to_the_batch_answer_as_the_lag_grows(preset: str, classes: bool) -> None:
     model = Model(preset)
     tracks = [
-        walk(25, seed=seed, noise=0.1, angle_kappa=8.0, classes=classes)
+        walk(16, seed=seed, noise=0.1, angle_kappa=8.0, classes=classes)
         for seed in range(1 if classes else 2)
     ]
     apart = []
@@ -371,7 +371,7 @@ class FailingLater(Failing):
 @pytest.mark.parametrize("after", [1, 12, 25])
 def test_a_failed_update_is_reported_and_leaves_no_trace(engine: Any, way: int, after: int) -> None:
     model = Model("joint", terms=[Failing])
-    seen = list(observations(walk(40, seed=14)))
+    seen = list(observations(walk(32, seed=14)))
     smoother, plain = (OnlineSmoother(model, engine=engine, lag=1.0) for _ in range(2))
     before = run(smoother, seen[:after])[-1]
     run(plain, seen[:after])

@@ -15,7 +15,7 @@ from graphtrack import io
 from graphtrack.errors import GraphtrackError, InputWarning
 from graphtrack.tracks import Track, TrackSet
 
-MUTANTS = 1000
+MUTANTS, MUTANTS_MORE = 250, 1500
 MUTANTS_BESIDE = 300
 SLOWEST_READ = 5.0
 """Seconds; a sample reads in milliseconds, so that this is a hang and not a slow machine."""
@@ -139,24 +139,40 @@ def outcome(path: Path, options: dict[str, object]) -> str:
     return result
 
 
-@pytest.mark.parametrize("named", [False, True], ids=["recognised", "format given"])
-@pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
-def test_damaged_copies_are_read_or_refused(sample: Sample, named: bool, tmp_path: Path) -> None:
+def refusals(sample: Sample, named: bool, seeds: range, tmp_path: Path) -> set[str]:
+    """What is said of damaged copies, "read" among it if it happens."""
     path = sample.write(tmp_path)
     whole = path.read_bytes()
     options = dict(sample.options)
     if named:
         options["format"] = sample.format
     refused = set()
-    for seed in range(MUTANTS // 2):
+    for seed in seeds:
         path.write_bytes(mutate(whole, np.random.default_rng([seed, named])))
         try:
             refused.add(outcome(path, options))
         except Exception as error:
             error.add_note(f"seed {seed}")
             raise
+    return refused
+
+
+EVERY_SAMPLE = pytest.mark.parametrize("sample", SAMPLES, ids=name_of)
+NAMED = pytest.mark.parametrize("named", [False, True], ids=["recognised", "format given"])
+
+
+@NAMED
+@EVERY_SAMPLE
+def test_damaged_copies_are_read_or_refused(sample: Sample, named: bool, tmp_path: Path) -> None:
     # The damage must have been felt, in more than one way.
-    assert len(refused) > 5
+    assert len(refusals(sample, named, range(MUTANTS), tmp_path)) > 5
+
+
+@pytest.mark.slow
+@NAMED
+@EVERY_SAMPLE
+def test_many_more_damaged_copies_are_read_or_refused(sample: Sample, named: bool, tmp_path: Path) -> None:
+    refusals(sample, named, range(MUTANTS, MUTANTS_MORE), tmp_path)
 
 
 def test_damage_inside_a_packed_file_is_refused_as_well(tmp_path: Path) -> None:

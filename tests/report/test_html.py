@@ -13,7 +13,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.report import build, pairing
 from graphtrack.report.build import tracking_report
-from graphtrack.report.content import Card, Note, Report, Section, Table
+from graphtrack.report.content import Card, DataTable, Note, Report, Section
 from graphtrack.report.html import format_cell, packed, render_report, write_report
 from graphtrack.report.pairing import pair_tracks
 from graphtrack.report.plots import orientation
@@ -143,7 +143,7 @@ def test_hostile_words_stay_words():
         comparison=[{**row, "method": HOSTILE, "unit": HOSTILE} for row in ERRORS],
         consistency=[{**row, "method": HOSTILE} for row in NEES],
         cards=(Card(HOSTILE, HOSTILE, HOSTILE),),
-        sections=(Section(HOSTILE, (Note(HOSTILE), Table(HOSTILE, (HOSTILE,), ((HOSTILE,),), HOSTILE))),),
+        sections=(Section(HOSTILE, (Note(HOSTILE), DataTable(HOSTILE, (HOSTILE,), ((HOSTILE,),), HOSTILE))),),
     )
     plain = tracking_report(*scene(people=1), comparison=ERRORS, consistency=NEES)
     page, usual = Page(render_report(report)), Page(render_report(plain))
@@ -272,6 +272,6 @@ def test_cells(value, shown):
 
 def test_tables_come_from_frames_and_dicts_alike():
     rows = [{"method": "a", "error": 1.5}, {"method": "b", "error": 2.0}]
-    assert Table.from_records("t", rows) == Table.from_records("t", pd.DataFrame(rows))
+    assert DataTable.from_records("t", rows) == DataTable.from_records("t", pd.DataFrame(rows))
     with pytest.raises(InputError):
-        Table.from_records("t", [rows[0], {"method": "b"}])
+        DataTable.from_records("t", [rows[0], {"method": "b"}])

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from graphtrack.baselines.particle.data import Motion
+from graphtrack.baselines.particle.data import PackedMotion
 from graphtrack.baselines.particle.densities import log_i0e
 from graphtrack.baselines.particle.kernels import carry, motion_pull
 from graphtrack.geometry.angles import FloatArray
@@ -20,7 +20,7 @@ def backward(
     start: int,
     history: FloatArray,
     history_log_weights: FloatArray,
-    motion: Motion,
+    motion: PackedMotion,
     paths: FloatArray,
 ) -> None:
     """Draw paths (frames, m, 6) backwards from the filter's particles (Godsill, Doucet & West 2004).

@@ -17,7 +17,7 @@ from graphtrack.model import Model
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.model.terms.intentional_motion import IntentionalMotion, steered_step
-from graphtrack.model.terms.motion import Motion as MotionTerm
+from graphtrack.model.terms.motion import Motion
 from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
@@ -26,7 +26,7 @@ from graphtrack.tracks import Track
 PoseModel = Literal["smooth", "closest"]
 
 KNOWN = (
-    MotionTerm,
+    Motion,
     IntentionalMotion,
     PositionLikelihood,
     BodyDynamics,
@@ -41,7 +41,7 @@ KNOWN = (
 ROBUST = {"none": 0, "huber": 1, "cauchy": 2}
 
 
-class Motion(NamedTuple):
+class PackedMotion(NamedTuple):
     """Dynamics, a row for each frame k: of the step from k − 1 to k.
 
     ``root`` (n, 3) is the Cholesky factor [[a, 0], [b, c]] of the noise of position and velocity on each
@@ -62,7 +62,7 @@ class Motion(NamedTuple):
     has_head: bool
 
 
-class Position(NamedTuple):
+class PackedPosition(NamedTuple):
     """Observed positions; ``kind`` is 0 nothing, 1 metres, 2 ideal pixels."""
 
     kind: NDArray[np.int64]
@@ -72,7 +72,7 @@ class Position(NamedTuple):
     threshold: float
 
 
-class Pose(NamedTuple):
+class PackedPose(NamedTuple):
     """An observed orientation: a mixture of ``components`` von Mises, or a score for the closest class."""
 
     components: NDArray[np.int64]
@@ -84,7 +84,7 @@ class Pose(NamedTuple):
     log_uniform: FloatArray
 
 
-class Camera(NamedTuple):
+class PackedCamera(NamedTuple):
     """The camera, if there is one; ``judge_pose``: orientations were observed in the image frame."""
 
     to_image: FloatArray
@@ -99,11 +99,11 @@ class Camera(NamedTuple):
 class Job:
     """All that a run over one track needs."""
 
-    motion: Motion
-    position: Position
-    body: Pose
-    head: Pose
-    camera: Camera
+    motion: PackedMotion
+    position: PackedPosition
+    body: PackedPose
+    head: PackedPose
+    camera: PackedCamera
 
 
 def prepare(
@@ -134,7 +134,7 @@ def prepare(
     )
 
 
-def _motion(track: Track, model: Model) -> Motion:
+def _motion(track: Track, model: Model) -> PackedMotion:
     kinds = {type(term) for term in model.terms}
     parameters = model.parameters
     dt = track.dt
@@ -148,7 +148,7 @@ def _motion(track: Track, model: Model) -> Motion:
         head_turn = 1.0 / (parameters.orientation.head_diffusion * dt)
     coupling = parameters.coupling
     weight = coupling.weights(dt)
-    return Motion(
+    return PackedMotion(
         dt,
         moments.keep,
         moments.reach,
@@ -163,7 +163,7 @@ def _motion(track: Track, model: Model) -> Motion:
     )
 
 
-def _position(track: Track, model: Model, camera: GroundCamera | None) -> Position:
+def _position(track: Track, model: Model, camera: GroundCamera | None) -> PackedPosition:
     likelihood = model.parameters.likelihood
     value, std = track.position.copy(), position_std(track, model.parameters)
     kind = np.array(np.isfinite(value).all(axis=1), dtype=np.int64)
@@ -171,14 +171,14 @@ def _position(track: Track, model: Model, camera: GroundCamera | None) -> Positi
         ideal = camera.undistort(track.pixel)
         seen = np.isfinite(ideal).all(axis=1)
         kind[seen], value[seen], std[seen] = 2, ideal[seen], likelihood.pixel_std
-    return Position(kind, value, std, ROBUST[likelihood.robust], likelihood.robust_threshold)
+    return PackedPosition(kind, value, std, ROBUST[likelihood.robust], likelihood.robust_threshold)
 
 
-def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseModel) -> Pose:
+def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseModel) -> PackedPose:
     likelihood, n = model.parameters.likelihood, len(track)
     classes = getattr(track, f"{name}_likelihood")
     size = 1 if classes is None else classes.shape[1]
-    found = Pose(
+    found = PackedPose(
         np.zeros(n, dtype=np.int64),
         np.zeros(n, dtype=bool),
         np.full((n, size), -np.inf),
@@ -216,7 +216,7 @@ def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseM
 
 
 def _fill(
-    pose: Pose,
+    pose: PackedPose,
     rows: NDArray[np.bool_],
     weights: FloatArray,
     means: FloatArray,
@@ -234,12 +234,12 @@ def _fill(
     pose.cos_mean[columns], pose.sin_mean[columns] = np.cos(means), np.sin(means)
 
 
-def _camera(camera: GroundCamera | None, image_pose: bool) -> Camera:
+def _camera(camera: GroundCamera | None, image_pose: bool) -> PackedCamera:
     if camera is None:
-        return Camera(np.eye(3), np.eye(3), np.zeros(2), False, 1.0, False)
+        return PackedCamera(np.eye(3), np.eye(3), np.zeros(2), False, 1.0, False)
     centre = camera.optical_centre_on_ground
     # Arrays that may be written to: those of the camera may not, and would have everything compiled again.
-    return Camera(
+    return PackedCamera(
         np.array(np.linalg.inv(camera.homography), order="C"),
         np.array(camera.homography, order="C"),
         np.zeros(2) if centre is None else np.array(centre, dtype=float),

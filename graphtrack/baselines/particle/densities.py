@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from graphtrack.baselines.particle.data import Camera, Pose, Position
+from graphtrack.baselines.particle.data import PackedCamera, PackedPose, PackedPosition
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
 
@@ -56,7 +56,7 @@ def log_i0e(x: float) -> float:
 
 @compiled
 def add_position_log_density(
-    particles: FloatArray, k: int, position: Position, camera: Camera, found: FloatArray
+    particles: FloatArray, k: int, position: PackedPosition, camera: PackedCamera, found: FloatArray
 ) -> None:
     """Add to ``found`` (n,) the log-likelihood of the position observed at frame k (002 eq. 12)."""
     kind = position.kind[k]
@@ -89,7 +89,7 @@ def add_position_log_density(
 
 
 @compiled
-def bearing(x: float, y: float, camera: Camera) -> float:
+def bearing(x: float, y: float, camera: PackedCamera) -> float:
     """World direction in which the camera looks at a ground point, as `GroundCamera.ray_bearing`."""
     if camera.has_centre:
         return math.atan2(y - camera.centre[1], x - camera.centre[0])
@@ -106,7 +106,7 @@ def bearing(x: float, y: float, camera: Camera) -> float:
 
 @compiled
 def add_pose_log_density(
-    particles: FloatArray, place: int, k: int, pose: Pose, camera: Camera, found: FloatArray
+    particles: FloatArray, place: int, k: int, pose: PackedPose, camera: PackedCamera, found: FloatArray
 ) -> None:
     """Add to ``found`` (n,) the log-likelihood of an orientation observed at frame k (002 eq. 13–14)."""
     count = pose.components[k]

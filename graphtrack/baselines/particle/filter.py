@@ -81,7 +81,7 @@ class ParticleEstimate:
 
 
 @dataclass(eq=False)
-class _Run:
+class _FilterOutput:
     """A filter's output as it is written, with its particles if they are kept."""
 
     job: Job
@@ -151,7 +151,7 @@ def _rehearse() -> None:
     _backwards(found, 1, rng)
 
 
-def _backwards(found: _Run, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _backwards(found: _FilterOutput, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Means (n, 6) and covariances (n, 6, 6) of paths that are drawn backwards."""
     n = len(found.mean)
     paths = np.empty((n, count, 6))
@@ -176,13 +176,13 @@ def _filter(
     rng: np.random.Generator,
     *,
     keep: bool,
-) -> _Run:
+) -> _FilterOutput:
     job = prepare(track, model, camera, options.pose, options.image_pose)
     seen = np.flatnonzero(job.position.kind)
     if not len(seen):
         raise SolveError(track.track_id, NO_POSITION)
     n, count, start = len(track), options.particles, int(seen[0])
-    found = _Run(
+    found = _FilterOutput(
         job,
         start,
         np.full((n, 6), np.nan),
@@ -239,7 +239,7 @@ def _filter(
 
 
 def _estimate(
-    track: Track, model: Model, found: _Run, mean: FloatArray, covariance: FloatArray
+    track: Track, model: Model, found: _FilterOutput, mean: FloatArray, covariance: FloatArray
 ) -> ParticleEstimate:
     estimate = track.with_estimates(
         position=mean[:, :2],

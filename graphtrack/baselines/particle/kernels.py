@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.baselines.particle.data import Camera, Motion, Pose, Position
+from graphtrack.baselines.particle.data import PackedCamera, PackedMotion, PackedPose, PackedPosition
 from graphtrack.baselines.particle.densities import (
     add_pose_log_density,
     add_position_log_density,
@@ -38,7 +38,7 @@ VANISHED = -700.0
 
 
 @compiled
-def motion_pull(vx: float, vy: float, k: int, motion: Motion) -> float:
+def motion_pull(vx: float, vy: float, k: int, motion: PackedMotion) -> float:
     """κ(v) of 002 eq. 9 at frame k."""
     excess = math.sqrt(vx * vx + vy * vy) - motion.speed_threshold
     return motion.motion_body_kappa[k] * excess * excess if excess > 0.0 else 0.0
@@ -46,7 +46,7 @@ def motion_pull(vx: float, vy: float, k: int, motion: Motion) -> float:
 
 @compiled
 def draw_angles(
-    rng: np.random.Generator, k: int, first: bool, before: FloatArray, after: FloatArray, motion: Motion
+    rng: np.random.Generator, k: int, first: bool, before: FloatArray, after: FloatArray, motion: PackedMotion
 ) -> None:
     """Angles of one particle, of known velocity, from the normalised products of 002 eq. 8 and 10."""
     if motion.has_body:
@@ -73,7 +73,7 @@ def draw_angles(
 
 @compiled
 def carry(
-    k: int, motion: Motion, before: FloatArray, ancestors: NDArray[np.int64], after: FloatArray
+    k: int, motion: PackedMotion, before: FloatArray, ancestors: NDArray[np.int64], after: FloatArray
 ) -> None:
     """Mean positions and velocities (n, …) at frame k: straight on, or steered by the head."""
     keep, reach = motion.keep[k], motion.reach[k]
@@ -99,7 +99,7 @@ def carry(
 def draw_motion(
     rng: np.random.Generator,
     k: int,
-    motion: Motion,
+    motion: PackedMotion,
     before: FloatArray,
     ancestors: NDArray[np.int64],
     after: FloatArray,
@@ -177,7 +177,7 @@ def summarise_angle(
 
 @compiled
 def summarise(
-    particles: FloatArray, weights: FloatArray, motion: Motion, mean: FloatArray, covariance: FloatArray
+    particles: FloatArray, weights: FloatArray, motion: PackedMotion, mean: FloatArray, covariance: FloatArray
 ) -> None:
     """Write the weighted mean (6,), circular for angles, and covariance (6, 6) of what is estimated."""
     summarise_motion(particles, weights, mean, covariance)
@@ -197,11 +197,11 @@ def run(
     used: int,
     particles: FloatArray,
     log_weights: FloatArray,
-    motion: Motion,
-    position: Position,
-    body: Pose,
-    head: Pose,
-    camera: Camera,
+    motion: PackedMotion,
+    position: PackedPosition,
+    body: PackedPose,
+    head: PackedPose,
+    camera: PackedCamera,
     resample_below: float,
     mean: FloatArray,
     covariance: FloatArray,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.baselines.particle.data import Camera, Job, Pose
+from graphtrack.baselines.particle.data import Job, PackedCamera, PackedPose
 from graphtrack.baselines.particle.densities import (
     add_pose_log_density,
     add_position_log_density,
@@ -66,7 +66,7 @@ def recover(
 
 
 def draw_orientations(
-    pose: Pose, camera: Camera, k: int, position: FloatArray, rng: np.random.Generator
+    pose: PackedPose, camera: PackedCamera, k: int, position: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Orientations (n,) of people at positions (n, 2) from what was observed of them at frame k."""
     size, n = int(pose.components[k]), len(position)

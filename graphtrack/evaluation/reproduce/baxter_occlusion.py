@@ -28,8 +28,8 @@ from graphtrack.evaluation.reproduce.occlusion_methods import (
     ONLINE,
     OWN,
     QUICK,
-    Estimator,
-    Pairs,
+    Predictor,
+    WithheldWindows,
     error_of,
     fitted,
 )
@@ -57,13 +57,13 @@ class Case:
     """Tracks of one source with their windows, some to fit on and others to judge on."""
 
     name: str
-    training: Pairs
-    judged: Pairs
+    training: WithheldWindows
+    judged: WithheldWindows
     in_steps: bool
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class WindowErrors:
     """Mean squared errors (m²) in the windows, method → one number a track."""
 
     case: str
@@ -119,10 +119,10 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         hidden = [(withhold(t, w, ("head", "head_kappa")), w) for t, w in case.judged]
         for head, pairs in (("visible", case.judged), ("hidden", hidden)):
             errors = {}
-            for name, estimator in methods.items():
-                errors[name] = error_of(estimator, pairs)
+            for name, predictor in methods.items():
+                errors[name] = error_of(predictor, pairs)
                 progress(1)
-            found.append(Errors(case.name, head, errors))
+            found.append(WindowErrors(case.name, head, errors))
         examples.append((case, methods, _typical(found[-2].by_method)))
     rng = settings.rng(99)
     return Reproduction(
@@ -141,7 +141,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     )
 
 
-def reference(errors: Errors, method: str) -> FloatArray:
+def reference(errors: WindowErrors, method: str) -> FloatArray:
     """The errors that a method is measured against."""
     if method in OFFLINE:
         return errors.by_method["rts"]
@@ -154,7 +154,7 @@ def _typical(by_method: Mapping[str, FloatArray]) -> int:
     return int(np.argsort(gain)[len(gain) // 2])
 
 
-def _detail(found: Sequence[Errors], rng: np.random.Generator) -> Table:
+def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
     records: list[dict[str, Cell]] = []
     for errors in found:
         for method, own in errors.by_method.items():
@@ -175,7 +175,7 @@ def _detail(found: Sequence[Errors], rng: np.random.Generator) -> Table:
     return Table.of("Error in the withheld window", records)
 
 
-def _beside(found: Sequence[Errors], rng: np.random.Generator) -> Table:
+def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
     """000's mean over seven trajectories beside our reductions, head visible."""
     records: list[dict[str, Cell]] = []
     for errors in found:
@@ -202,8 +202,8 @@ def _beside(found: Sequence[Errors], rng: np.random.Generator) -> Table:
 
 
 def _figure(
-    found: Sequence[Errors],
-    examples: Sequence[tuple[Case, Mapping[str, Estimator], int]],
+    found: Sequence[WindowErrors],
+    examples: Sequence[tuple[Case, Mapping[str, Predictor], int]],
     rng: np.random.Generator,
 ) -> Figure:
     from graphtrack.evaluation.reproduce.style import COLOURS, bars
@@ -248,7 +248,7 @@ def _figure(
 
 
 def _bars(
-    parts: Sequence[Errors], methods: Sequence[str], rng: np.random.Generator
+    parts: Sequence[WindowErrors], methods: Sequence[str], rng: np.random.Generator
 ) -> tuple[dict[str, Sequence[float]], dict[str, Sequence[tuple[float, float]]]]:
     values: dict[str, Sequence[float]] = {}
     spans: dict[str, Sequence[tuple[float, float]]] = {}

@@ -34,8 +34,8 @@ OWN = ("kf", "printed", "consistent")
 
 PATHS = 20
 
-Estimator = Callable[[Track], FloatArray]
-Pairs = Sequence[tuple[Track, BoolArray]]
+Predictor = Callable[[Track], FloatArray]
+WithheldWindows = Sequence[tuple[Track, BoolArray]]
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ DENSITY, FACTOR, RATE = 0.2, 3.0, 2.0
 """Where every search begins: q in m²/s³, the strength of the couplings, λ in 1/s."""
 
 
-def in_steps(variant: Variant | None) -> Estimator:
+def in_steps(variant: Variant | None) -> Predictor:
     """000's own filters, which count time in steps; None: its Kalman filter."""
 
     def estimate(track: Track) -> FloatArray:
@@ -75,12 +75,12 @@ def in_steps(variant: Variant | None) -> Estimator:
     return estimate
 
 
-def error_of(estimator: Estimator, pairs: Pairs) -> FloatArray:
+def error_of(predictor: Predictor, pairs: WithheldWindows) -> FloatArray:
     """Mean squared error (m²) of each track in its window."""
     found = []
     for track, window in pairs:
         blind = replace(track, true_position=None, true_body=None, true_head=None)
-        off = estimator(blind)[window] - np.asarray(track.true_position)[window]
+        off = predictor(blind)[window] - np.asarray(track.true_position)[window]
         found.append(np.mean(np.sum(off**2, axis=1)))
     return np.array(found)
 
@@ -101,49 +101,51 @@ def model_of(preset: str) -> Callable[..., Model]:
     return make
 
 
-def kalman(density: float) -> Estimator:
+def kalman(density: float) -> Predictor:
     """The Kalman filter of white-noise acceleration."""
     return lambda track: kalman_filter(track, with_density(Parameters(), density)).position
 
 
-def backward(density: float) -> Estimator:
+def backward(density: float) -> Predictor:
     """Its smoother."""
     return lambda track: rauch_tung_striebel(track, with_density(Parameters(), density)).position
 
 
-def intentional(density: float, rate: float) -> Estimator:
+def intentional(density: float, rate: float) -> Predictor:
     """000's tracker in continuous time."""
     return lambda track: intentional_tracker(track, with_density(Parameters(), density), rate).position
 
 
-def particles(model: Model, count: int) -> Estimator:
+def particles(model: Model, count: int) -> Predictor:
     """002's filter."""
     options = ParticleOptions(particles=count)
     return lambda track: particle_filter(track, model, options=options).track.position
 
 
-def particle_paths(model: Model, count: int) -> Estimator:
+def particle_paths(model: Model, count: int) -> Predictor:
     """Its smoother."""
     options = ParticleOptions(particles=count, paths=PATHS)
     return lambda track: particle_smoother(track, model, options=options).track.position
 
 
-def hidden_only(model: Model) -> Estimator:
+def hidden_only(model: Model) -> Predictor:
     """The online graph at the hidden frames alone, all that is judged; faster than going through all."""
     return lambda track: from_the_past(track, model, unseen(track)).position
 
 
-def online(model: Model) -> Estimator:
+def online(model: Model) -> Predictor:
     """The online graph."""
     return lambda track: track_online(track, model, lag=LAG).position
 
 
-def offline(model: Model) -> Estimator:
+def offline(model: Model) -> Predictor:
     """The offline graph."""
     return lambda track: smooth(TrackSet((track,)), model).tracks[0].position
 
 
-def fitted(training: Pairs, effort: Effort, progress: Progress, *, steps: bool) -> dict[str, Estimator]:
+def fitted(
+    training: WithheldWindows, effort: Effort, progress: Progress, *, steps: bool
+) -> dict[str, Predictor]:
     """The methods by name, each with the parameters that make its own error least in the training windows.
 
     Parameters
@@ -154,7 +156,9 @@ def fitted(training: Pairs, effort: Effort, progress: Progress, *, steps: bool) 
     steps : 000's own filters, too
     """
 
-    def best(make: Callable[..., Estimator], *start: float, pairs: Pairs = training) -> tuple[float, ...]:
+    def best(
+        make: Callable[..., Predictor], *start: float, pairs: WithheldWindows = training
+    ) -> tuple[float, ...]:
         def error(*values: float) -> float:
             return float(np.mean(error_of(make(*values), pairs)))
 
@@ -162,9 +166,11 @@ def fitted(training: Pairs, effort: Effort, progress: Progress, *, steps: bool) 
         progress(1)
         return found
 
-    def best_model(preset: str, estimator: Callable[[Model], Estimator], pairs: Pairs = training) -> Model:
+    def best_model(
+        preset: str, predictor: Callable[[Model], Predictor], pairs: WithheldWindows = training
+    ) -> Model:
         make, rate = model_of(preset), (RATE,) if preset == STEERED else ()
-        return make(*best(lambda *v: estimator(make(*v)), DENSITY, FACTOR, *rate, pairs=pairs))
+        return make(*best(lambda *v: predictor(make(*v)), DENSITY, FACTOR, *rate, pairs=pairs))
 
     few, sampled = training[:: effort.sparing], effort.fitting_particles
     found = {"kf": in_steps(None), "printed": in_steps("printed"), "consistent": in_steps("consistent")}
