@@ -334,12 +334,27 @@ class Isam2:
         return marginal_prior(whole, values)
 
     def arrays(self) -> dict[str, FloatArray]:
-        """Nothing: GTSAM does not give its Bayes tree away. What is built again ends within the threshold."""
-        return {}
+        """How far the estimates, as they were read, are from where the steps were linearised; see `resume`.
+
+        GTSAM does not give its Bayes tree away. What is built again is the same but for rounding.
+        """
+        return {"moved": np.array([np.subtract(link.moved, link.point) for link in self._links])}
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
-        """Take over a history as it stands."""
+        """Go on where `window` and `arrays` were taken, and exchange what would have been exchanged.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If the arrays do not fit the window.
+        """
         self.restore(window)
+        rows = arrays["moved"].reshape(len(self._links), len(self._rows[0])).tolist()
+        self._moved, self._far = [], []
+        for link, moved in zip(reversed(self._links), reversed(rows), strict=True):
+            link.moved = moved
+            if _distance(moved, link.point, self._first) > self._threshold:
+                self._moved.append(link)
 
 
 def _distance(a: Sequence[float], b: Sequence[float], first: int) -> float:
