@@ -31,7 +31,7 @@ def track_stream(
     model: Model,
     *,
     engine: OnlineEngine,
-    lag: float,
+    lag: float | None,
     fps: float | None,
     camera: GroundCamera | None,
     state: Path | None,

@@ -181,7 +181,7 @@ class Saving:
 
 
 def settings_of(
-    model: Model, engine: str, lag: float, fps: float | None, camera: GroundCamera | None
+    model: Model, engine: str, lag: float | None, fps: float | None, camera: GroundCamera | None
 ) -> dict[str, Any]:
     """What the answers to rows depend on, as a flat dictionary of JSON-able values.
 

@@ -37,12 +37,18 @@ def track(
         Literal["auto", "chain", "fixed-lag", "isam2"],
         typer.Option(
             "--engine",
-            help="chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; auto: chain where it can be.",
+            help="chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; isam2: GTSAM's incremental "
+            "smoother; auto: chain where it can be.",
         ),
     ] = "auto",
     lag: Annotated[
-        float, typer.Option("--lag", help="Seconds of history that chain and fixed-lag keep open.")
-    ] = 2.0,
+        str,
+        typer.Option(
+            "--lag",
+            metavar="SECONDS|none",
+            help="History that is kept open, to be estimated anew; none: all of it, with isam2.",
+        ),
+    ] = "2",
     state: Annotated[
         Path | None,
         typer.Option(
@@ -75,23 +81,23 @@ def track(
         table=output,
     )
     chosen = Model.named(model, engine)
-    online_engine(chosen, engine)
-    check_lag(lag)
+    kept = _seconds(lag)
+    check_lag(kept, online_engine(chosen, engine))
     if input == "-":
         _refuse_with_stream({"output": output} | reading.given())
-        _track_stream(chosen, engine, lag, reading, state, save_every)
+        _track_stream(chosen, engine, kept, reading, state, save_every)
         return
     if output is None:
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
         raise InputError("--state with a file", "- as the input: only a stream can be gone on with")
     tracks = reading.tracks([Path(input)])
-    OnlineSmoother(chosen, engine=engine, lag=lag)  # the first one compiles
+    OnlineSmoother(chosen, engine=engine, lag=kept)  # the first one compiles
     start = time.perf_counter()
     found, unseen = [], []
     with progress_bar(tracks.n_frames) as advance:
         for one in tracks:
-            estimate = track_online(one, chosen, engine=engine, lag=lag, camera=tracks.camera)
+            estimate = track_online(one, chosen, engine=engine, lag=kept, camera=tracks.camera)
             advance(len(one))
             known = [k for k in range(len(one)) if estimate.position[k, 0] == estimate.position[k, 0]]
             if known:
@@ -114,6 +120,15 @@ def track(
         raise typer.Exit(BAD_INPUT)
 
 
+def _seconds(lag: str) -> float | None:
+    if lag.strip().lower() == "none":
+        return None
+    try:
+        return float(lag)
+    except ValueError:
+        raise InputError(f"--lag {lag}", "a number of seconds, or none") from None
+
+
 _OF_A_STREAM = ("fps", "homography", "point_pairs_unit")
 
 
@@ -126,7 +141,7 @@ def _refuse_with_stream(given: Mapping[str, object]) -> None:
 def _track_stream(
     model: Model,
     engine: OnlineEngine,
-    lag: float,
+    lag: float | None,
     reading: options.CameraReading,
     state: Path | None,
     save_every: float,

@@ -1,7 +1,8 @@
 """The online smoother: one person, one observation at a time.
 
 Three engines: ``chain`` (`ChainWindow`; a fixed lag, compiled), ``fixed-lag`` (`FixedLag`; the same with
-GTSAM, for any list of terms) and ``isam2`` (`FullHistory`). An estimate uses only what came before it.
+GTSAM, for any list of terms) and ``isam2`` (`Isam2`; GTSAM's, in a window or over the full history). An
+estimate uses only what came before it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.fixed_lag import FixedLag
-from graphtrack.inference.graph.isam import FullHistory
+from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.observed import checked
 from graphtrack.inference.offline import engine_of, refuse_only_compiled
 from graphtrack.inference.state import (
@@ -75,9 +76,11 @@ def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
     return engine
 
 
-def check_lag(lag: float) -> None:
-    """Raise InputError for what is no length of a window in seconds."""
-    if not (math.isfinite(lag) and lag > 0.0):
+def check_lag(lag: float | None, engine: OnlineEngine) -> None:
+    """Raise InputError for what is no length of a window (seconds), or none where the engine needs one."""
+    if lag is None and engine != "isam2":
+        raise InputError(f"no lag with the engine {engine}", "seconds; the full history is for isam2")
+    if lag is not None and not (math.isfinite(lag) and lag > 0.0):
         raise InputError(f"lag = {lag}", "a positive number of seconds")
 
 
@@ -91,10 +94,10 @@ class OnlineSmoother:
     model : a `Model`, the name of a preset or a model file; by default "full", or "joint" with GTSAM
     engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
         "fixed-lag"
-    lag : seconds of history that chain and fixed lag keep open
+    lag : seconds of history that are kept open; None: all of it, with isam2
     camera : camera of the scene, for observations in pixels
-    relinearize_threshold : isam2: change of a variable beyond which it is linearised again (metres, m/s,
-        radians)
+    relinearize_threshold : isam2: change of a variable beyond which the factors of its step are linearised
+        again (metres, m/s, radians)
     step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
         than this (metres, m/s, radians); by default one mostly does, and the errors are no larger for it
     max_iterations : or after so many
@@ -112,13 +115,12 @@ class OnlineSmoother:
         model: Model | str | Path | None = None,
         *,
         engine: OnlineEngine = "auto",
-        lag: float = 2.0,
+        lag: float | None = 2.0,
         camera: GroundCamera | None = None,
-        relinearize_threshold: float = 0.01,
+        relinearize_threshold: float = 0.1,
         step_tolerance: float = 0.5,
         max_iterations: int = 20,
     ) -> None:
-        check_lag(lag)
         if not relinearize_threshold > 0.0:
             raise InputError(f"relinearize_threshold = {relinearize_threshold}", "a positive number")
         if not step_tolerance >= 0.0:
@@ -127,14 +129,17 @@ class OnlineSmoother:
             raise InputError(f"max_iterations = {max_iterations}", "at least 1")
         self.model = Model.named(model, engine)
         self.engine = online_engine(self.model, engine)
-        self.lag = float(lag)
+        check_lag(lag, self.engine)
+        self.lag = math.inf if lag is None else float(lag)
         self.camera = camera
-        self._smoother: ChainWindow | FixedLag | FullHistory
+        self._smoother: ChainWindow | FixedLag | Isam2
         if self.engine == "chain":
             make_ready(SOLVER, online_rehearsal(self.model))
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
         elif self.engine == "isam2":
-            self._smoother = FullHistory(self.model, relinearize_threshold, step_tolerance, max_iterations)
+            self._smoother = Isam2(
+                self.model, self.lag, relinearize_threshold, step_tolerance, max_iterations
+            )
         else:
             self._smoother = FixedLag(self.model, self.lag, step_tolerance, max_iterations)
         self._next_index = 0
@@ -149,7 +154,8 @@ class OnlineSmoother:
     def _described(self) -> dict[str, object]:
         times = self.window
         window = "empty" if times is None else f"{times[0]:.1f}–{times[1]:.1f} s"
-        return {"model": self.model, "engine": self.engine, "lag": f"{self.lag:g} s", "window": window}
+        lag = f"{self.lag:g} s" if self.lag < math.inf else "none"
+        return {"model": self.model, "engine": self.engine, "lag": lag, "window": window}
 
     # -- the public face -----------------------------------------------------------------------------------
 
@@ -361,7 +367,7 @@ def track_online(
     model: Model | str | Path | None = None,
     *,
     engine: OnlineEngine = "auto",
-    lag: float = 2.0,
+    lag: float | None = 2.0,
     camera: GroundCamera | None = None,
 ) -> Track: ...
 
@@ -372,7 +378,7 @@ def track_online(
     model: Model | str | Path | None = None,
     *,
     engine: OnlineEngine = "auto",
-    lag: float = 2.0,
+    lag: float | None = 2.0,
     camera: GroundCamera | None = None,
 ) -> TrackSet: ...
 
@@ -382,7 +388,7 @@ def track_online(
     model: Model | str | Path | None = None,
     *,
     engine: OnlineEngine = "auto",
-    lag: float = 2.0,
+    lag: float | None = 2.0,
     camera: GroundCamera | None = None,
 ) -> TrackSet | Track:
     """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.

@@ -1,4 +1,4 @@
-"""Online speed of the engines chain and fixed-lag: ratios of processor time within one run."""
+"""Online speed of the engines: ratios of processor time within one run."""
 
 from __future__ import annotations
 
@@ -117,3 +117,51 @@ def test_the_cost_of_a_step_does_not_grow() -> None:
     at_4000, at_200 = np.median(spent, axis=0)
     show([("step 4,000, median CPU ms", at_4000), ("step 200", at_200), ("ratio", at_4000 / at_200)])
     assert at_4000 < 1.3 * at_200
+
+
+def test_isam2_in_a_window_costs_less_than_gtsams_fixed_lags(record: Record) -> None:
+    """At 10 frames a second, 20 in the window, all in turn; GTSAM's own with the factors of the model."""
+    model, track = Model("joint"), walk(500, seed=1, noise=0.1, angle_kappa=2.0)
+    isam2, fixed, chained = (
+        OnlineSmoother(model, engine=engine, lag=LAG) for engine in ("isam2", "fixed-lag", "chain")
+    )
+    theirs = GtsamFixedLag(model)
+    spent = np.array(
+        [
+            [
+                *(milliseconds(lambda s=s, o=o: took_in(s, o)) for s in (isam2, fixed, chained)),
+                milliseconds(lambda s=step: theirs.update(s)),
+            ]
+            for o, step in zip(observations(track), chain(track), strict=True)
+        ]
+    )[100:]
+    names = ("isam2, median CPU ms", "fixed lag", "chain", "GTSAM's fixed lag")
+    mine, ours, compiled, peer = np.median(spent, axis=0)
+    show(zip(names, (mine, ours, compiled, peer), strict=True))
+    record("online step, GTSAM's fixed lag / isam2 window, processor time", peer / mine)
+    record("online step, fixed-lag / isam2 window, processor time", ours / mine)
+    record("online step, isam2 window / chain, processor time", mine / compiled)
+    assert mine < ours < peer
+
+
+@pytest.mark.parametrize(("lag", "growth"), [(LAG, 1.3), (None, 4.0)], ids=["window", "full history"])
+def test_the_cost_of_a_step_of_isam2_at_4000(lag: float | None, growth: float, record: Record) -> None:
+    """An old and a young smoother take the same observations in turn, beside the fixed lag."""
+    seen = list(observations(walk(4100, seed=1, noise=0.1, angle_kappa=2.0)))
+    old, young = (OnlineSmoother("joint", engine="isam2", lag=lag) for _ in range(2))
+    peer = OnlineSmoother("joint", engine="fixed-lag", lag=LAG)
+    for k, observation in enumerate(seen[:3900]):
+        old.update(observation)
+        if k >= 3700:
+            young.update(observation)
+            peer.update(observation)
+    spent = np.array(
+        [[milliseconds(lambda s=s, o=o: took_in(s, o)) for s in (old, young, peer)] for o in seen[3900:]]
+    )
+    at_4000, at_200, fixed = np.median(spent, axis=0)
+    show([("step 4,000, median CPU ms", at_4000), ("step 200", at_200), ("fixed lag", fixed)])
+    mode = "full history" if lag is None else "window"
+    record(f"isam2 {mode}, step 4,000 / step 200, processor time", at_4000 / at_200)
+    record(f"online step 4,000, fixed-lag / isam2 {mode}, processor time", fixed / at_4000)
+    # The full history grows by what GTSAM counts in its tree.
+    assert at_4000 < growth * at_200

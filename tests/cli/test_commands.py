@@ -34,6 +34,7 @@ def test_smooth_writes_every_person_frame_with_uncertainty(simulated, tmp_path):
         ("smooth", "gtsam", "joint"),
         ("track", "chain", "full"),
         ("track", "fixed-lag", "joint"),
+        ("track", "isam2", "joint"),
     ],
 )
 def test_the_model_is_the_best_that_the_engine_has(simulated, tmp_path, name, engine, model):
@@ -41,6 +42,17 @@ def test_the_model_is_the_best_that_the_engine_has(simulated, tmp_path, name, en
     assert done.returncode == 0, done.stderr
     assert f"model {model}" in " ".join((done.stdout + done.stderr).split())
     assert ("aligned_p" in pd.read_csv(tmp_path / "out.csv")) == (model == "full")
+
+
+def test_isam2_with_and_without_a_lag(simulated, tmp_path):
+    found = []
+    for lag in ("0.5", "none"):
+        done = run("track", simulated, "-o", tmp_path / "out.csv", "--engine", "isam2", "--lag", lag)
+        assert done.returncode == 0, done.stderr
+        found.append(pd.read_csv(tmp_path / "out.csv")[["x", "y", "body_deg", "head_deg"]].to_numpy())
+    assert found[0].shape == found[1].shape
+    # The newest step of both knows all that was seen; they differ in how it was linearised.
+    assert 0.0 < abs(found[0] - found[1])[:, :2].max() < 0.1
 
 
 def test_bad_input_is_one_line_with_status_2_and_no_output(simulated, tmp_path):

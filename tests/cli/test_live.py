@@ -60,14 +60,16 @@ def track(monkeypatch, capsys):
 # -- going on ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
-def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine):
+@pytest.mark.parametrize(
+    ("engine", "lag"), [("chain", "2"), ("fixed-lag", "2"), ("isam2", "0.3"), ("isam2", "none")]
+)
+def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine, lag):
     lines, state = scene(60 if engine == "chain" else 20, people=2), tmp_path / "state"
-    half = len(lines) // 2
-    _, whole, _ = track(lines, "--engine", engine)
-    first, found, _ = track(lines[:half], "--engine", engine, "--state", state)
+    half, options = len(lines) // 2, ("--engine", engine, "--lag", lag)
+    _, whole, _ = track(lines, *options)
+    first, found, _ = track(lines[:half], *options, "--state", state)
     assert [entry.name for entry in tmp_path.iterdir()] == ["state"]
-    second, more, said = track(lines[half:], "--engine", engine, "--state", state)
+    second, more, said = track(lines[half:], *options, "--state", state)
     assert found + more == whole
     assert (first, second) == (2, 2)  # there are bad rows in both parts
     assert going_on(said)[1] == len(found)
@@ -180,6 +182,7 @@ SAME = {"--model": "joint", "--fps": "25", "--lag": "1"}
     [
         ({"--fps": "10"}, "fps = 25.0, expected one with fps = 10.0"),
         ({"--lag": "2"}, "lag = 1.0, expected one with lag = 2.0"),
+        ({"--lag": "none", "--engine": "isam2"}, "expected one with "),
         ({"--model": "full"}, 'model.preset = "joint", expected one with model.preset = "full"'),
         ({"--engine": "fixed-lag"}, 'engine = "chain", expected one with engine = "fixed-lag"'),
         ({"--homography": "plane.txt"}, "homography = null, expected one with homography = [[0.01"),
@@ -226,6 +229,21 @@ def test_a_state_where_no_file_can_be(track, tmp_path):
 
 
 # -- ends ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lag", "engine", "told"),
+    [
+        ("soon", "isam2", "found --lag soon, expected a number of seconds, or none"),
+        ("0", "isam2", "found lag = 0.0, expected a positive number of seconds"),
+        ("none", "chain", "found no lag with the engine chain"),
+        ("none", "fixed-lag", "found no lag with the engine fixed-lag"),
+    ],
+)
+def test_a_lag_that_an_engine_cannot_keep_is_refused(track, lag, engine, told):
+    status, answers, said = track(scene(1), "--engine", engine, "--model", "joint", "--lag", lag)
+    assert (status, answers, said.count("\n")) == (2, [], 1)
+    assert said.startswith("error: ") and told in said
 
 
 def test_closed_streams_are_one_error(track, monkeypatch):

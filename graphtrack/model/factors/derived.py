@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import gtsam
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, class_centres, unit
-from graphtrack.model.factors.custom import custom_factor
+from graphtrack.model.factors.custom import unit_noise
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import BODY, HEAD, PLACES, N
@@ -40,103 +41,125 @@ _CONSTANTS: dict[str, Any] = {
     "head_directions": unit(class_centres(HEAD_CLASSES)),
 }
 
+_SCRATCH = {
+    "before": 0,
+    "state": 1,
+    "gradient_before": 2,
+    "gradient": 3,
+    "hessian_before": 4,
+    "hessian": 5,
+    "transition": 6,
+}
+"""What a kernel is given to read states from and to add to, in the order of `_Evaluation`'s arrays."""
+
 
 def derived_factors(term: Term, step: Step) -> Sequence[gtsam.NonlinearFactor]:
     """The factors of a term at a step, one for each kernel that is called there."""
     packed = term.packer(step.observation, step.dt, step.starts, step.camera)
-    record, found = packed.records[0], []
-    for kernel in term.kernels:
-        elsewhere = kernel.unless in (record.dtype.names or ()) and record[kernel.unless] > 0.0
-        if record[kernel.gate] > 0.0 and not elsewhere and not (kernel.before and step.previous is None):
-            found.append(_factor(kernel, packed, term, step))
-    return found
+    live = tuple(term.packer.live(step.observation))
+    return [
+        _factor(call, live, step)
+        for call in _calls(term, packed)
+        if not (call.kernel.before and step.previous is None)
+    ]
 
 
-def _factor(kernel: Kernel, packed: PackedTracks, term: Term, step: Step) -> gtsam.NonlinearFactor:
-    keys, columns = [], []
-    for names, of, first in ((kernel.before, step.previous, 0), (kernel.variables, step, N)):
-        for name in names:
-            keys.append(getattr(of, f"{name}_key"))
-            columns.append(np.arange(first, first + N)[PLACES[name]])
-    evaluation = _Evaluation(kernel, packed, term, step, keys, np.concatenate(columns))
-    ends = np.cumsum([len(part) for part in columns]).tolist()
-    parts = [slice(end - len(part), end) for end, part in zip(ends, columns, strict=True)]
+class _Call:
+    """A kernel with what it is given in all frames that were packed alike."""
 
-    def residual(values: gtsam.Values) -> FloatArray:
-        return evaluation(values)[0]
+    def __init__(self, kernel: Kernel, packed: PackedTracks) -> None:
+        self.kernel = kernel
+        given: dict[str, Any] = dict(_CONSTANTS)
+        for row in (packed.records[0], packed.shared[0]):
+            for name in row.dtype.names or ():
+                given[name] = float(row[name]) if np.ndim(row[name]) == 0 else np.array(row[name])
+        for name in ("body_heights", "head_heights"):
+            heights = getattr(packed, name)
+            given[name] = heights[0] if len(heights) else None
+        self.arguments = [given.get(name, 0.0) for name in kernel.arguments]
+        self.place = {name: i for i, name in enumerate(kernel.arguments)}
+        self.scratch = [(self.place[name], name) for name in _SCRATCH if name in self.place]
+        # (which variable, the places of its cosine and sine among the arguments, whether of the frame before)
+        self.variables = [
+            (name, self.place.get(f"{name}_cos{end}"), self.place.get(f"{name}_sin{end}"), earlier)
+            for names, end, earlier in ((kernel.before, "_before", True), (kernel.variables, "", False))
+            for name in names
+        ]
+        columns = [
+            np.arange(N)[PLACES[name]] + (0 if earlier else N) for name, _, _, earlier in self.variables
+        ]
+        self.columns = np.concatenate(columns)
+        ends = np.cumsum([len(part) for part in columns]).tolist()
+        self.parts = [slice(end - len(part), end) for end, part in zip(ends, columns, strict=True)]
 
-    def linearised(values: gtsam.Values) -> tuple[FloatArray, Sequence[FloatArray]]:
-        rows, jacobian = evaluation(values)
-        return rows, [jacobian[:, part] for part in parts]
 
-    return custom_factor(keys, ends[-1] + 1, residual, linearised)
+@lru_cache(maxsize=256)
+def _calls(term: Term, packed: PackedTracks) -> list[_Call]:
+    record = packed.records[0]
+    names = record.dtype.names or ()
+    return [
+        _Call(kernel, packed)
+        for kernel in term.kernels
+        if record[kernel.gate] > 0.0 and not (kernel.unless in names and record[kernel.unless] > 0.0)
+    ]
+
+
+def _factor(call: _Call, live: Sequence[tuple[str, float]], step: Step) -> gtsam.NonlinearFactor:
+    keys = [
+        getattr(step.previous if earlier else step, f"{name}_key") for name, _, _, earlier in call.variables
+    ]
+    evaluation, parts, rows = _Evaluation(call, live, keys), call.parts, len(call.columns) + 1
+
+    # Not through `custom_factor`: these shapes are right, and its checks take as long as a kernel.
+    def callback(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
+        del this  # a traceback would keep it, and its repr after the factor is gone ends the process
+        residual, jacobian = evaluation(values)
+        if jacobians is not None:
+            for i, part in enumerate(parts):
+                jacobians[i] = jacobian[:, part]
+        return residual
+
+    return gtsam.CustomFactor(unit_noise(rows), keys, callback)
 
 
 class _Evaluation:
     """A kernel at one step, called with GTSAM's values."""
 
-    def __init__(
-        self,
-        kernel: Kernel,
-        packed: PackedTracks,
-        term: Term,
-        step: Step,
-        keys: Sequence[int],
-        columns: NDArray[np.int64],
-    ) -> None:
-        self._function, self._columns = kernel.function, columns
-        # (which variable, its key, the state it stands in, whether of the frame before)
-        names = [*((name, True) for name in kernel.before), *((name, False) for name in kernel.variables)]
-        self._variables = [(name, key, earlier) for (name, earlier), key in zip(names, keys, strict=True)]
-        self._states = np.zeros((2, N))
-        self._sums = [np.zeros((2, N)), np.zeros((3, N, N))]
-        gradients, hessians = self._sums
-        given: dict[str, Any] = _CONSTANTS | {
-            "before": self._states[0],
-            "state": self._states[1],
-            "gradient_before": gradients[0],
-            "gradient": gradients[1],
-            "hessian_before": hessians[0],
-            "hessian": hessians[1],
-            "transition": hessians[2],
-        }
-        for row in (packed.records[0], packed.shared[0]):
-            for name in row.dtype.names or ():
-                given[name] = float(row[name]) if np.ndim(row[name]) == 0 else np.array(row[name])
-        given |= dict(term.packer.live(step.observation))
-        for name in ("body_heights", "head_heights"):
-            heights = getattr(packed, name)
-            given[name] = heights[0] if len(heights) else None
-        self._arguments = [given.get(name, 0.0) for name in kernel.arguments]
-        self._trigonometry = [
-            (
-                kernel.arguments.index(f"{name}_cos{suffix}"),
-                kernel.arguments.index(f"{name}_sin{suffix}"),
-                key,
-            )
-            for name, key, earlier in self._variables
-            if f"{name}_cos{(suffix := '_before' if earlier else '')}" in kernel.arguments
+    def __init__(self, call: _Call, live: Sequence[tuple[str, float]], keys: Sequence[int]) -> None:
+        self._function, self._columns = call.kernel.function, call.columns
+        self._states, self._gradients, self._hessians = (np.zeros(s) for s in ((2, N), (2, N), (3, N, N)))
+        scratch = (*self._states, *self._gradients, *self._hessians)
+        self._arguments = list(call.arguments)
+        for place, name in call.scratch:
+            self._arguments[place] = scratch[_SCRATCH[name]]
+        for name, value in live:
+            if name in call.place:
+                self._arguments[call.place[name]] = value
+        self._variables = [
+            (name, key, self._states[0 if earlier else 1], PLACES[name], cos, sin)
+            for (name, cos, sin, earlier), key in zip(call.variables, keys, strict=True)
         ]
 
     def __call__(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
         """Residual (n + 1,) and Jacobian (n + 1, n) of the n degrees of freedom."""
-        for name, key, earlier in self._variables:
-            state = self._states[0 if earlier else 1]
+        for name, key, state, place, cos, sin in self._variables:
             if name == "position":
-                state[PLACES[name]] = values.atPoint2(key)
+                state[place] = values.atPoint2(key)
             elif name == "velocity":
-                state[PLACES[name]] = values.atVector(key)
+                state[place] = values.atVector(key)
             else:
-                state[PLACES[name]] = values.atRot2(key).theta()
-        for cos, sin, key in self._trigonometry:
-            rotation = values.atRot2(key)
-            self._arguments[cos], self._arguments[sin] = rotation.c(), rotation.s()
-        gradients, hessians = self._sums
-        gradients[:], hessians[:] = 0.0, 0.0
+                rotation = values.atRot2(key)
+                state[place] = rotation.theta()
+                if cos is not None:
+                    self._arguments[cos] = rotation.c()
+                if sin is not None:
+                    self._arguments[sin] = rotation.s()
+        self._gradients.fill(0.0)
+        self._hessians.fill(0.0)
         cost = self._function(*self._arguments)
         n = len(self._columns)
         residual, jacobian = np.zeros(n + 1), np.zeros((n + 1, n))
-        factorise(cost, gradients, hessians, self._columns, residual, jacobian)
+        factorise(cost, self._gradients, self._hessians, self._columns, residual, jacobian)
         return residual, jacobian
 
 
