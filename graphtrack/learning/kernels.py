@@ -6,7 +6,7 @@ import math
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace
-from graphtrack.inference.chain.newton import sweep_forward
+from graphtrack.inference.chain.newton import as_variable, sweep_forward
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
@@ -20,11 +20,12 @@ def log_determinants(
 
     The Hessian is exact where that is positive definite, else that of Gauss–Newton.
     """
+    full = as_variable(True)
     for track in range(begin, end):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         here = states[a:b]
-        if not sweep_forward(problem, track, here[0].copy(), here, True, workspace)[1]:
-            sweep_forward(problem, track, here[0].copy(), here, False, workspace)
+        if not sweep_forward(problem, track, here[0].copy(), here, full, workspace)[1]:
+            sweep_forward(problem, track, here[0].copy(), here, not full, workspace)
         total = 0.0
         for k in range(b - a):
             for i in range(N):

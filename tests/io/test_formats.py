@@ -165,6 +165,15 @@ def test_caviar_feet_shoulders_and_gaze(tmp_path: Path) -> None:
     np.testing.assert_allclose(track.head, gaze, atol=1e-9)
 
 
+def test_caviar_shoulders_in_a_mirrored_world(tmp_path: Path) -> None:
+    """Where y grows downwards people are seen in a mirror, and left of them is still their left shoulder."""
+    (tmp_path / "H.txt").write_text("0.01 0 0\n0 0.01 0\n0 0 1\n")
+    mirrored = io.read(sample_of("caviar").write(tmp_path), homography=tmp_path / "H.txt")
+    assert mirrored.camera is not None and mirrored.camera.is_mirrored
+    away = np.deg2rad(90.0) - np.arctan2(2, 12)
+    np.testing.assert_allclose(mirrored[0].body, -away, atol=1e-9)
+
+
 def test_a_person_in_the_lobby_stretches_away_from_the_pixel_below_the_camera() -> None:
     camera = lobby_camera()
     assert not camera.is_mirrored

@@ -537,7 +537,7 @@ def test_the_engine_adds_up_the_terms_of_a_model(preset: str) -> None:
         gradients, hessians, turns = np.zeros((2, 6)), np.zeros((3, 6, 6)), np.zeros((2, 4))
         out = (gradients[0], gradients[1], hessians[0], hessians[1], hessians[2])
         start = local[0].copy()
-        program.note_turns(local[0], turns[0])
+        program.note_turns(0, local, turns)
         cost = program.add_frame(problem, 0, 1, start, local, True, turns, *out)
         expected = [0.0, np.zeros(12), np.zeros((12, 12))]
         for term in model.terms:

@@ -36,8 +36,7 @@ def greatest_gain(problem: Problem, track: int, states: FloatArray) -> float:
     greatest, offset = 0.0, problem.offsets[track]
     for k in range(len(states)):
         frame = problem.records[offset + k]
-        set_quarters(problem, track, k, states[k], turns, body, head)
-        body_cos, body_sin, head_cos, head_sin = turns[0, 0], turns[1, 0], turns[2, 0], turns[3, 0]
+        body_cos, body_sin, head_cos, head_sin = set_quarters(problem, track, k, states[k], turns, body, head)
         # The cosine of head minus body once the head, or the body, has turned by a quarter more.
         close = body_cos * head_cos + body_sin * head_sin
         across = head_sin * body_cos - head_cos * body_sin

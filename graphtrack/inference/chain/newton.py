@@ -18,6 +18,13 @@ from graphtrack.model.kernels.program import add_frame
 
 
 @compiled
+def as_variable(flag: bool) -> bool:
+    """The flag, but not as a constant: functions are compiled once more for each constant they are given."""
+    negated = not flag
+    return not negated
+
+
+@compiled
 def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessian: FloatArray) -> float:
     """½·dᵀ·Λ·d − ηᵀ·d, where d is the deviation from the prior's point."""
     cost = 0.0
@@ -99,15 +106,15 @@ def minimise(
     exact Hessian, factored, at the end.
     """
     n, step, candidate = len(states), workspace.step, workspace.candidate[: len(states)]
-    start = states[0].copy()
-    first_cost, definite = sweep_forward(problem, track, start, states, True, workspace)
+    start, full = states[0].copy(), as_variable(True)
+    first_cost, definite = sweep_forward(problem, track, start, states, full, workspace)
     cost = first_cost
     if not math.isfinite(cost):
         return first_cost, cost, 0, NOT_FINITE, False
     for iteration in range(max_iterations + 1):
         exact = definite
         if not definite:
-            _, definite = sweep_forward(problem, track, start, states, False, workspace)
+            _, definite = sweep_forward(problem, track, start, states, not full, workspace)
         decrement = sweep_back(n, workspace)
         if not definite or not math.isfinite(decrement):
             return first_cost, cost, iteration, NOT_FINITE, False
@@ -121,13 +128,13 @@ def minimise(
             for k in range(n):
                 for i in range(N):
                     candidate[k, i] = states[k, i] + scale * step[k, i]
-            found, definite = sweep_forward(problem, track, start, candidate, True, workspace)
+            found, definite = sweep_forward(problem, track, start, candidate, full, workspace)
             if found <= cost:
                 break
             scale *= 0.5
         if not found <= cost:
             # What the step promises is less than the rounding of the cost.
-            _, exact = sweep_forward(problem, track, start, states, True, workspace)
+            _, exact = sweep_forward(problem, track, start, states, full, workspace)
             return first_cost, cost, iteration, CONVERGED if exact else NOT_CONVERGED, exact
         cost = found
         states[:] = candidate

@@ -9,7 +9,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, marginals
 from graphtrack.inference.chain.grid import best_course, greatest_gain
-from graphtrack.inference.chain.newton import minimise, sweep_forward
+from graphtrack.inference.chain.newton import as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N
@@ -18,8 +18,7 @@ from graphtrack.model.kernels.problem import Problem
 WORTHWHILE = 4.0
 """Least `greatest_gain` for which a grid is searched: turning there and back costs more than that."""
 
-COARSE_BINS, COARSE_SPREAD = 12, 0.2
-FINE_BINS, FINE_SPREAD = 24, 0.05
+COARSE, FINE = (12, 0.2), (24, 0.05)
 """Directions of the grids, and rad² by which orientations diffuse over frames that count as one. The coarse
 grid tells whether the fine one, which takes ten times as long, is needed."""
 
@@ -50,13 +49,13 @@ def find_other_basin(
     if not greatest_gain(problem, track, states) > WORTHWHILE:
         return False
     course = np.empty((len(states), 2))
-    best_course(problem, track, states, COARSE_BINS, COARSE_SPREAD, course)
-    if not lies_elsewhere(states, course, near):
-        return False
-    best_course(problem, track, states, FINE_BINS, FINE_SPREAD, course)
+    for bins, spread in (COARSE, FINE):
+        best_course(problem, track, states, bins, spread, course)
+        if not lies_elsewhere(states, course, near):
+            return False
     found[:] = states
     found[:, BODY], found[:, HEAD] = course[:, 0], course[:, 1]
-    return lies_elsewhere(states, course, near)
+    return True
 
 
 @compiled
@@ -69,13 +68,14 @@ def solve_tracks(
     result: Result,
 ) -> None:
     """Minimise the costs of all tracks and find their covariances."""
+    full = as_variable(True)
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         states, again = result.states[a:b], np.empty((b - a, N))
         begun_elsewhere = restart and find_other_basin(problem, track, states, AT_START, again)
         if begun_elsewhere:
             # Contradictions make a poor start, from which the descent is long.
-            begun, _ = sweep_forward(problem, track, states[0].copy(), states, True, workspace)
+            begun, _ = sweep_forward(problem, track, states[0].copy(), states, full, workspace)
             states[:] = again
         first_cost, cost, iterations, status, exact = minimise(
             problem, track, states, max_iterations, tolerance, workspace
@@ -92,12 +92,12 @@ def solve_tracks(
                 cost, status, exact = found, ended, sound
             elif exact:
                 # The workspace holds the other descent's factorisation.
-                _, exact = sweep_forward(problem, track, states[0].copy(), states, True, workspace)
+                _, exact = sweep_forward(problem, track, states[0].copy(), states, full, workspace)
         result.first_cost[track], result.cost[track] = first_cost, cost
         result.iterations[track], result.status[track] = iterations, status
         if status == NOT_FINITE:
             continue
         if not exact:
             # A saddle, or not converged: the curvature that is never negative.
-            sweep_forward(problem, track, states[0].copy(), states, False, workspace)
+            sweep_forward(problem, track, states[0].copy(), states, not full, workspace)
         marginals(workspace, result.covariance[a:b])

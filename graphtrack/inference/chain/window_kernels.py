@@ -8,7 +8,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, clear, eliminate, invert_cholesky, sweep_back
-from graphtrack.inference.chain.newton import add_prior, minimise, sweep_forward
+from graphtrack.inference.chain.newton import add_prior, as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.restart import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
 from graphtrack.model.kernels.compiled import compiled
@@ -41,6 +41,7 @@ def solve_window(
     begin, end = problem.offsets[0], problem.offsets[1]
     track = the_only(problem)
     here, last, memory = states[begin:end], end - begin - 1, from_frame(workspace, begin)
+    full = as_variable(True)
     if warm and last > 0:
         foresee(problem, here, memory)
     _, cost, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
@@ -55,8 +56,8 @@ def solve_window(
             here[:], exact = again, sound
         else:
             problem.prior[:] = before
-            _, exact = sweep_forward(problem, track, here[0].copy(), here, True, memory)
-    if not exact and not sweep_forward(problem, track, here[0].copy(), here, False, memory)[1]:
+            _, exact = sweep_forward(problem, track, here[0].copy(), here, full, memory)
+    if not exact and not sweep_forward(problem, track, here[0].copy(), here, not full, memory)[1]:
         return False
     memory.newest[:] = memory.scratch[1 + (last & 1)]
     finite = True
@@ -128,7 +129,7 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
         last,
         states[0],
         states,
-        True,
+        as_variable(True),
         memory.trigonometry,
         gradients[0],
         gradients[1],
@@ -192,17 +193,18 @@ def marginalise(problem: Problem, states: FloatArray, exact: bool, workspace: Wo
     """
     scratch, inverse, turns = workspace.scratch, workspace.inverse[0], workspace.trigonometry
     gradient, gradient_after, hessian, hessian_after = scratch[0, 0], scratch[0, 1], scratch[1], scratch[2]
-    transition, track = scratch[3], the_only(problem)
+    # A first frame of 0 would be a constant, as in `the_only`.
+    transition, track, first = scratch[3], the_only(problem), len(states) - 2
     clear(gradient, hessian, transition)
     clear(gradient_after, hessian_after, transition)
-    note_turns(states[0], turns[0])
-    note_turns(states[1], turns[1])
-    add_own(problem, track, 0, states[0], states[0], exact, turns[0], gradient, hessian)
+    note_turns(first, states, turns)
+    note_turns(first + 1, states, turns)
+    add_own(problem, track, first, states[0], states, exact, turns, gradient, hessian)
     add_prior(problem.prior, states[0], gradient, hessian)
     add_links(
         problem,
         track,
-        1,
+        first + 1,
         states,
         exact,
         turns,

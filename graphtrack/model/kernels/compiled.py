@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
-from typing import TypeVar, cast
+from typing import Literal, TypeVar, cast
 
 import numba
 
@@ -22,8 +22,8 @@ UNKEPT = "graphtrack_unkept_"
 """Begins the names of packages whose machine code is of use to one process alone."""
 
 
-def compiled(function: Function) -> Function:
-    """The function as machine code; calls between such functions are inlined.
+def compiled(function: Function, *, inline: Literal["never", "always"] = "never") -> Function:
+    """The function as machine code; calls between such functions are inlined where that seems to pay.
 
     The code is kept under ``NUMBA_CACHE_DIR``, or else in the user's cache folder. Numba alone would only
     look whether the function's own file has changed, and run what is inlined from others as it once was.
@@ -33,9 +33,20 @@ def compiled(function: Function) -> Function:
     given, folder = numba.config.CACHE_DIR, _folder(cast(FunctionType, function))
     numba.config.CACHE_DIR = folder or given
     try:
-        return numba.njit(cache=bool(folder), nogil=True, error_model="numpy", fastmath=_FAST)(function)
+        return numba.njit(cache=bool(folder), nogil=True, error_model="numpy", fastmath=_FAST, inline=inline)(
+            function
+        )
     finally:
         numba.config.CACHE_DIR = given
+
+
+def inlined(function: Function) -> Function:
+    """As `compiled`, for a part that is written into its callers.
+
+    With as many arrays as the frame program hands on, each call would cost as much as a term, even where the
+    machine code is inlined.
+    """
+    return compiled(function, inline="always")
 
 
 def _folder(function: FunctionType) -> str:

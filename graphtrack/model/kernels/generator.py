@@ -21,6 +21,7 @@ from graphtrack.model.kernels.program_texts import (
     OPEN_OWN,
     OPEN_QUARTERS,
     OVER_FRAMES,
+    QUARTERS,
     REST,
 )
 
@@ -28,7 +29,17 @@ _TURNS = tuple(f"{name}_{part}" for name in ("body", "head") for part in ("cos",
 _OWN = ("gradient", "hessian")
 _LINK = ("gradient_before", "gradient", "hessian_before", "hessian", "transition")
 _WIDTH = 110
-_TAKEN = ("add_own", "add_links", "add_frame", "add_over", "note_turns", "set_quarters", "cut", "compiled")
+_TAKEN = (
+    "add_own",
+    "add_links",
+    "add_frame",
+    "add_over",
+    "note_turns",
+    "set_quarters",
+    "cut",
+    "compiled",
+    "inlined",
+)
 
 _EXPRESSIONS = {
     "origin_x": "problem.origin[track, 0]",
@@ -178,10 +189,9 @@ class Program:
 
     def _links(self) -> str:
         lines = []
-        local = ("exact", *_LINK)
-        here = {f"{name}_before": f"then[{i}]" for i, name in enumerate(_TURNS)}
-        here |= {name: f"now[{i}]" for i, name in enumerate(_TURNS)}
-        here |= {"before": "states[k - 1]", "state": "states[k]"}
+        local = ("before", "state", "exact", *_LINK)
+        here = {f"{name}_before": f"turns[k - 1, {i}]" for i, name in enumerate(_TURNS)}
+        here |= {name: f"turns[k, {i}]" for i, name in enumerate(_TURNS)}
         for kernel in self.kernels:
             if kernel.before:
                 given = self._all_given(kernel.arguments, local, here)
@@ -239,7 +249,9 @@ class Program:
                 here |= {"cos": f"{name}_cos", "sin": f"{name}_sin"}
             given = self._all_given(_unturned(function, kernel), ("state",), here)
             lines.append(_call(8, "", self._name(function), given))
-        return "\n".join([OPEN_QUARTERS, *_locals(lines, _MEMORY), *lines, ""])
+        quarters = [QUARTERS] if any("turns[" in line for line in lines) else []
+        end = "    return body_cos, body_sin, head_cos, head_sin"
+        return "\n".join([OPEN_QUARTERS, *quarters, *_locals(lines, _MEMORY), *lines, end, ""])
 
 
 _SHARED = {"shared": "problem.shared[0]"}

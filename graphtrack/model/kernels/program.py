@@ -11,11 +11,15 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import compiled, inlined
 from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.anchor import add_anchor
-from graphtrack.model.terms.body_follows_motion import add_body_follows_motion, add_motion_over
+from graphtrack.model.terms.body_follows_motion import (
+    add_body_follows_motion,
+    add_motion_over,
+    add_motion_quarters,
+)
 from graphtrack.model.terms.head_follows_body import add_head_follows_body
 from graphtrack.model.terms.intentional_motion import add_steered_motion
 from graphtrack.model.terms.motion import add_first_velocity, add_motion
@@ -23,6 +27,7 @@ from graphtrack.model.terms.place import add_place
 from graphtrack.model.terms.pose import (
     add_angle,
     add_angle_over,
+    add_angle_quarters,
     add_class_quarters,
     add_classes,
     add_classes_over,
@@ -100,22 +105,22 @@ SWITCHED = ("motion_body_kappa", "head_body_kappa", "steer_gain")
 """Gates of what the modes of the couplings switch."""
 
 
-@compiled
+@inlined
 def add_own(
     problem: Problem,
     track: int,
     k: int,
     start: FloatArray,
-    state: FloatArray,
+    states: FloatArray,
     exact: bool,
-    now: FloatArray,
+    turns: FloatArray,
     gradient: FloatArray,
     hessian: FloatArray,
 ) -> float:
-    """Add the terms of frame k of a track alone; ``now`` as `note_turns` leaves it. Returns their cost."""
+    """Add the terms of frame k of a track alone, whose ``turns`` are noted; returns their cost."""
     place = problem.offsets[track] + k
-    frame = problem.records[place]
-    body_cos, body_sin, head_cos, head_sin = now[0], now[1], now[2], now[3]
+    frame, state = problem.records[place], states[k]
+    body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
     cost = 0.0
     shared = problem.shared[0]
     if frame.velocity_information > 0.0:
@@ -246,7 +251,7 @@ def add_own(
     return cost
 
 
-@compiled
+@inlined
 def add_links(
     problem: Problem,
     track: int,
@@ -262,12 +267,12 @@ def add_links(
 ) -> float:
     """Add the terms between frame k of a track and the one before; returns their cost."""
     place = problem.offsets[track] + k
-    frame, then, now = problem.records[place], turns[k - 1], turns[k]
+    frame, before, state = problem.records[place], states[k - 1], states[k]
     cost = 0.0
     if frame.motion_information > 0.0 and not frame.steer_gain > 0.0:
         cost += add_motion(
-            states[k - 1],
-            states[k],
+            before,
+            state,
             frame.dt,
             frame.motion_information,
             gradient_before,
@@ -278,10 +283,10 @@ def add_links(
         )
     if frame.body_turn_kappa > 0.0:
         cost += add_turn(
-            then[0],
-            then[1],
-            now[0],
-            now[1],
+            turns[k - 1, 0],
+            turns[k - 1, 1],
+            turns[k, 0],
+            turns[k, 1],
             BODY,
             frame.body_turn_kappa,
             exact,
@@ -293,10 +298,10 @@ def add_links(
         )
     if frame.head_turn_kappa > 0.0:
         cost += add_turn(
-            then[2],
-            then[3],
-            now[2],
-            now[3],
+            turns[k - 1, 2],
+            turns[k - 1, 3],
+            turns[k, 2],
+            turns[k, 3],
             HEAD,
             frame.head_turn_kappa,
             exact,
@@ -308,10 +313,10 @@ def add_links(
         )
     if frame.steer_gain > 0.0:
         cost += add_steered_motion(
-            states[k - 1],
-            states[k],
-            then[2],
-            then[3],
+            before,
+            state,
+            turns[k - 1, 2],
+            turns[k - 1, 3],
             frame.dt,
             frame.steer_gain,
             frame.steer_reach,
@@ -328,11 +333,11 @@ def add_links(
     return cost
 
 
-@compiled
-def note_turns(state: FloatArray, now: FloatArray) -> None:
-    """Cosine and sine of body and head (4,)."""
-    now[0], now[1] = math.cos(state[BODY]), math.sin(state[BODY])
-    now[2], now[3] = math.cos(state[HEAD]), math.sin(state[HEAD])
+@inlined
+def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
+    """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
+    turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
+    turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])
 
 
 @compiled
@@ -354,7 +359,7 @@ def add_frame(
 
     ``turns`` (n, 4) are noted of frame k, and must have been of the frame before.
     """
-    note_turns(states[k], turns[k])
+    note_turns(k, states, turns)
     cost = add_links(
         problem,
         track,
@@ -368,7 +373,7 @@ def add_frame(
         hessian,
         transition,
     )
-    return cost + add_own(problem, track, k, start, states[k], exact, turns[k], gradient, hessian)
+    return cost + add_own(problem, track, k, start, states, exact, turns, gradient, hessian)
 
 
 @compiled
@@ -429,7 +434,7 @@ def add_over(
             add_motion_over(state, frame.motion_body_kappa, shared.speed_threshold, cos, sin, body[g])
 
 
-@compiled
+@inlined
 def set_quarters(
     problem: Problem,
     track: int,
@@ -438,30 +443,27 @@ def set_quarters(
     turns: FloatArray,
     body: FloatArray,
     head: FloatArray,
-) -> None:
+) -> tuple[float, float, float, float]:
     """What frame k costs as it is, and with body or head one, two and three quarters on.
 
-    ``turns`` (4, 4) becomes cosines and sines of body and head there, ``body`` and ``head`` (4,) the costs.
+    ``body`` and ``head`` (4,) become the costs; ``turns`` (4, 4) is memory. Returns the cosines and sines of
+    body and head as they are.
     """
     place = problem.offsets[track] + k
     frame = problem.records[place]
     body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
     head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
-    turns[0, 0], turns[0, 1], turns[0, 2], turns[0, 3] = body_cos, -body_sin, -body_cos, body_sin
-    turns[1, 0], turns[1, 1], turns[1, 2], turns[1, 3] = body_sin, body_cos, -body_sin, -body_cos
-    turns[2, 0], turns[2, 1], turns[2, 2], turns[2, 3] = head_cos, -head_sin, -head_cos, head_sin
-    turns[3, 0], turns[3, 1], turns[3, 2], turns[3, 3] = head_sin, head_cos, -head_sin, -head_cos
     body[:] = 0.0
     head[:] = 0.0
     shared = problem.shared[0]
     if frame.body_kappa > 0.0:
-        add_angle_over(
+        add_angle_quarters(
             frame.seen_body_cos,
             frame.seen_body_sin,
             frame.body_kappa,
             frame.body_uniform,
-            turns[0],
-            turns[1],
+            body_cos,
+            body_sin,
             body,
         )
     if frame.body_class_kappa > 0.0:
@@ -474,13 +476,13 @@ def set_quarters(
             body,
         )
     if frame.head_kappa > 0.0:
-        add_angle_over(
+        add_angle_quarters(
             frame.seen_head_cos,
             frame.seen_head_sin,
             frame.head_kappa,
             frame.head_uniform,
-            turns[2],
-            turns[3],
+            head_cos,
+            head_sin,
             head,
         )
     if frame.head_class_kappa > 0.0:
@@ -493,4 +495,5 @@ def set_quarters(
             head,
         )
     if frame.motion_body_kappa > 0.0:
-        add_motion_over(state, frame.motion_body_kappa, shared.speed_threshold, turns[0], turns[1], body)
+        add_motion_quarters(state, frame.motion_body_kappa, shared.speed_threshold, body_cos, body_sin, body)
+    return body_cos, body_sin, head_cos, head_sin

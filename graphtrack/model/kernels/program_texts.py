@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import compiled, inlined
 from graphtrack.model.kernels.layout import {layout}
 from graphtrack.model.kernels.problem import Problem
 {imports}
@@ -23,26 +23,26 @@ from graphtrack.model.kernels.problem import Problem
 '''
 
 OPEN_OWN = '''
-@compiled
+@inlined
 def add_own(
     problem: Problem,
     track: int,
     k: int,
     start: FloatArray,
-    state: FloatArray,
+    states: FloatArray,
     exact: bool,
-    now: FloatArray,
+    turns: FloatArray,
     gradient: FloatArray,
     hessian: FloatArray,
 ) -> float:
-    """Add the terms of frame k of a track alone; ``now`` as `note_turns` leaves it. Returns their cost."""
+    """Add the terms of frame k of a track alone, whose ``turns`` are noted; returns their cost."""
     place = problem.offsets[track] + k
-    frame = problem.records[place]
-    body_cos, body_sin, head_cos, head_sin = now[0], now[1], now[2], now[3]
+    frame, state = problem.records[place], states[k]
+    body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
     cost = 0.0'''
 
 OPEN_LINKS = '''
-@compiled
+@inlined
 def add_links(
     problem: Problem,
     track: int,
@@ -58,15 +58,15 @@ def add_links(
 ) -> float:
     """Add the terms between frame k of a track and the one before; returns their cost."""
     place = problem.offsets[track] + k
-    frame, then, now = problem.records[place], turns[k - 1], turns[k]
+    frame, before, state = problem.records[place], states[k - 1], states[k]
     cost = 0.0'''
 
 REST = '''
-@compiled
-def note_turns(state: FloatArray, now: FloatArray) -> None:
-    """Cosine and sine of body and head (4,)."""
-    now[0], now[1] = math.cos(state[BODY]), math.sin(state[BODY])
-    now[2], now[3] = math.cos(state[HEAD]), math.sin(state[HEAD])
+@inlined
+def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
+    """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
+    turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
+    turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])
 
 
 @compiled
@@ -88,7 +88,7 @@ def add_frame(
 
     ``turns`` (n, 4) are noted of frame k, and must have been of the frame before.
     """
-    note_turns(states[k], turns[k])
+    note_turns(k, states, turns)
     cost = add_links(
         problem,
         track,
@@ -102,7 +102,7 @@ def add_frame(
         hessian,
         transition,
     )
-    return cost + add_own(problem, track, k, start, states[k], exact, turns[k], gradient, hessian)
+    return cost + add_own(problem, track, k, start, states, exact, turns, gradient, hessian)
 '''
 
 OPEN_CUT = '''
@@ -133,7 +133,7 @@ OVER_FRAMES = """\
         frame = problem.records[place]"""
 
 OPEN_QUARTERS = '''
-@compiled
+@inlined
 def set_quarters(
     problem: Problem,
     track: int,
@@ -142,18 +142,21 @@ def set_quarters(
     turns: FloatArray,
     body: FloatArray,
     head: FloatArray,
-) -> None:
+) -> tuple[float, float, float, float]:
     """What frame k costs as it is, and with body or head one, two and three quarters on.
 
-    ``turns`` (4, 4) becomes cosines and sines of body and head there, ``body`` and ``head`` (4,) the costs.
+    ``body`` and ``head`` (4,) become the costs; ``turns`` (4, 4) is memory. Returns the cosines and sines of
+    body and head as they are.
     """
     place = problem.offsets[track] + k
     frame = problem.records[place]
     body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
     head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+    body[:] = 0.0
+    head[:] = 0.0'''
+
+QUARTERS = """\
     turns[0, 0], turns[0, 1], turns[0, 2], turns[0, 3] = body_cos, -body_sin, -body_cos, body_sin
     turns[1, 0], turns[1, 1], turns[1, 2], turns[1, 3] = body_sin, body_cos, -body_sin, -body_cos
     turns[2, 0], turns[2, 1], turns[2, 2], turns[2, 3] = head_cos, -head_sin, -head_cos, head_sin
-    turns[3, 0], turns[3, 1], turns[3, 2], turns[3, 3] = head_sin, head_cos, -head_sin, -head_cos
-    body[:] = 0.0
-    head[:] = 0.0'''
+    turns[3, 0], turns[3, 1], turns[3, 2], turns[3, 3] = head_sin, head_cos, -head_sin, -head_cos"""

@@ -111,12 +111,34 @@ def add_motion_over(
         cost[i] += kappa * (1.0 - cos[i] * ux - sin[i] * uy)
 
 
+@compiled
+def add_motion_quarters(
+    state: FloatArray,
+    motion_body_kappa: float,
+    speed_threshold: float,
+    cos: float,
+    sin: float,
+    cost: FloatArray,
+) -> None:
+    """The same at a direction and one, two and three quarters on."""
+    vx, vy = state[VX], state[VY]
+    speed = math.sqrt(vx * vx + vy * vy)
+    if speed <= speed_threshold or speed < 1e-12:
+        return
+    kappa = motion_body_kappa * squared_excess(vx, vy, speed_threshold)
+    close, across = (cos * vx + sin * vy) / speed, (sin * vx - cos * vy) / speed
+    cost[0] += kappa * (1.0 - close)
+    cost[1] += kappa * (1.0 + across)
+    cost[2] += kappa * (1.0 + close)
+    cost[3] += kappa * (1.0 - across)
+
+
 ADD_BODY_FOLLOWS_MOTION = Kernel(
     add_body_follows_motion,
     gate="motion_body_kappa",
     variables=("velocity", "body"),
     switched=True,
-    search=Search(add_motion_over),
+    search=Search(add_motion_over, add_motion_quarters),
 )
 
 

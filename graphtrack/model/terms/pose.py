@@ -117,6 +117,19 @@ def add_angle_over(
 
 
 @compiled
+def add_angle_quarters(
+    mean_cos: float, mean_sin: float, kappa: float, uniform: float, cos: float, sin: float, cost: FloatArray
+) -> None:
+    """The same at a direction and one, two and three quarters on, of which two cosines are all."""
+    close = cos * mean_cos + sin * mean_sin
+    across = sin * mean_cos - cos * mean_sin
+    cost[0] += angle_cost(close, kappa, uniform)
+    cost[1] += angle_cost(-across, kappa, uniform)
+    cost[2] += angle_cost(-close, kappa, uniform)
+    cost[3] += angle_cost(across, kappa, uniform)
+
+
+@compiled
 def add_classes(
     cos: float,
     sin: float,
@@ -206,7 +219,13 @@ def _observed(name: Variable) -> tuple[Kernel, Kernel]:
     classes = {"kappa": f"{name}_class_kappa"}
     classes |= {part: f"{name}_{part}" for part in ("heights", "directions")}
     return (
-        Kernel(add_angle, f"{name}_kappa", (name,), names=names | angle, search=Search(add_angle_over)),
+        Kernel(
+            add_angle,
+            f"{name}_kappa",
+            (name,),
+            names=names | angle,
+            search=Search(add_angle_over, add_angle_quarters),
+        ),
         Kernel(
             add_classes,
             f"{name}_class_kappa",

@@ -1,0 +1,98 @@
+"""Parts of the chain engine, each against what it says: search, start, window, modes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from walks import walk
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference import OnlineSmoother
+from graphtrack.inference.chain.grid import greatest_gain
+from graphtrack.inference.chain.modes import renew_couplings
+from graphtrack.inference.chain.start import fill
+from graphtrack.inference.initial import pack, problem_of
+from graphtrack.model import Model, Parameters
+from graphtrack.model.kernels.layout import BODY, HEAD
+from graphtrack.model.kernels.program import add_own, note_turns
+from graphtrack.model.observation import observations
+from graphtrack.model.terms.gait import ROW, gait_of
+
+
+def own_cost(problem: object, state: FloatArray) -> float:
+    """What the first frame costs by itself."""
+    states, turns = state[None], np.zeros((1, 4))
+    note_turns(0, states, turns)
+    return float(add_own(problem, 0, 0, state, states, True, turns, np.zeros(6), np.zeros((6, 6))))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_in_a_single_frame_the_greatest_gain_is_that_of_the_best_turn(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    track = walk(8, seed=seed, classes=bool(seed % 2))[4:5]
+    problem = problem_of(pack([track], Model("joint")))
+    problem.records["body_anchor"] = problem.records["head_anchor"] = 0.0
+    state = np.array([*rng.normal(0.0, 0.1, 2), *rng.normal(0.0, 2.0, 2), *rng.uniform(-3.0, 3.0, 2)])
+    turned = []
+    for q in (1, 2, 3):
+        for places in ([BODY], [HEAD], [BODY, HEAD]):
+            other = state.copy()
+            other[places] += q * np.pi / 2.0
+            turned.append(own_cost(problem, state) - own_cost(problem, other))
+    assert greatest_gain(problem, 0, state[None]) == pytest.approx(max(0.0, *turned), abs=1e-9)
+
+
+def test_what_was_not_seen_is_taken_from_the_nearest_in_time() -> None:
+    t = np.array([0.0, 0.1, 0.2, 0.9, 1.0, 1.6])
+    nan = np.nan
+    angle = np.array([nan, 1.0, nan, nan, 2.0, nan])
+    fill(t, angle, np.full(6, nan))
+    np.testing.assert_array_equal(angle, [1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+    angle = np.full(6, nan)
+    fill(t, angle, np.array([nan, nan, nan, nan, -1.0, nan]))
+    np.testing.assert_array_equal(angle, np.full(6, -1.0))
+
+
+@pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
+def test_a_step_that_is_as_old_as_the_lag_is_still_open(engine: str) -> None:
+    track = walk(12, dt=0.25)
+    track = replace(track, t=0.25 * np.arange(12))  # exact in binary
+    smoother = OnlineSmoother("joint", engine=engine, lag=1.0)
+    for seen in observations(track):
+        smoother.update(seen)
+    assert smoother.window == (1.75, 2.75)
+
+
+def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
+    smoother = OnlineSmoother("full", engine="chain", lag=1.0)
+    seen = list(observations(walk(15)))
+    for one in seen[:-1]:
+        smoother.update(one)
+    modes = smoother._smoother._modes
+    modes.renew(smoother._smoother._problem, smoother._smoother._states)
+    kept = modes._filtered.copy()
+    modes.let_go()
+    np.testing.assert_array_equal(modes.before, kept[:, 0])
+    np.testing.assert_array_equal(modes._filtered, kept[:, 1:])
+
+
+def test_each_coupling_has_its_own_lead() -> None:
+    """How long the head leads says nothing of the last frames of the body's coupling, nor the other way."""
+    track, model = walk(20, seed=3), Model("full")
+    found = {}
+    for leads in ((0.1, 0.1), (0.1, 0.6), (0.6, 0.1)):
+        gait = replace(Parameters().gait, body_lead=leads[0], head_lead=leads[1])
+        problem = problem_of(pack([track], model))
+        n = len(track)
+        states = np.zeros((n, 6))
+        states[:, 2:4] = np.gradient(track.true_position, track.t, axis=0)
+        states[:, BODY], states[:, HEAD] = track.true_body, track.true_head
+        before, filtered, modes = np.zeros((2, ROW)), np.empty((2, n, ROW)), np.empty((n, 2))
+        renew_couplings(problem, 0, states, gait_of(gait), before, filtered, modes)
+        found[leads] = problem.records.copy()
+    same, other = found[0.1, 0.1], found[0.1, 0.6]
+    np.testing.assert_array_equal(same["motion_body_kappa"], other["motion_body_kappa"])
+    assert same["head_body_kappa"][-1] > 1.05 * other["head_body_kappa"][-1]
+    assert same["motion_body_kappa"][-1] > 1.05 * found[0.6, 0.1]["motion_body_kappa"][-1]
