@@ -10,6 +10,7 @@ from graphtrack.evaluation.reproduce import (
     baxter_occlusion,
     baxter_simulated,
     baxter_statistics,
+    chen_classes,
     chen_joint,
 )
 from graphtrack.evaluation.reproduce.experiment import Experiment, Reproduction, Settings, Table
@@ -19,7 +20,7 @@ __all__ = ["EXPERIMENTS", "Experiment", "Reproduction", "Settings", "Table", "al
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
     {
         module.EXPERIMENT.name: module.EXPERIMENT
-        for module in (baxter_simulated, baxter_occlusion, baxter_statistics, chen_joint)
+        for module in (baxter_simulated, baxter_occlusion, baxter_statistics, chen_joint, chen_classes)
     }
 )
 """Name → experiment on tables."""
