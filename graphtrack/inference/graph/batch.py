@@ -11,6 +11,9 @@ import numpy as np
 from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.engine import is_chain
+from graphtrack.inference.chain.restart import AT_END, AT_START
+from graphtrack.inference.graph.basins import Basins
 from graphtrack.inference.initial import initial_states
 from graphtrack.inference.solution import Solution, SolverOptions, bounded, estimated_track
 from graphtrack.model import Model, States, Step
@@ -54,12 +57,14 @@ def build_graph(
     return graph, values
 
 
-def anchors(step: Step, model: Model, body: float, head: float) -> Iterator[gtsam.NonlinearFactor]:
-    """Factors of `ANCHOR_KAPPA` that hold a first step's orientations."""
+def anchors(
+    step: Step, model: Model, body: float, head: float, kappa: float = ANCHOR_KAPPA
+) -> Iterator[gtsam.NonlinearFactor]:
+    """Factors that hold a first step's orientations."""
     if model.has_body:
-        yield von_mises_prior(step.body_key, body, ANCHOR_KAPPA)
+        yield von_mises_prior(step.body_key, body, kappa)
     if model.has_head:
-        yield von_mises_prior(step.head_key, head, ANCHOR_KAPPA)
+        yield von_mises_prior(step.head_key, head, kappa)
 
 
 def optimize(
@@ -107,6 +112,9 @@ def smooth_graph(
 ) -> Solution:
     """Smooth one track; the covariances are those of the Gauss–Newton curvature.
 
+    Where all terms have compiled kernels, it starts from the chain's grid of orientations where that has a
+    better basin, and again where the grid has one once it has ended.
+
     Raises
     ------
     SolveError
@@ -121,17 +129,61 @@ def smooth_graph(
         for key in variable_keys(step, model):
             ordering.push_back(key)
     try:
-        values, costs, converged = optimize(graph, values, ordering, options)
+        basins = Basins(track, model, camera) if options.restart and is_chain(model) else None
+        values, costs, converged = _lowest(graph, values, steps, ordering, options, basins, model)
         covariance = marginal_covariances(graph, values, steps, model)
     except (RuntimeError, ArithmeticError) as error:
         raise SolveError(track.track_id, " ".join(str(error).split())[:200]) from error
-    states = np.array([_state(values, step, model) for step in steps])
+    states = _states(values, steps, model)
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, "the estimate is not finite")
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
     estimate = estimated_track(track, states, covariance)
     return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
+
+
+def _lowest(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    steps: Sequence[Step],
+    ordering: gtsam.Ordering,
+    options: SolverOptions,
+    basins: Basins | None,
+    model: Model,
+) -> tuple[gtsam.Values, list[float], bool]:
+    """`optimize` in the basin that costs least of those that the grid leads to."""
+    if basins is None:
+        return optimize(graph, values, ordering, options)
+    begun = graph.error(values)
+    elsewhere = basins.other(_states(values, steps, model), AT_START)
+    values, costs, converged = optimize(graph, _turned(values, steps, model, elsewhere), ordering, options)
+    elsewhere = basins.other(_states(values, steps, model), AT_END)
+    if elsewhere is not None:
+        again = optimize(graph, _turned(values, steps, model, elsewhere), ordering, options)
+        if again[1][-1] < costs[-1]:
+            values, costs, converged = again[0], costs + again[1][1:], again[2]
+    return values, [begun, *costs[1:]], converged
+
+
+def _turned(
+    values: gtsam.Values, steps: Sequence[Step], model: Model, states: FloatArray | None
+) -> gtsam.Values:
+    """The values with the orientations of some states (n, 6); None: as they are."""
+    if states is None:
+        return values
+    turned = gtsam.Values(values)
+    for step, state in zip(steps, states, strict=True):
+        if model.has_body:
+            turned.update(step.body_key, gtsam.Rot2(state[4]))
+        if model.has_head:
+            turned.update(step.head_key, gtsam.Rot2(state[5]))
+    return turned
+
+
+def _states(values: gtsam.Values, steps: Sequence[Step], model: Model) -> FloatArray:
+    """States (n, 6); NaN for what the model does not have."""
+    return np.array([_state(values, step, model) for step in steps])
 
 
 def _state(values: gtsam.Values, step: Step, model: Model) -> tuple[float, ...]:

@@ -17,6 +17,9 @@ from graphtrack.inference.state import Angles, Newest, Window, finite
 from graphtrack.model import Model, Step
 
 _NEVER = 10**9
+_ANCHOR_KAPPA = 1e-4
+"""Concentration at which first orientations are held. GTSAM's Bayes tree refuses a clique whose last pivot is
+less than 2⁻²⁴ of the one before, as between turning and a weaker anchor in the frames of a video."""
 _FAR = 1.0
 """Radians from where GTSAM has an orientation, at which it is set anew: half a turn would be ambiguous."""
 _SMALL = 0.1
@@ -285,7 +288,7 @@ class Isam2:
 
     def _hold(self, link: Link) -> None:
         if self._anchor is not None:
-            for factor in anchors(link.step, self._model, *self._anchor):
+            for factor in anchors(link.step, self._model, *self._anchor, _ANCHOR_KAPPA):
                 link.own.push_back(factor)
 
     def _empty(self) -> gtsam.ISAM2:
