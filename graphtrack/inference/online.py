@@ -64,8 +64,8 @@ def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
     Raises
     ------
     InputError
-        If the engine is unknown, the chain was asked for and a term has no compiled kernel, or another one
-        was and a term has nothing else.
+        If the engine is unknown, the chain was asked for and a term has no compiled kernel, or one has none
+        beside modes of the couplings.
     """
     if engine not in ENGINES:
         raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
@@ -93,7 +93,7 @@ class OnlineSmoother:
 
     Parameters
     ----------
-    model : a `Model`, the name of a preset or a model file; by default "full", or "joint" with GTSAM
+    model : a `Model`, the name of a preset or a model file; by default "full"
     engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
         "fixed-lag"
     lag : seconds of history that are kept open; None: all of it, with isam2
@@ -129,7 +129,7 @@ class OnlineSmoother:
             raise InputError(f"step_tolerance = {step_tolerance}", "a number that is not negative")
         if max_iterations < 1:
             raise InputError(f"max_iterations = {max_iterations}", "at least 1")
-        self.model = Model.named(model, engine)
+        self.model = Model.named(model)
         self.engine = online_engine(self.model, engine)
         check_lag(lag, self.engine)
         self.lag = math.inf if lag is None else float(lag)
@@ -139,12 +139,15 @@ class OnlineSmoother:
             make_ready(SOLVER, online_rehearsal(self.model))
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
         else:
+            couplings: dict[int, tuple[float, ...]] | None = {} if self.model.has_modes else None
+            ends = step_tolerance, max_iterations, couplings
             graph: FixedLag | Isam2 = (
-                Isam2(self.model, self.lag, relinearize_threshold, step_tolerance, max_iterations)
+                Isam2(self.model, self.lag, relinearize_threshold, *ends)
                 if self.engine == "isam2"
-                else FixedLag(self.model, self.lag, step_tolerance, max_iterations)
+                else FixedLag(self.model, self.lag, *ends)
             )
-            self._smoother = Guided(graph, self.model, self.lag) if is_chain(self.model) else graph
+            guided = is_chain(self.model)
+            self._smoother = Guided(graph, self.model, self.lag, couplings) if guided else graph
         self._next_index = 0
         self._last: Estimate | None = None
 
@@ -297,7 +300,7 @@ class OnlineSmoother:
         state, covariance = newest
         body, head = wrap(state[4:]).tolist()
         smoother = self._smoother
-        aligned, offset = smoother.modes if isinstance(smoother, ChainWindow) else (math.nan, math.nan)
+        aligned, offset = getattr(smoother, "modes", (math.nan, math.nan))
         self._last = Estimate(
             t=observation.t,
             frame=observation.frame,
@@ -388,7 +391,7 @@ def track_online(
     camera : camera of the scene; by default that of the `TrackSet`
     """
     if not isinstance(tracks, Track):
-        scene, chosen = tracks_of(tracks), Model.named(model, engine)
+        scene, chosen = tracks_of(tracks), Model.named(model)
         camera = scene.camera if camera is None else camera
         return scene.map(lambda one: track_online(one, chosen, engine=engine, lag=lag, camera=camera))
     smoother = OnlineSmoother(model, engine=engine, lag=lag, camera=camera)

@@ -13,7 +13,7 @@ from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram, program_of
 from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.chain.window import ChainWindow
-from graphtrack.inference.graph.basins import Basins
+from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.initial import pack
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
@@ -61,7 +61,7 @@ def warm_up(
     ----------
     model, engine : as in `solve` and `OnlineSmoother`
     """
-    model = Model.named(model, engine)
+    model = Model.named(model)
     if not is_chain(model):
         make_ready(SOLVER, start_rehearsal())
     elif engine == "gtsam":
@@ -92,7 +92,10 @@ def graph_rehearsal(model: Model) -> Rehearsal:
     """What GTSAM's batch engine calls: where it starts, and the search for basins where the chain has one."""
     if not is_chain(model) or not (model.has_body or model.has_head):
         return start_rehearsal()
-    return Rehearsal(lambda: _search(_like(model)), {**_START, program_of(model).find_other_basin: 7.0})
+    called = {**_START, program_of(model).find_other_basin: 7.0}
+    if model.has_modes:
+        return Rehearsal(lambda: _search(_like(model)), {**called, **_MODES}, _COUPLINGS)
+    return Rehearsal(lambda: _search(_like(model)), called)
 
 
 def start_rehearsal() -> Rehearsal:
@@ -121,7 +124,10 @@ def _solve(model: Model) -> None:
 
 def _search(model: Model) -> None:
     _solve(Model("position"))
-    Basins(TRACK, model, None).other(np.zeros((len(TRACK), 6)), 0.0)
+    view, states = ChainView(TRACK, model, None), np.zeros((len(TRACK), 6))
+    view.other(states, 0.0)
+    if model.has_modes:
+        view.renew(states)
 
 
 def _slide(window: ChainWindow) -> None:

@@ -36,7 +36,7 @@ def far_off(estimate: Track, name: str) -> float:
 
 
 @EVERY_ENGINE
-@pytest.mark.parametrize("preset", ["separate", "joint"])
+@pytest.mark.parametrize("preset", ["separate", "joint", "full"])
 def test_online_nobody_is_left_facing_backwards(preset: str, engine: Any, lag: float | None) -> None:
     """The answers of the first frames, which may be flipped, do not decide for good."""
     for track in misjudged():
@@ -46,7 +46,7 @@ def test_online_nobody_is_left_facing_backwards(preset: str, engine: Any, lag: f
 
 
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])
-@pytest.mark.parametrize("preset", ["separate", "joint"])
+@pytest.mark.parametrize("preset", ["separate", "joint", "full"])
 def test_offline_nobody_faces_backwards(preset: str, engine: Any) -> None:
     for found in smooth(misjudged(), preset, engine=engine):
         assert far_off(found, "body") == far_off(found, "head") == 0.0
