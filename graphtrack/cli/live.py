@@ -169,12 +169,12 @@ def give(answer: dict[str, Any]) -> None:
 
 
 def warm_up(model: Model, engine: OnlineEngine) -> None:
-    """Load what the chain engine runs; what was never compiled on this machine is compiled first.
+    """Load what the chain's window runs, beside GTSAM too; what was never compiled here is compiled first.
 
     Compiling is left to a process of its own: code as it is compiled and the same code from the cache round
     differently, and a run that is gone on with must round as the run before.
     """
-    if engine != "chain":
+    if engine != "chain" and not model.has_modes:
         return
     if any(map(is_cold, online_rehearsal(model).called)):
         preset = "full" if model.has_modes else "joint"

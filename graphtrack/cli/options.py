@@ -45,7 +45,7 @@ BestModelName = Annotated[
     typer.Option(
         "--model",
         help="position, separate, joint-body, joint, intentional, joint-intentional, full, joint-place, or a "
-        "model file (.toml); by default full, or joint with an engine of GTSAM's, which lack its modes.",
+        "model file (.toml); by default full.",
         show_default=False,
     ),
 ]

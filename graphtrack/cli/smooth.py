@@ -75,7 +75,7 @@ def smooth(
         reading.inputs(inputs, model),
         table=output,
     )
-    chosen = Model.named(model, engine)
+    chosen = Model.named(model)
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--class": reading.classes, "--image-scale": reading.image_scale}

@@ -80,7 +80,7 @@ def track(
         reading.inputs([] if input == "-" else [Path(input)], model),
         table=output,
     )
-    chosen = Model.named(model, engine)
+    chosen = Model.named(model)
     kept = _seconds(lag)
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":

@@ -16,6 +16,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import smooth_track
 from graphtrack.inference.online import OnlineEngine, track_online
 from graphtrack.model import Model
+from graphtrack.model.model import BEST_PRESET
 from graphtrack.tracks import Track
 
 
@@ -161,8 +162,8 @@ _OWN = {
 
 
 def own_model(name: str) -> Model:
-    """The best preset that a method of `registry` has; the graph's engines as `Model.named` says."""
-    return Model(_OWN[name]) if name in _OWN else Model.named(None, "auto" if name == "smoother" else name)
+    """The best preset that a method of `registry` has; the graph's engines have `BEST_PRESET`."""
+    return Model(_OWN.get(name, BEST_PRESET))
 
 
 def make_method(method: Method | str, model: Model | str | Path | None = None) -> Method:

@@ -45,8 +45,8 @@ def engine_of(model: Model, engine: OfflineEngine | Literal["auto"] = "auto") ->
     Raises
     ------
     InputError
-        If the chain engine was asked for and a term has no compiled kernel, or GTSAM and a term has nothing
-        else; the message names it.
+        If the chain engine was asked for and a term has no compiled kernel, or one has none beside modes of
+        the couplings; the message names it.
     """
     if engine not in ("auto", "chain", "gtsam"):
         raise InputError(f"engine {engine!r}", "auto, chain or gtsam")
@@ -64,12 +64,14 @@ def engine_of(model: Model, engine: OfflineEngine | Literal["auto"] = "auto") ->
 
 
 def refuse_only_compiled(model: Model, engine: str) -> None:
-    """Raise InputError if a term of the model is for the compiled chain only, which ``engine`` is not."""
+    """Raise InputError if a term needs the chain beside ``engine``, and another has no compiled kernel."""
+    if is_chain(model):
+        return
     for term in model.terms:
         if term.only_compiled:
             raise InputError(
                 f"engine {engine!r} and the term {type(term).__name__}",
-                "engine 'chain', and no other term without a compiled kernel",
+                "no other term without a compiled kernel",
             )
 
 
@@ -88,7 +90,7 @@ def solve(
     ----------
     tracks : observations: a `TrackSet`, a `Track` or several, the path of a file, or a table as for
         `TrackSet.from_table`
-    model : a `Model`, a preset's name or a model file; by default "full", or "joint" with GTSAM
+    model : a `Model`, a preset's name or a model file; by default "full"
     engine : "auto", "chain" or "gtsam"; both find the same optimum
     jobs : threads of the chain engine, by default one for each processor; processes with GTSAM, which holds
         the interpreter's lock, by default one
@@ -99,7 +101,7 @@ def solve(
     -------
     list of Solution or Failure, in the order of the tracks
     """
-    model = Model.named(model, engine)
+    model = Model.named(model)
     solver = engine_of(model, engine)
     return solve_tracks(tracks_of(tracks), model, solver, jobs=jobs, options=options, progress=progress)
 

@@ -22,6 +22,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.fixed_lag import FixedLag
+from graphtrack.inference.graph.guided import Guided
 from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.observed import checked
 from graphtrack.inference.offline import engine_of, refuse_only_compiled
@@ -34,6 +35,7 @@ from graphtrack.inference.state import (
     Window,
     damaged,
     pack_state,
+    predicted,
     unpack_state,
 )
 from graphtrack.inference.warm import SOLVER, online_rehearsal
@@ -62,8 +64,8 @@ def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
     Raises
     ------
     InputError
-        If the engine is unknown, the chain was asked for and a term has no compiled kernel, or another one
-        was and a term has nothing else.
+        If the engine is unknown, the chain was asked for and a term has no compiled kernel, or one has none
+        beside modes of the couplings.
     """
     if engine not in ENGINES:
         raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
@@ -91,7 +93,7 @@ class OnlineSmoother:
 
     Parameters
     ----------
-    model : a `Model`, the name of a preset or a model file; by default "full", or "joint" with GTSAM
+    model : a `Model`, the name of a preset or a model file; by default "full"
     engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
         "fixed-lag"
     lag : seconds of history that are kept open; None: all of it, with isam2
@@ -127,21 +129,25 @@ class OnlineSmoother:
             raise InputError(f"step_tolerance = {step_tolerance}", "a number that is not negative")
         if max_iterations < 1:
             raise InputError(f"max_iterations = {max_iterations}", "at least 1")
-        self.model = Model.named(model, engine)
+        self.model = Model.named(model)
         self.engine = online_engine(self.model, engine)
         check_lag(lag, self.engine)
         self.lag = math.inf if lag is None else float(lag)
         self.camera = camera
-        self._smoother: ChainWindow | FixedLag | Isam2
+        self._smoother: ChainWindow | Guided | FixedLag | Isam2
         if self.engine == "chain":
             make_ready(SOLVER, online_rehearsal(self.model))
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
-        elif self.engine == "isam2":
-            self._smoother = Isam2(
-                self.model, self.lag, relinearize_threshold, step_tolerance, max_iterations
-            )
         else:
-            self._smoother = FixedLag(self.model, self.lag, step_tolerance, max_iterations)
+            couplings: dict[int, tuple[float, ...]] | None = {} if self.model.has_modes else None
+            ends = step_tolerance, max_iterations, couplings
+            graph: FixedLag | Isam2 = (
+                Isam2(self.model, self.lag, relinearize_threshold, *ends)
+                if self.engine == "isam2"
+                else FixedLag(self.model, self.lag, *ends)
+            )
+            guided = is_chain(self.model)
+            self._smoother = Guided(graph, self.model, self.lag, couplings) if guided else graph
         self._next_index = 0
         self._last: Estimate | None = None
 
@@ -243,26 +249,11 @@ class OnlineSmoother:
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
         try:
-            newest = self._smoother.extend(step, self._predict(step))
+            newest = self._smoother.extend(step, predicted(step, self._smoother))
         except _FAILURES as error:
             return self._failed(observation, error)
         self._next_index += 1
         return self._estimate(newest, observation, "new")
-
-    def _predict(self, step: Step) -> tuple[float, ...]:
-        """Initial values of a new step: constant velocity, the angles as they were or are seen."""
-        seen = step.observation
-        if step.previous is None or step.dt is None:
-            x, y = seen.position if seen.position is not None else (math.nan, math.nan)
-            vx, vy, body, head = 0.0, 0.0, math.nan, math.nan
-        else:
-            x, y, vx, vy, body, head = self._smoother.state(step.previous)
-            x, y = x + step.dt * vx, y + step.dt * vy
-        if not math.isfinite(body):
-            body = next((a for a in (seen.body, seen.head) if a is not None), 0.0)
-        if not math.isfinite(head):
-            head = seen.head if seen.head is not None else body
-        return x, y, vx, vy, body, head
 
     # -- late and repeated observations --------------------------------------------------------------------
 
@@ -309,7 +300,7 @@ class OnlineSmoother:
         state, covariance = newest
         body, head = wrap(state[4:]).tolist()
         smoother = self._smoother
-        aligned, offset = smoother.modes if isinstance(smoother, ChainWindow) else (math.nan, math.nan)
+        aligned, offset = getattr(smoother, "modes", (math.nan, math.nan))
         self._last = Estimate(
             t=observation.t,
             frame=observation.frame,
@@ -400,7 +391,7 @@ def track_online(
     camera : camera of the scene; by default that of the `TrackSet`
     """
     if not isinstance(tracks, Track):
-        scene, chosen = tracks_of(tracks), Model.named(model, engine)
+        scene, chosen = tracks_of(tracks), Model.named(model)
         camera = scene.camera if camera is None else camera
         return scene.map(lambda one: track_online(one, chosen, engine=engine, lag=lag, camera=camera))
     smoother = OnlineSmoother(model, engine=engine, lag=lag, camera=camera)

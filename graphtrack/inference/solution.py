@@ -24,8 +24,8 @@ class SolverOptions:
     relative_tolerance : of the cost. GTSAM stops when a step brought less; the chain engine, whose steps
         converge quadratically, when the next one promises less than a thousandth of it.
     step_tolerance : norm of the whole step (metres, m/s, radians), for GTSAM
-    restart : where observations contradict each other, the chain engine searches a grid of orientations for a
-        better basin and starts anew from there. GTSAM stays in the basin it began in.
+    restart : where observations contradict each other, a grid of orientations is searched for a better basin,
+        and the descent starts anew from there (with GTSAM too, where every term has compiled kernels)
     """
 
     max_iterations: int = 100

@@ -6,7 +6,7 @@ import base64
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import gtsam
 import numpy as np
@@ -99,6 +99,29 @@ class Window:
     prior: MarginalPrior | None
     anchor: Angles | None
     modes: FloatArray | None = None
+
+
+class Estimating(Protocol):
+    """What has an estimate of each step of its window."""
+
+    def state(self, step: Step) -> tuple[float, ...]:
+        """x, y, vx, vy, body, head; NaN for what the model does not have."""
+
+
+def predicted(step: Step, smoother: Estimating) -> tuple[float, ...]:
+    """Initial values of a new step: constant velocity, the angles as they were or are seen."""
+    seen = step.observation
+    if step.previous is None or step.dt is None:
+        x, y = seen.position if seen.position is not None else (math.nan, math.nan)
+        vx, vy, body, head = 0.0, 0.0, math.nan, math.nan
+    else:
+        x, y, vx, vy, body, head = smoother.state(step.previous)
+        x, y = x + step.dt * vx, y + step.dt * vy
+    if not math.isfinite(body):
+        body = next((a for a in (seen.body, seen.head) if a is not None), 0.0)
+    if not math.isfinite(head):
+        head = seen.head if seen.head is not None else body
+    return x, y, vx, vy, body, head
 
 
 def insert_step(values: gtsam.Values, step: Step, model: Model, state: Sequence[float]) -> None:

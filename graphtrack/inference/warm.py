@@ -13,6 +13,7 @@ from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram, program_of
 from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.chain.window import ChainWindow
+from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.initial import pack
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
@@ -60,16 +61,20 @@ def warm_up(
     ----------
     model, engine : as in `solve` and `OnlineSmoother`
     """
-    model = Model.named(model, engine)
-    if engine in ("auto", "chain") and is_chain(model):
-        make_ready(SOLVER, offline_rehearsal(model), online_rehearsal(model))
-    else:
+    model = Model.named(model)
+    if not is_chain(model):
         make_ready(SOLVER, start_rehearsal())
+    elif engine == "gtsam":
+        make_ready(SOLVER, graph_rehearsal(model))
+    elif engine in ("fixed-lag", "isam2"):
+        make_ready(SOLVER, online_rehearsal(model))
+    else:
+        make_ready(SOLVER, offline_rehearsal(model), online_rehearsal(model))
 
 
 def solver_rehearsal(model: Model, engine: OfflineEngine, camera: GroundCamera | None = None) -> Rehearsal:
     """What an engine calls for whole tracks."""
-    return start_rehearsal() if engine == "gtsam" else offline_rehearsal(model, camera)
+    return graph_rehearsal(model) if engine == "gtsam" else offline_rehearsal(model, camera)
 
 
 def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps: bool = False) -> Rehearsal:
@@ -81,6 +86,16 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     if model.has_modes:
         called, inlined = {**called, **_MODES}, {**inlined, **_COUPLINGS}
     return Rehearsal(lambda: _solve(_like(model)), called, inlined)
+
+
+def graph_rehearsal(model: Model) -> Rehearsal:
+    """What GTSAM's batch engine calls: where it starts, and the search for basins where the chain has one."""
+    if not is_chain(model) or not (model.has_body or model.has_head):
+        return start_rehearsal()
+    called = {**_START, program_of(model).find_other_basin: 7.0}
+    if model.has_modes:
+        return Rehearsal(lambda: _search(_like(model)), {**called, **_MODES}, _COUPLINGS)
+    return Rehearsal(lambda: _search(_like(model)), called)
 
 
 def start_rehearsal() -> Rehearsal:
@@ -105,6 +120,14 @@ def _like(model: Model) -> Model:
 
 def _solve(model: Model) -> None:
     solve_packed(pack([TRACK], model), model)
+
+
+def _search(model: Model) -> None:
+    _solve(Model("position"))
+    view, states = ChainView(TRACK, model, None), np.zeros((len(TRACK), 6))
+    view.other(states, 0.0)
+    if model.has_modes:
+        view.renew(states)
 
 
 def _slide(window: ChainWindow) -> None:

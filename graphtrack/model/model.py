@@ -15,6 +15,7 @@ from graphtrack.display import html_table, listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
+from graphtrack.model.factors.derived import Couplings, derived_factors
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import LikelihoodParameters, MotionParameters, Parameters
@@ -69,9 +70,8 @@ def default_parameters(preset: str) -> Parameters:
     return preset_parameters.get(preset, Parameters())
 
 
-def best_preset(engine: str = "auto") -> str:
-    """The best preset that an engine has: "full", or "joint" with one of GTSAM's, which have no modes."""
-    return "full" if engine in ("auto", "chain") else "joint"
+BEST_PRESET = "full"
+"""The preset of which a model is where none is named."""
 
 
 class Model:
@@ -142,9 +142,18 @@ class Model:
         """Whether the linear solution of tracks that were packed is all there is to find."""
         return all(term.states("is_linear") and term.is_linear(packed) for term in self.terms)
 
-    def factors(self, step: Step) -> list[gtsam.NonlinearFactor]:
-        """All factors that arrive with a step."""
-        return [factor for term in self.terms for factor in term.factors(step)]
+    def factors(self, step: Step, couplings: Couplings | None = None) -> list[gtsam.NonlinearFactor]:
+        """All factors that arrive with a step.
+
+        Where the couplings have modes, what these switch is as ``couplings`` say whenever it is evaluated.
+        """
+        if couplings is None or not self.has_modes:
+            return [factor for term in self.terms for factor in term.factors(step)]
+        found: list[gtsam.NonlinearFactor] = []
+        for term in self.terms:
+            switched = any(kernel.switched for kernel in term.kernels)
+            found += derived_factors(term, step, couplings) if switched else term.factors(step)
+        return found
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of states (up to constants), from the terms' densities and not the factors."""
@@ -167,13 +176,13 @@ class Model:
         return {"preset": self.preset, **asdict(self.parameters)}
 
     @classmethod
-    def from_dict(cls, content: dict[str, Any], engine: str = "auto") -> Model:
+    def from_dict(cls, content: dict[str, Any]) -> Model:
         """The inverse of `to_dict`; InputError names what is unknown or out of range.
 
-        Without a preset it is `best_preset` of the ``engine``.
+        Without a preset it is `BEST_PRESET`.
         """
         tables = dict(content)
-        preset = tables.pop("preset", best_preset(engine))
+        preset = tables.pop("preset", BEST_PRESET)
         if not isinstance(preset, str):
             raise InputError(f"preset = {preset!r}", f"one of {', '.join(presets)}")
         return cls(preset, Parameters.from_dict(tables, default_parameters(preset)))
@@ -185,10 +194,10 @@ class Model:
             Path(temporary).write_text(content, encoding="utf-8")
 
     @classmethod
-    def load(cls, path: str | Path, engine: str = "auto") -> Model:
+    def load(cls, path: str | Path) -> Model:
         """Read a model file (TOML); InputError names the file and the key.
 
-        One without a preset has the best that the ``engine`` has, as `Model.named` says.
+        One without a preset has `BEST_PRESET`, as `Model.named` says.
         """
         try:
             content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -197,23 +206,22 @@ class Model:
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(f"no TOML ({error})", "a model file", path=path) from error
         try:
-            return cls.from_dict(content, engine)
+            return cls.from_dict(content)
         except InputError as error:
             raise InputError(error.found, error.expected, path=path) from error
 
     @classmethod
-    def named(cls, model: Model | str | Path | None, engine: str = "auto") -> Model:
+    def named(cls, model: Model | str | Path | None) -> Model:
         """A model from a preset's name or a model file's path; a model is returned as it is.
 
-        None stands for the best preset that the engine has, and so does a file that names none: "full", or
-        "joint" with GTSAM.
+        None stands for `BEST_PRESET`, and so does a file that names none.
         """
         if model is None:
-            return cls(best_preset(engine))
+            return cls(BEST_PRESET)
         if isinstance(model, Model):
             return model
         if isinstance(model, str) and model in presets:
             return cls(model)
         if Path(model).suffix == ".toml":
-            return cls.load(model, engine)
+            return cls.load(model)
         raise InputError(f"model {str(model)!r}", f"one of {', '.join(presets)}, or a model file (.toml)")

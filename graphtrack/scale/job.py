@@ -105,7 +105,7 @@ def smooth_dataset(
         When the cluster is lost, or a batch ends every worker that takes it.
     """
     dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    output, model = Path(output), Model.named(model, engine)
+    output, model = Path(output), Model.named(model)
     check_distinct({"the output": output}, {"the data set": [dataset.path, *(f.path for f in dataset.files)]})
     if batch_frames < 1 or (jobs is not None and jobs < 1):
         raise InputError(f"batch_frames = {batch_frames}, jobs = {jobs}", "numbers from 1")

@@ -31,10 +31,10 @@ def test_smooth_writes_every_person_frame_with_uncertainty(simulated, tmp_path):
     ("name", "engine", "model"),
     [
         ("smooth", "auto", "full"),
-        ("smooth", "gtsam", "joint"),
+        ("smooth", "gtsam", "full"),
         ("track", "chain", "full"),
-        ("track", "fixed-lag", "joint"),
-        ("track", "isam2", "joint"),
+        ("track", "fixed-lag", "full"),
+        ("track", "isam2", "full"),
     ],
 )
 def test_the_model_is_the_best_that_the_engine_has(simulated, tmp_path, name, engine, model):

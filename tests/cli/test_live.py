@@ -65,7 +65,9 @@ def track(monkeypatch, capsys):
 )
 def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine, lag):
     lines, state = scene(60 if engine == "chain" else 20, people=2), tmp_path / "state"
-    half, options = len(lines) // 2, ("--engine", engine, "--lag", lag)
+    # With modes iSAM2 goes on within its tolerances alone: couplings are linearised where they are by then.
+    model = "joint" if engine == "isam2" else "full"
+    half, options = len(lines) // 2, ("--engine", engine, "--lag", lag, "--model", model)
     _, whole, _ = track(lines, *options)
     first, found, _ = track(lines[:half], *options, "--state", state)
     assert [entry.name for entry in tmp_path.iterdir()] == ["state"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from walks import walk
@@ -10,6 +12,12 @@ from graphtrack.geometry.angles import difference
 from graphtrack.inference import smooth, track_online
 from graphtrack.simulation.classes import add_class_likelihoods
 from graphtrack.tracks import Track, TrackSet
+
+EVERY_ENGINE = pytest.mark.parametrize(
+    ("engine", "lag"),
+    [("chain", 1.0), ("fixed-lag", 1.0), ("isam2", 1.0), ("isam2", None)],
+    ids=["chain", "fixed-lag", "isam2", "full history"],
+)
 
 SETTLED = 1.5
 """Seconds of answers after which the direction must be known: 15 answers, of which three are flipped."""
@@ -27,20 +35,29 @@ def far_off(estimate: Track, name: str) -> float:
     return float((np.abs(error[late]) > np.pi / 2.0).mean())
 
 
+@EVERY_ENGINE
 @pytest.mark.parametrize("preset", ["separate", "joint", "full"])
-def test_online_nobody_is_left_facing_backwards(preset: str) -> None:
+def test_online_nobody_is_left_facing_backwards(preset: str, engine: Any, lag: float | None) -> None:
     """The answers of the first frames, which may be flipped, do not decide for good."""
-    people = misjudged()
-    for track in people:
-        found = track_online(track, preset, engine="chain", lag=1.0)
+    for track in misjudged():
+        found = track_online(track, preset, engine=engine, lag=lag)
         for name in ("body", "head"):
             assert far_off(found, name) < 0.1, (track.track_id, name)
-    for found in smooth(people, preset):
+
+
+@pytest.mark.parametrize("engine", ["chain", "gtsam"])
+@pytest.mark.parametrize("preset", ["separate", "joint", "full"])
+def test_offline_nobody_faces_backwards(preset: str, engine: Any) -> None:
+    for found in smooth(misjudged(), preset, engine=engine):
         assert far_off(found, "body") == far_off(found, "head") == 0.0
 
 
-def test_whoever_turns_around_is_followed_out_of_the_past() -> None:
-    """What left the window says that the head points one way; then it turns within a few frames."""
+@EVERY_ENGINE
+def test_whoever_turns_around_is_followed_out_of_the_past(engine: Any, lag: float | None) -> None:
+    """What left the window says that the head points one way; then it turns within a few frames.
+
+    The full history forgets nothing, so it is longer in doubt.
+    """
     (track,) = misjudged(1)
     assert track.true_head is not None
     turned = np.array(track.true_head)
@@ -49,7 +66,7 @@ def test_whoever_turns_around_is_followed_out_of_the_past() -> None:
         TrackSet((Track(1, track.frame, track.t, track.position, true_head=np.angle(np.exp(1j * turned))),)),
         rng=np.random.default_rng(1),
     )
-    found = track_online(people.tracks[0], "separate", engine="chain", lag=1.0)
+    found = track_online(people.tracks[0], "separate", engine=engine, lag=lag)
     error = np.abs(difference(found.head, found.true_head))
     assert (error[:30] < np.pi / 2.0).mean() > 0.7
-    assert (error[45:] < np.pi / 4.0).all()
+    assert (error[45 if lag else 55 :] < np.pi / 4.0).all()

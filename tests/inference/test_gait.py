@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gaits import FPS, people
 from scipy import special
 
 import graphtrack as gt
@@ -42,21 +43,7 @@ from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
 from graphtrack.tracks import Track, TrackSet
 
-FPS = 30.0
 GAIT = gait_of(Parameters().gait)
-
-
-def people(offset: float, count: int, seed: int, seconds: float = 6.0, head: float = 0.0) -> TrackSet:
-    """People who walk in a bend with the body at an angle from the motion, and the head from the body."""
-    rng = np.random.default_rng(seed)
-    tracks = []
-    for i in range(count):
-        t = np.arange(int(seconds * FPS)) / FPS
-        course = rng.uniform(-np.pi, np.pi) + rng.uniform(-0.3, 0.3) * t
-        position = np.cumsum(1.2 * unit(course) / FPS, axis=0)
-        body = wrap(course + offset)
-        tracks.append(Track(i, np.arange(len(t)), t, position, body=body, head=wrap(body + head)))
-    return add_noise(TrackSet(tuple(tracks)), position_std=0.1, body_kappa=1.2, head_kappa=2.3, rng=rng)
 
 
 def errors(tracks: Iterable[Track], found: list) -> np.ndarray:
@@ -209,15 +196,6 @@ def test_modes_stand_in_the_files(tmp_path: Path) -> None:
         table["gait_offset_deg"], np.degrees(np.concatenate([one.gait_offset for one in estimates]))
     )
     assert "aligned_p" not in gt.smooth(tracks, "joint").to_table()
-
-
-def test_gtsam_says_that_it_has_no_modes() -> None:
-    (track,) = people(0.0, 1, seed=12, seconds=1.0)
-    with pytest.raises(InputError, match="GaitOffsets"):
-        smooth_track(track, Model("full"), engine="gtsam")
-    for engine in ("isam2", "fixed-lag"):
-        with pytest.raises(InputError, match="GaitOffsets"):
-            OnlineSmoother("full", engine=engine)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

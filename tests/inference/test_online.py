@@ -253,6 +253,8 @@ def test_orientations_never_seen_follow_the_motion_or_stay_unknown(engine: Any) 
     assert abs(difference(joint.body[-1], heading)) < 0.2
     uniform = np.pi / np.sqrt(3.0)
     np.testing.assert_allclose(np.sqrt(np.diagonal(separate.covariance[-1])[4:]), uniform)
+    smoother = OnlineSmoother("separate", engine=engine)
+    assert {estimate.status for estimate in run(smoother, list(observations(track)))} == {"new"}
 
 
 # Late, repeated and useless observations.

@@ -77,7 +77,12 @@ SCENES: dict[str, Callable[[int], Track]] = {
 
 @pytest.mark.parametrize(
     ("engine", "preset", "n"),
-    [("chain", "full", 180), ("chain", "position", 80), ("fixed-lag", "joint", 60)],
+    [
+        ("chain", "full", 180),
+        ("chain", "position", 80),
+        ("fixed-lag", "joint", 60),
+        ("fixed-lag", "full", 60),
+    ],
 )
 @pytest.mark.parametrize("scene", SCENES)
 def test_it_goes_on_to_the_last_bit(engine: Any, preset: str, n: int, scene: str) -> None:

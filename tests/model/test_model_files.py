@@ -160,15 +160,12 @@ def test_what_should_be_a_table_is_named(tmp_path: Path, text: str) -> None:
     assert refused(tmp_path, text).expected == "a table [motion]"
 
 
-@pytest.mark.parametrize("engine", ["auto", "chain", "gtsam", "fixed-lag", "isam2"])
 @pytest.mark.parametrize("text", ["", "[motion]\ninitial_speed_std = 0.7\n"])
-def test_a_file_without_a_preset_has_the_one_that_no_file_at_all_has(
-    tmp_path: Path, engine: str, text: str
-) -> None:
+def test_a_file_without_a_preset_has_the_one_that_no_file_at_all_has(tmp_path: Path, text: str) -> None:
     path = tmp_path / "model.toml"
     path.write_text(text, encoding="utf-8")
-    default = Model.named(None, engine)
-    found = Model.named(path, engine)
+    default = Model.named(None)
+    found = Model.named(path)
     assert found.preset == default.preset
     assert found.parameters.likelihood == default.parameters.likelihood
     assert Model.load(path).preset == Model.named(None).preset == "full"
@@ -180,12 +177,12 @@ def test_an_empty_model_file_is_the_default_on_the_command_line(
     gt.write(gt.TrackSet((walk(10),)), tmp_path / "a.csv")
     (tmp_path / "model.toml").touch()
     monkeypatch.chdir(tmp_path)
-    for engine, preset in (("chain", "full"), ("gtsam", "joint")):
+    for engine in ("chain", "gtsam"):
         arguments = ["smooth", "a.csv", "-o", "out.csv", "--model", "model.toml", "--engine", engine]
         monkeypatch.setattr(sys, "argv", ["graphtrack", *arguments])
         with pytest.raises(SystemExit, match="0"):
             main()
-        assert f"model {preset}, engine {engine}" in " ".join(capsys.readouterr().err.split())
+        assert f"model full, engine {engine}" in " ".join(capsys.readouterr().err.split())
 
 
 def small_tracks() -> gt.TrackSet:
@@ -333,8 +330,7 @@ def test_parameters_check_themselves_without_a_file() -> None:
             kind(**values)
 
 
-def test_without_a_name_it_is_the_best_preset_that_the_engine_has():
-    assert {Model.named(None, engine).preset for engine in ("auto", "chain")} == {"full"}
-    assert {Model.named(None, engine).preset for engine in ("gtsam", "fixed-lag", "isam2")} == {"joint"}
+def test_without_a_name_it_is_the_best_preset_with_every_engine():
+    assert Model.named(None).preset == "full"
     assert OnlineSmoother().model.preset == "full"
-    assert OnlineSmoother(engine="isam2").model.preset == "joint"
+    assert OnlineSmoother(engine="isam2").model.preset == "full"

@@ -54,6 +54,7 @@ class ChainProgram:
     minimise: Compiled
     sweep_forward: Compiled
     solve_tracks: Compiled
+    find_other_basin: Compiled
     solve_window: Compiled
     let_go: Compiled
 
@@ -68,6 +69,7 @@ class ChainProgram:
             newton.minimise,
             newton.sweep_forward,
             restart.solve_tracks,
+            restart.find_other_basin,
             window.solve_window,
             window.let_go,
         )

@@ -40,6 +40,10 @@ class ChainWindow:
     tolerance : the Newton steps of an observation end when the next one promises a smaller decrease of the
         cost, relative to 1 + the cost
     max_iterations : or after so many
+
+    Attributes
+    ----------
+    coupled : the packed frames of the last solution, with what the modes of the couplings set; None without
     """
 
     def __init__(self, model: Model, lag: float, tolerance: float, max_iterations: int) -> None:
@@ -53,6 +57,7 @@ class ChainWindow:
         self._anchor: Angles | None = None
         self._steps: list[Step] = []
         self._has_prior = False
+        self.coupled: np.ndarray | None = None
         # Whether what was seen may speak for several directions: then other basins are searched.
         self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
         self._origin = np.zeros(2)
@@ -75,6 +80,11 @@ class ChainWindow:
     def modes(self) -> tuple[float, float]:
         """Probability of an aligned body, and its offset from the motion, in the newest frame; or NaN."""
         return (float("nan"), float("nan")) if self._modes is None else self._modes.newest
+
+    @property
+    def modes_before(self) -> FloatArray | None:
+        """Probabilities of both couplings' modes in the frame before the window; None without modes."""
+        return None if self._modes is None else self._modes.before
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
         """Add a step whose variables start at ``state``; what is known about it then."""
@@ -166,6 +176,8 @@ class ChainWindow:
         if window.prior is not None and window.steps:
             turn = self._states[0, 4:] - self._prior[N + 1, 4:]
             self._states[: len(window.steps), 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
+        if window.steps:
+            self._renew()
 
     def window(self) -> Window:
         """What another smoother needs to go on from here."""
@@ -248,8 +260,7 @@ class ChainWindow:
     # -- solving -------------------------------------------------------------------------------------------
 
     def _solve(self) -> bool:
-        if self._modes is not None:
-            self._modes.renew(self._problem, self._states)
+        self._renew()
         self._warm = self._program.solve_window(
             self._problem,
             self._states,
@@ -261,6 +272,13 @@ class ChainWindow:
             self._covariance,
         )
         return self._warm
+
+    def _renew(self) -> None:
+        """Set the couplings by the modes that the states imply."""
+        if self._modes is not None:
+            self._modes.renew(self._problem, self._states)
+            # What slides out of the window is cut from it.
+            self.coupled = self._problem.records[slice(*self._offsets.tolist())].copy()
 
     def _newest(self) -> Newest:
         covariance = self._covariance.copy()

@@ -11,9 +11,13 @@ import numpy as np
 from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.engine import PASSES, is_chain
+from graphtrack.inference.chain.restart import AT_END, AT_START
+from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.initial import initial_states
 from graphtrack.inference.solution import Solution, SolverOptions, bounded, estimated_track
 from graphtrack.model import Model, States, Step
+from graphtrack.model.factors.derived import Couplings
 from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.observation import chain
 from graphtrack.model.terms.anchor import ANCHOR_KAPPA
@@ -41,25 +45,30 @@ def insert_state(values: gtsam.Values, step: Step, model: Model, states: States,
 
 
 def build_graph(
-    steps: Sequence[Step], model: Model, initial: States
+    steps: Sequence[Step], model: Model, initial: States, couplings: Couplings | None = None
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """The factor graph of a whole track and its initial values."""
+    """The factor graph of a whole track and its initial values.
+
+    With modes of the couplings, the factors read these from ``couplings``; without it they hold throughout.
+    """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k, step in enumerate(steps):
         insert_state(values, step, model, initial, k)
-        for factor in model.factors(step):
+        for factor in model.factors(step, couplings):
             graph.push_back(factor)
     for factor in anchors(steps[0], model, float(initial.body[0]), float(initial.head[0])):
         graph.push_back(factor)
     return graph, values
 
 
-def anchors(step: Step, model: Model, body: float, head: float) -> Iterator[gtsam.NonlinearFactor]:
-    """Factors of `ANCHOR_KAPPA` that hold a first step's orientations."""
+def anchors(
+    step: Step, model: Model, body: float, head: float, kappa: float = ANCHOR_KAPPA
+) -> Iterator[gtsam.NonlinearFactor]:
+    """Factors that hold a first step's orientations."""
     if model.has_body:
-        yield von_mises_prior(step.body_key, body, ANCHOR_KAPPA)
+        yield von_mises_prior(step.body_key, body, kappa)
     if model.has_head:
-        yield von_mises_prior(step.head_key, head, ANCHOR_KAPPA)
+        yield von_mises_prior(step.head_key, head, kappa)
 
 
 def optimize(
@@ -107,6 +116,10 @@ def smooth_graph(
 ) -> Solution:
     """Smooth one track; the covariances are those of the Gauss–Newton curvature.
 
+    Where all terms have compiled kernels, it starts from the chain's grid of orientations where that has a
+    better basin, and again where the grid has one once it has ended. Modes of couplings are inferred as by
+    the chain engine, from the graph's own states, in turns.
+
     Raises
     ------
     SolveError
@@ -115,23 +128,81 @@ def smooth_graph(
     options = SolverOptions() if options is None else options
     initial = initial_states(track, model)
     steps = chain(track, camera)
-    graph, values = build_graph(steps, model, initial)
-    ordering = gtsam.Ordering()
-    for step in steps:
-        for key in variable_keys(step, model):
-            ordering.push_back(key)
+    view = ChainView(track, model, camera) if is_chain(model) else None
+    graph, values = build_graph(steps, model, initial, None if view is None else view.couplings)
+    descent = _Descent(graph, steps, model, options, view)
     try:
-        values, costs, converged = optimize(graph, values, ordering, options)
+        if view is not None and model.has_modes:
+            # Without couplings first: from there both the modes and the states are found.
+            view.decouple()
+            values, _, _ = descent.lowest(values)
+            for _ in range(PASSES - 1):
+                view.renew(descent.states(values))
+                values, _, _ = descent(values)
+            view.renew(descent.states(values))
+            values, costs, converged = descent(values)
+        else:
+            values, costs, converged = descent.lowest(values)
         covariance = marginal_covariances(graph, values, steps, model)
     except (RuntimeError, ArithmeticError) as error:
         raise SolveError(track.track_id, " ".join(str(error).split())[:200]) from error
-    states = np.array([_state(values, step, model) for step in steps])
+    states = descent.states(values)
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, "the estimate is not finite")
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
-    estimate = estimated_track(track, states, covariance)
+    estimate = estimated_track(track, states, covariance, None if view is None else view.modes)
     return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
+
+
+class _Descent:
+    """`optimize` of a track's graph, from values; what it returns is the same."""
+
+    def __init__(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        steps: Sequence[Step],
+        model: Model,
+        options: SolverOptions,
+        view: ChainView | None,
+    ) -> None:
+        self._graph, self._steps, self._model = graph, steps, model
+        self._options, self._view = options, view if options.restart else None
+        self._ordering = gtsam.Ordering([key for step in steps for key in variable_keys(step, model)])
+
+    def __call__(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
+        return optimize(self._graph, values, self._ordering, self._options)
+
+    def lowest(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
+        """In the basin that costs least of those that the chain's grid leads to."""
+        begun = self._graph.error(values)
+        values, costs, converged = self(self._elsewhere(values, AT_START) or values)
+        elsewhere = self._elsewhere(values, AT_END)
+        if elsewhere is not None:
+            again = self(elsewhere)
+            if again[1][-1] < costs[-1]:
+                values, costs, converged = again[0], costs + again[1][1:], again[2]
+        return values, [begun, *costs[1:]], converged
+
+    def states(self, values: gtsam.Values) -> FloatArray:
+        """States (n, 6); NaN for what the model does not have."""
+        return np.array([_state(values, step, self._model) for step in self._steps])
+
+    def _elsewhere(self, values: gtsam.Values, near: float) -> gtsam.Values | None:
+        """The values with the orientations of a better course on the grid; None where there is none."""
+        states = None if self._view is None else self._view.other(self.states(values), near)
+        return None if states is None else _turned(values, self._steps, self._model, states)
+
+
+def _turned(values: gtsam.Values, steps: Sequence[Step], model: Model, states: FloatArray) -> gtsam.Values:
+    """The values with the orientations of some states (n, 6)."""
+    turned = gtsam.Values(values)
+    for step, state in zip(steps, states, strict=True):
+        if model.has_body:
+            turned.update(step.body_key, gtsam.Rot2(state[4]))
+        if model.has_head:
+            turned.update(step.head_key, gtsam.Rot2(state[5]))
+    return turned
 
 
 def _state(values: gtsam.Values, step: Step, model: Model) -> tuple[float, ...]:

@@ -13,6 +13,7 @@ from graphtrack.inference.graph.batch import anchors, bounded, variable_keys
 from graphtrack.inference.prior import marginal_prior
 from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, read_step
 from graphtrack.model import Model, Step
+from graphtrack.model.factors.derived import Couplings
 
 _MAX_HALVINGS = 20
 # Metres, m/s or radians. Only larger steps can overshoot; the others are spared two evaluations of the cost.
@@ -29,10 +30,10 @@ class _Link:
     back: gtsam.NonlinearFactorGraph
 
     @classmethod
-    def of(cls, step: Step, model: Model) -> _Link:
+    def of(cls, step: Step, model: Model, couplings: Couplings | None) -> _Link:
         keys = variable_keys(step, model)
         own, back, inside = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph(), frozenset(keys)
-        for factor in model.factors(step):
+        for factor in model.factors(step, couplings):
             (own if inside.issuperset(factor.keys()) else back).push_back(factor)
         return cls(step, keys, own, back)
 
@@ -86,10 +87,19 @@ class FixedLag:
     step_tolerance : the Gauss–Newton steps of an observation end when none of the variables changes by more
         than this (metres, m/s, radians)
     max_iterations : or after so many
+    couplings : what the modes of the couplings set, of each step of the window; whoever has the smoother
+        renews them before each observation
     """
 
-    def __init__(self, model: Model, lag: float, step_tolerance: float, max_iterations: int) -> None:
-        self._model, self._lag = model, lag
+    def __init__(
+        self,
+        model: Model,
+        lag: float,
+        step_tolerance: float,
+        max_iterations: int,
+        couplings: Couplings | None = None,
+    ) -> None:
+        self._model, self._lag, self._couplings = model, lag, couplings
         self._step_tolerance, self._max_iterations = step_tolerance, max_iterations
         self._chain = _Chain()
 
@@ -108,7 +118,7 @@ class FixedLag:
         values = gtsam.Values(before.values)
         insert_step(values, step, self._model, state)
         anchor = before.anchor if before.links else (state[4], state[5])
-        links = (*before.links, _Link.of(step, self._model))
+        links = (*before.links, _Link.of(step, self._model, self._couplings))
         return self._solve(replace(before, links=links, values=values, anchor=anchor))
 
     def rework(self, window: Window) -> Newest:
@@ -155,7 +165,9 @@ class FixedLag:
 
     def _from_window(self, window: Window) -> _Chain:
         known = {link.step: link for link in self._chain.links}
-        links = tuple(known.get(step) or _Link.of(step, self._model) for step in window.steps)
+        links = tuple(
+            known.get(step) or _Link.of(step, self._model, self._couplings) for step in window.steps
+        )
         values = gtsam.Values()
         for step in window.steps:
             insert_step(values, step, self._model, window.values[step.index])

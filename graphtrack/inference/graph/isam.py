@@ -15,10 +15,16 @@ from graphtrack.inference.graph.links import Link
 from graphtrack.inference.prior import MarginalPrior, marginal_prior
 from graphtrack.inference.state import Angles, Newest, Window, finite
 from graphtrack.model import Model, Step
+from graphtrack.model.factors.derived import Couplings
 
 _NEVER = 10**9
+_ANCHOR_KAPPA = 1e-4
+"""Concentration at which first orientations are held. GTSAM's Bayes tree refuses a clique whose last pivot is
+less than 2⁻²⁴ of the one before, as between turning and a weaker anchor in the frames of a video."""
 _FAR = 1.0
 """Radians from where GTSAM has an orientation, at which it is set anew: half a turn would be ambiguous."""
+_RECOUPLED = 0.1
+"""Share by which a coupling that the modes set has to change for its step to be linearised anew."""
 _SMALL = 0.1
 """Of the threshold: a step that moves by less is the last one, into the past, whose estimate is read."""
 _WILDFIRE = 1e-6
@@ -55,6 +61,8 @@ class Isam2:
     step_tolerance : the updates for an observation end when no variable is farther than this, or than the
         threshold, from where it was linearised
     max_iterations : or after so many
+    couplings : what the modes of the couplings set, of each step; whoever has the smoother renews them before
+        each observation, and says in `renewed` of how many steps
     """
 
     def __init__(
@@ -64,8 +72,10 @@ class Isam2:
         relinearize_threshold: float,
         step_tolerance: float,
         max_iterations: int,
+        couplings: Couplings | None = None,
     ) -> None:
         self._model, self._lag, self._threshold = model, lag, relinearize_threshold
+        self._couplings, self.renewed = couplings, 0
         self._small = _SMALL * relinearize_threshold
         self._tolerance, self._max_iterations = max(relinearize_threshold, step_tolerance), max_iterations
         present = [0, 1, 2, 3, *([4] if model.has_body else []), *([5] if model.has_head else [])]
@@ -100,7 +110,8 @@ class Isam2:
         self._log.clear()
         try:
             exchanged = self._linearised()
-            link = Link(step, self._model, tuple(state), links[-1].serial + 1 if links else 0)
+            serial = links[-1].serial + 1 if links else 0
+            link = Link(step, self._model, tuple(state), serial, self._couplings)
             if not links:
                 self._anchor = (state[4], state[5])
                 self._hold(link)
@@ -186,6 +197,9 @@ class Isam2:
         """Linearise what has moved where it is now; the Gaussians that are to be exchanged."""
         links, exchanged = self._links, []
         moved = {link.serial - links[0].serial for link in self._moved}
+        if self._couplings is not None:
+            last = range(max(0, len(links) - self.renewed), len(links))
+            moved.update(i for i in last if links[i].is_recoupled(_RECOUPLED))
         for i in moved:
             self._log.setdefault(links[i].serial, (links[i], links[i].kept()))
             links[i].move(self._isam.getDelta())
@@ -285,7 +299,7 @@ class Isam2:
 
     def _hold(self, link: Link) -> None:
         if self._anchor is not None:
-            for factor in anchors(link.step, self._model, *self._anchor):
+            for factor in anchors(link.step, self._model, *self._anchor, _ANCHOR_KAPPA):
                 link.own.push_back(factor)
 
     def _empty(self) -> gtsam.ISAM2:
@@ -308,7 +322,7 @@ class Isam2:
         links: list[Link] = []
         self._anchor = window.anchor
         for serial, step in enumerate(window.steps):
-            link = Link(step, self._model, window.values[step.index], serial)
+            link = Link(step, self._model, window.values[step.index], serial, self._couplings)
             if not links and window.prior is None:
                 self._hold(link)
             link.linearise(links[-1] if links else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from graphtrack.inference.graph.batch import variable_keys
 from graphtrack.model import Model, Step
+from graphtrack.model.factors.derived import Couplings
 
 _LINEAR = (gtsam.WnoaMotionFactorPoint2, gtsam.PriorFactorPoint2)
 
@@ -25,6 +27,7 @@ class Link:
     step, model : whose factors they are
     state : x, y, vx, vy, body, head where the step's variables begin
     serial : greater by one than that of the step before
+    couplings : what the modes of the couplings set, of each step
 
     Attributes
     ----------
@@ -37,12 +40,15 @@ class Link:
     point, values : where the Gaussians were linearised: coordinates beyond ``began``, and values
     gaussians : of ``own`` and ``back``; None: there is nothing to say
     slots : their numbers in GTSAM
+    coupled : what the modes had set of the step when ``own`` was linearised last; None without modes
     """
 
     __slots__ = (
         "back",
         "began",
         "begun",
+        "coupled",
+        "couplings",
         "first",
         "gaussians",
         "keys",
@@ -57,8 +63,16 @@ class Link:
         "values",
     )
 
-    def __init__(self, step: Step, model: Model, state: Sequence[float], serial: int) -> None:
-        self.step, self.serial = step, serial
+    def __init__(
+        self,
+        step: Step,
+        model: Model,
+        state: Sequence[float],
+        serial: int,
+        couplings: Couplings | None = None,
+    ) -> None:
+        self.step, self.serial, self.couplings = step, serial, couplings
+        self.coupled: Sequence[float] | None = None
         self.keys = variable_keys(step, model)
         angles = [state[i] for i, has in ((4, model.has_body), (5, model.has_head)) if has]
         self.began = [*state[:4], *angles]
@@ -78,7 +92,7 @@ class Link:
         own = self.keys
         before = [] if self.step.previous is None else variable_keys(self.step.previous, model)
         self.first = len(self.began)
-        for factor in model.factors(self.step):
+        for factor in model.factors(self.step, self.couplings):
             is_own = True
             is_linear = isinstance(factor, _LINEAR) and not _is_robust(factor)
             for key in factor.keys():  # noqa: SIM118
@@ -124,6 +138,7 @@ class Link:
         """Make the Gaussians: of ``back``, at the points of both steps, and of ``own`` if wanted."""
         gaussians = list(self.gaussians)
         if own:
+            self.coupled = None if self.couplings is None else self.couplings[self.step.index]
             gaussians[0] = _gaussian(self.own, self.values)
         if previous is not None and self.back.size():
             both = gtsam.Values(previous.values)
@@ -137,13 +152,27 @@ class Link:
         self.back, self.linear_back = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
         self.gaussians, self.slots = [self.gaussians[0], None], [self.slots[0], -1]
 
+    def is_recoupled(self, threshold: float) -> bool:
+        """Whether the modes have set a coupling, or the steering, that differs by more than this share."""
+        if self.couplings is None or self.coupled is None:
+            return False
+        old, new = self.coupled, self.couplings[self.step.index]
+        if new is old:
+            return False
+        for kappa, cos, sin in ((0, 1, 2), (3, 4, 5)):
+            a, b = old[kappa], new[kappa]
+            change = math.hypot(b * new[cos] - a * old[cos], b * new[sin] - a * old[sin])
+            if change > threshold * max(a, b):
+                return True
+        return abs(new[6] - old[6]) > threshold * max(new[6], old[6])
+
     def kept(self) -> tuple[Any, ...]:
         """What linearising anew and reading change."""
-        return self.began, self.begun, self.moved, self.point, self.values, self.gaussians
+        return self.began, self.begun, self.moved, self.point, self.values, self.gaussians, self.coupled
 
     def restore(self, kept: tuple[Any, ...]) -> None:
         """The inverse of `kept`."""
-        self.began, self.begun, self.moved, self.point, self.values, self.gaussians = kept
+        self.began, self.begun, self.moved, self.point, self.values, self.gaussians, self.coupled = kept
 
 
 def _is_robust(factor: gtsam.PriorFactorPoint2 | gtsam.WnoaMotionFactorPoint2) -> bool:

@@ -8,7 +8,7 @@ what c is beyond ½‖r‖². So the factor has the kernel's cost and gradient e
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,24 @@ from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 
 if TYPE_CHECKING:
     from graphtrack.model.term import Term
+
+COUPLED = (
+    "motion_body_kappa",
+    "motion_body_cos",
+    "motion_body_sin",
+    "head_body_kappa",
+    "head_body_cos",
+    "head_body_sin",
+    "steer_gain",
+    "steer_reach",
+    "steer_place",
+    "steer_cross",
+    "steer_spread",
+)
+"""The fields of a frame that the modes of the couplings set; see `gait.GaitOffsets`."""
+
+Couplings = Mapping[int, Sequence[float]]
+"""Index of a step → what its `COUPLED` fields are now."""
 
 _SMALLEST_PIVOT = 1e-14
 """Of the greatest: what is smaller is rounding of a block that is not of full rank."""
@@ -53,12 +71,17 @@ _SCRATCH = {
 """What a kernel is given to read states from and to add to, in the order of `_Evaluation`'s arrays."""
 
 
-def derived_factors(term: Term, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-    """The factors of a term at a step, one for each kernel that is called there."""
+def derived_factors(
+    term: Term, step: Step, couplings: Couplings | None = None
+) -> Sequence[gtsam.NonlinearFactor]:
+    """The factors of a term at a step, one for each kernel that is called there.
+
+    With ``couplings`` they read their `COUPLED` fields there, whenever they are evaluated.
+    """
     packed = term.packer(step.observation, step.dt, step.starts, step.camera)
     live = tuple(term.packer.live(step.observation))
     return [
-        _factor(call, live, step)
+        _factor(call, live, step, couplings)
         for call in _calls(term, packed)
         if not (call.kernel.before and step.previous is None)
     ]
@@ -104,11 +127,15 @@ def _calls(term: Term, packed: PackedTracks) -> list[_Call]:
     ]
 
 
-def _factor(call: _Call, live: Sequence[tuple[str, float]], step: Step) -> gtsam.NonlinearFactor:
+def _factor(
+    call: _Call, live: Sequence[tuple[str, float]], step: Step, couplings: Couplings | None
+) -> gtsam.NonlinearFactor:
     keys = [
         getattr(step.previous if earlier else step, f"{name}_key") for name, _, _, earlier in call.variables
     ]
     evaluation, parts, rows = _Evaluation(call, live, keys), call.parts, len(call.columns) + 1
+    if couplings is not None:
+        evaluation.follow(couplings, step.index)
 
     # Not through `custom_factor`: these shapes are right, and its checks take as long as a kernel.
     def callback(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
@@ -129,7 +156,8 @@ class _Evaluation:
         self._function, self._columns = call.kernel.function, call.columns
         self._states, self._gradients, self._hessians = (np.zeros(s) for s in ((2, N), (2, N), (3, N, N)))
         scratch = (*self._states, *self._gradients, *self._hessians)
-        self._arguments = list(call.arguments)
+        self._arguments, self._place = list(call.arguments), call.place
+        self._coupled: list[tuple[int, int]] = []
         for place, name in call.scratch:
             self._arguments[place] = scratch[_SCRATCH[name]]
         for name, value in live:
@@ -140,8 +168,17 @@ class _Evaluation:
             for (name, cos, sin, earlier), key in zip(call.variables, keys, strict=True)
         ]
 
+    def follow(self, couplings: Couplings, index: int) -> None:
+        """Read the `COUPLED` fields of a step from there from now on."""
+        self._couplings, self._index = couplings, index
+        self._coupled = [(self._place[name], i) for i, name in enumerate(COUPLED) if name in self._place]
+
     def __call__(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
         """Residual (n + 1,) and Jacobian (n + 1, n) of the n degrees of freedom."""
+        if self._coupled:
+            now = self._couplings[self._index]
+            for argument, i in self._coupled:
+                self._arguments[argument] = now[i]
         for name, key, state, place, cos, sin in self._variables:
             if name == "position":
                 state[place] = values.atPoint2(key)
