@@ -12,7 +12,9 @@ the paper to the letter in both.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -84,6 +86,11 @@ class IntentionalParameters:
 
 PRINTED = IntentionalParameters(variant="printed", bin_difference="numbered")
 """000 to the letter: eq. 2 with the numbers of the bins, eq. 4–5 with a velocity that accumulates."""
+
+OWN_FILTERS: Mapping[str, IntentionalParameters] = MappingProxyType(
+    {"printed": PRINTED, "consistent": IntentionalParameters()}
+)
+"""Name in tables and figures → parameters of 000's own filter."""
 
 
 def bin_number(angle: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
-from graphtrack.baselines.intentional import PRINTED, IntentionalParameters, step_tracker
+from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters, step_tracker
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import particle_filter, particle_smoother
@@ -145,8 +145,10 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
         "intentional": lambda model: FunctionMethod(
             "intentional", True, "positions, head; past only", model, _intentional
         ),
-        "intentional-printed": lambda model: StepFilter("intentional-printed", PRINTED),
-        "intentional-consistent": lambda model: StepFilter("intentional-consistent", IntentionalParameters()),
+        "intentional-printed": lambda model: StepFilter("intentional-printed", OWN_FILTERS["printed"]),
+        "intentional-consistent": lambda model: StepFilter(
+            "intentional-consistent", OWN_FILTERS["consistent"]
+        ),
         "particle": lambda model: FunctionMethod(
             "particle", True, f"{channels(model)}; past only", model, _particle
         ),

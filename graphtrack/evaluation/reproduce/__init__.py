@@ -7,6 +7,7 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 
 from graphtrack.evaluation.reproduce import (
+    baxter_caviar,
     baxter_occlusion,
     baxter_simulated,
     baxter_statistics,
@@ -19,7 +20,7 @@ __all__ = ["EXPERIMENTS", "Experiment", "Reproduction", "Settings", "Table", "al
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
     {
         module.EXPERIMENT.name: module.EXPERIMENT
-        for module in (baxter_simulated, baxter_occlusion, baxter_statistics, chen_joint)
+        for module in (baxter_simulated, baxter_caviar, baxter_occlusion, baxter_statistics, chen_joint)
     }
 )
 """Name → experiment on tables."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.baselines.intentional import IntentionalParameters, Variant, intentional_filter
+from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters, intentional_filter
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
@@ -64,12 +64,11 @@ DENSITY, FACTOR, RATE = 0.2, 3.0, 2.0
 """Where every search begins: q in m²/s³, the strength of the couplings, λ in 1/s."""
 
 
-def in_steps(variant: Variant | None) -> Predictor:
+def in_steps(parameters: IntentionalParameters | None) -> Predictor:
     """000's own filters, which count time in steps; None: its Kalman filter."""
 
     def estimate(track: Track) -> FloatArray:
-        head = None if variant is None else track.head
-        parameters = IntentionalParameters(variant=variant or "consistent")
+        head = None if parameters is None else track.head
         return intentional_filter(track.position, head, parameters).mean[0, :, :2]
 
     return estimate
@@ -173,7 +172,7 @@ def fitted(
         return make(*best(lambda *v: predictor(make(*v)), DENSITY, FACTOR, *rate, pairs=pairs))
 
     few, sampled = training[:: effort.sparing], effort.fitting_particles
-    found = {"kf": in_steps(None), "printed": in_steps("printed"), "consistent": in_steps("consistent")}
+    found = {"kf": in_steps(None), **{name: in_steps(own) for name, own in OWN_FILTERS.items()}}
     found = found if steps else {}
     found["kf fitted"] = kalman(*best(kalman, DENSITY))
     found["intentional"] = intentional(*best(intentional, DENSITY, RATE))
