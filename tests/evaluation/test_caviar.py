@@ -110,7 +110,7 @@ def test_what_the_gains_are_made_of() -> None:
     # A unit of length changes no error ratio; with R that of labels a CLL is positive.
     assert error["lengths in centimetres"] == pytest.approx(error["as recorded"])
     assert likelihood["lengths in centimetres"] < 0.6
-    assert np.isnan(likelihood["R = (0.12 m)²"])
+    assert np.isnan(likelihood["R = (0.07 m)²"])
 
 
 def test_not_steered_is_the_kalman_filter_of_the_same_noise() -> None:

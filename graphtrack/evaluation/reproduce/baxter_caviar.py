@@ -167,15 +167,17 @@ def _people(everyone: Sequence[Person]) -> Table:
             {
                 "person": one.name,
                 "frames": len(track),
-                "labelled heads": int(np.isfinite(np.asarray(track.head)).sum()),
-                "speed over 24 frames, median (m/s)": float(np.nanmedian(speed)),
-                "99 % of the steps below (m)": float(np.nanpercentile(steps, 99.0)),
-                "head labelled anew (1/s)": relabelled_rate(track),
-                "travel − head, mean (°)": float(np.degrees(mean)),
-                "travel − head, std (°)": float(np.degrees(std)),
+                "heads": int(np.isfinite(np.asarray(track.head)).sum()),
+                "speed (m/s)": float(np.nanmedian(speed)),
+                "99 % of steps < (m)": float(np.nanpercentile(steps, 99.0)),
+                "relabelled (1/s)": relabelled_rate(track),
+                "ε, mean (°)": float(np.degrees(mean)),
+                "ε, std (°)": float(np.degrees(std)),
             }
         )
-    return Table.of("People with labelled heads", records)
+    return Table.of(
+        "People with labelled heads; ε = direction of travel − head, as in baxter-statistics", records
+    )
 
 
 def _detail(found: Outcomes, everyone: Sequence[Person]) -> Table:
@@ -269,7 +271,7 @@ def _figure(found: Outcomes, controls: Sequence[ControlGain]) -> Figure:
         )
         tidy(axes, grid="y")
     grid[0, 0].set_yscale("log")
-    _plain_ticks(grid[0, 0], (0.1, 0.2, 0.5, 1.0, 2.0, 5.0))
+    _plain_ticks(grid[0, 0], (0.05, 0.1, 0.2, 0.5, 1.0, 2.0))
     grid[0, 1].plot(
         [x[-1]],
         [float(PAPER[0.6])],
@@ -300,6 +302,9 @@ def _control_bars(axes: Axes, controls: Sequence[ControlGain], measure: int) -> 
         own = [gain for gain in controls if gain.method == method]
         values = [float(np.median(gain.error if measure == 0 else gain.likelihood)) for gain in own]
         axes.barh(place + 0.36 * (k - 0.5), values, 0.34, color=COLOURS[method], zorder=2)
+        unknown = [at for at, value in zip(place.tolist(), values, strict=True) if not np.isfinite(value)]
+        for at in unknown if k == 0 else []:
+            axes.text(0.02, at, "log-likelihood above 0", va="center", fontsize=8, color=NEUTRAL_COLOUR)
     axes.axvline(1.0, color=NEUTRAL_COLOUR, linewidth=1.0, zorder=3)
     axes.set_yticks(place, names if measure == 0 else [""] * len(names))
     axes.invert_yaxis()

@@ -19,7 +19,7 @@ Adaptation = Callable[[IntentionalParameters], IntentionalParameters]
 LIGHT = 3.5
 """τ of eq. 3 with which a head in the bin of the travel has a weight of 0.005, not 0.905."""
 
-LABEL_STD = 0.12
+LABEL_STD = 0.07
 """Metres, 1 σ of the labelled positions as the Kalman filter's fit finds it; 000's R says 0.71."""
 
 
@@ -109,7 +109,7 @@ CONTROLS = (
     Control("5 frames a second", every(5)),
     Control("2.5 frames a second", every(10)),
     Control("low base weight (τ = 3.5)", _as_it_is, lambda own: replace(own, weight_offset=LIGHT)),
-    Control("R = (0.12 m)²", _as_it_is, lambda own: replace(own, observation_variance=LABEL_STD**2)),
+    Control("R = (0.07 m)²", _as_it_is, lambda own: replace(own, observation_variance=LABEL_STD**2)),
     Control("positions ± 0.1 m", noisy(0.1), random=True),
     Control("positions ± 0.25 m", noisy(0.25), random=True),
     Control("positions ± 0.5 m", noisy(0.5), random=True),

@@ -142,17 +142,15 @@ def offline(model: Model) -> Predictor:
     return lambda track: smooth(TrackSet((track,)), model).tracks[0].position
 
 
-def fitted(
-    training: WithheldWindows, effort: Effort, progress: Progress, *, steps: bool
-) -> dict[str, Predictor]:
-    """The methods by name, each with the parameters that make its own error least in the training windows.
+def fitted(training: WithheldWindows, effort: Effort, progress: Progress) -> dict[str, Predictor]:
+    """The methods by name, each with the parameters that make its own error least in the training windows;
+    000's own filters keep theirs.
 
     Parameters
     ----------
     training : tracks with their windows
     effort : how long the search is
     progress : called after each method
-    steps : 000's own filters, too
     """
 
     def best(
@@ -173,7 +171,6 @@ def fitted(
 
     few, sampled = training[:: effort.sparing], effort.fitting_particles
     found = {"kf": in_steps(None), **{name: in_steps(own) for name, own in OWN_FILTERS.items()}}
-    found = found if steps else {}
     found["kf fitted"] = kalman(*best(kalman, DENSITY))
     found["intentional"] = intentional(*best(intentional, DENSITY, RATE))
     for preset in PRESETS:
