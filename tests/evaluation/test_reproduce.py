@@ -82,6 +82,17 @@ def test_fitting_finds_the_least() -> None:
     assert fit(lambda a: math.nan if a > 2.0 else -a, [1.0], evaluations=40)[0] == pytest.approx(2.0, rel=0.1)
 
 
+def test_fitting_stays_where_the_parameters_are_allowed() -> None:
+    rates = []
+
+    def cost(rate: float) -> float:
+        rates.append(with_head_rate(Parameters(), rate).motion.head_rate)
+        return -rate
+
+    assert 60.0 < fit(cost, [2.0], evaluations=60)[0] <= 100.0
+    assert max(rates) <= 100.0
+
+
 def test_coupling_and_density_change_only_what_they_name() -> None:
     base = Parameters()
     same = with_coupling(with_coupling(base, 4.0), 0.25)

@@ -150,7 +150,7 @@ def fit_filters(training: Sequence[Track], progress: Progress, *, quick: bool) -
 
     graphs = {
         "graph joint": graph("joint", density, 3.0),
-        "graph joint-intentional": graph("joint-intentional", density, 3.0, max(rate, 0.1)),
+        "graph joint-intentional": graph("joint-intentional", density, 3.0, float(np.clip(rate, 0.1, 30.0))),
     }
     return Fitted(with_noise(density, std), with_noise(own[0], own[1]), rate, graphs)
 
