@@ -14,18 +14,23 @@ from walks import walk
 from graphtrack.baselines.intentional import IntentionalParameters
 from graphtrack.cli.main import app
 from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings
-from graphtrack.evaluation.reproduce.baxter_caviar import gains, spread
+from graphtrack.evaluation.reproduce.baxter_caviar import METHODS, gains, spread
 from graphtrack.evaluation.reproduce.caviar_controls import CONTROLS, control_gains, shuffled
 from graphtrack.evaluation.reproduce.caviar_people import (
+    GRAPHS,
     LEAST_LABELS,
+    Fitted,
     detected,
     deviation,
     labelled_stretch,
+    outcomes,
     own_outcome,
     relabelled_rate,
+    with_noise,
 )
 from graphtrack.evaluation.statistics import travel_velocity
 from graphtrack.geometry.angles import difference, direction, unit, wrap
+from graphtrack.model import Model
 from graphtrack.tracks import Track
 
 
@@ -93,10 +98,11 @@ def test_a_ratio_of_log_likelihoods_needs_both_below_zero() -> None:
 
 
 def test_what_the_gains_are_made_of() -> None:
-    found = control_gains(
-        [labelled_walk(seed) for seed in range(4)], 2, lambda c, k: np.random.default_rng([c, k])
-    )
-    assert [one.control for one in found[::2]] == [control.name for control in CONTROLS]
+    names = ["as recorded", "head turned around", "positions ± 0.5 m", "lengths in centimetres"]
+    controls = [control for control in CONTROLS if control.name in (*names, "R = (0.07 m)²")]
+    walks = [labelled_walk(seed, n=150) for seed in range(2)]
+    found = control_gains(walks, 1, lambda c, k: np.random.default_rng([c, k]), controls)
+    assert [one.control for one in found[::2]] == [control.name for control in controls]
     error = {one.control: float(np.median(one.error)) for one in found if one.method == "consistent"}
     likelihood = {
         one.control: float(np.median(one.likelihood)) for one in found if one.method == "consistent"
@@ -120,6 +126,19 @@ def test_not_steered_is_the_kalman_filter_of_the_same_noise() -> None:
     blind = replace(track, head=None)
     assert own_outcome(track, narrow, steered=False) == own_outcome(blind, narrow, steered=True)
     assert own_outcome(track, narrow, steered=False) != own_outcome(track, narrow, steered=True)
+
+
+def test_every_method_predicts_the_same_frames() -> None:
+    track = detected(labelled_walk(n=75), 0.8, np.random.default_rng(0))
+    parameters = with_noise(0.5, 0.05)
+    graphs = {method: Model(preset, parameters) for method, preset in GRAPHS.items()}
+    found = outcomes(track, Fitted(parameters, parameters, 0.0, graphs))
+    assert set(found) == {"kf", *METHODS}
+    # At a rate of 0 the head steers nothing; the graph of the same noise predicts nearly as well.
+    assert found["intentional"] == pytest.approx(found["kf fitted"])
+    assert found["graph joint"][0] == pytest.approx(found["kf fitted"][0], rel=0.2)
+    assert found["graph joint"][1] == pytest.approx(found["kf fitted"][1], rel=0.2)
+    assert found["kf"] == own_outcome(track, IntentionalParameters(), steered=False)
 
 
 def test_without_recordings_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

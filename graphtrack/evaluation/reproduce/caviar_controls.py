@@ -135,18 +135,22 @@ class ControlGain:
 
 
 def control_gains(
-    tracks: Sequence[Track], repetitions: int, rng_of: Callable[[int, int], np.random.Generator]
+    tracks: Sequence[Track],
+    repetitions: int,
+    rng_of: Callable[[int, int], np.random.Generator],
+    controls: Sequence[Control] = CONTROLS,
 ) -> list[ControlGain]:
-    """Every control, with both of 000's filters.
+    """Controls with both of 000's filters.
 
     Parameters
     ----------
     tracks : with all heads and positions
     repetitions : of the controls that are drawn
     rng_of : from the numbers of a control and a repetition to its source of randomness
+    controls : what is changed
     """
     found = []
-    for c, control in enumerate(CONTROLS):
+    for c, control in enumerate(controls):
         for method, own in OWN_FILTERS.items():
             parameters = control.adapt(own)
             times = range(repetitions if control.random else 1)

@@ -144,7 +144,7 @@ def fit_filters(training: Sequence[Track], progress: Progress, *, quick: bool) -
                 logs.append(one_step_ahead(from_the_past(track, candidate, before), track, candidate)[1])
             return -float(np.nanmean(np.concatenate(logs)))
 
-        found = model(*fit(graph_cost, start, evaluations=(8 + 8 * len(start)) // effort))
+        found = model(*fit(graph_cost, start, evaluations=(8 + 8 * len(start)) // effort**2))
         progress(1)
         return found
 
