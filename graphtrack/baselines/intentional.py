@@ -5,23 +5,30 @@ in the paper; `intentional_continuous` is the same idea in seconds.
 
 The paper's eq. 4–5 add α·d to the velocity but leave its rows of F at 1, so that the velocity grows at every
 step (variant ``printed``). The variant ``consistent``, the default, scales the velocity by γ = 1 − α as the
-rows of the position are: it is blended with the intention, not added to. The difference of bins in eq. 2 is
-taken around the circle in both, for bins 1 and 8 are neighbours.
+rows of the position are: it is blended with the intention, not added to. Eq. 2 subtracts the numbers of the
+bins, though bins 1 and 8 are neighbours; the default takes the difference around the circle. `PRINTED` is
+the paper to the letter in both.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
-from graphtrack.baselines.isotropic import FilteredStates, Transition, filter_tracks
+from graphtrack.baselines.isotropic import FilteredStates, Transition, filter_tracks, full_covariance
+from graphtrack.baselines.kalman import GaussianStates, as_track
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit
+from graphtrack.inference.initial import observed_vectors, require_position
+from graphtrack.tracks import Track
 
 Variant = Literal["printed", "consistent"]
 Displacement = Literal["smoothed", "velocity"]
+BinDifference = Literal["circular", "numbered"]
 
 N_BINS = 8
 """Sectors of 45° for the deviation of the head from the direction of travel (000, §III-B)."""
@@ -37,7 +44,10 @@ class IntentionalParameters:
     displacement : d of eq. 6 and the direction of travel from the "smoothed" displacement over the last
         positions, which the paper found better, or from the "velocity" estimate
     displacement_steps : k, the positions over which the displacement is smoothed, ≥ 2
-    strength_steps : steps over which the deviation is summed (eq. 2), ≥ 1
+    strength_steps : terms of the sum of deviations (eq. 2), ≥ 1. The sum goes from t − 10 to t, eleven terms,
+        where the text has the last 10 steps
+    bin_difference : eq. 2 subtracts the "numbered" bins, 1 to 8 from the x axis on, so that neighbours across
+        the axis are 7 apart; "circular" goes around the shorter way
     weight_rate : ρ of eq. 3
     weight_offset : τ of eq. 3
     process_variance : Q = process_variance · I₄, (units of length)² for the position and the velocity a step
@@ -48,7 +58,8 @@ class IntentionalParameters:
     variant: Variant = "consistent"
     displacement: Displacement = "smoothed"
     displacement_steps: int = 5
-    strength_steps: int = 10
+    strength_steps: int = 11
+    bin_difference: BinDifference = "circular"
     weight_rate: float = 1.5
     weight_offset: float = -1.5
     process_variance: float = 0.1
@@ -60,6 +71,8 @@ class IntentionalParameters:
             raise InputError(f"variant = {self.variant!r}", "'printed' or 'consistent'")
         if self.displacement not in ("smoothed", "velocity"):
             raise InputError(f"displacement = {self.displacement!r}", "'smoothed' or 'velocity'")
+        if self.bin_difference not in ("circular", "numbered"):
+            raise InputError(f"bin_difference = {self.bin_difference!r}", "'circular' or 'numbered'")
         for name, low in (("displacement_steps", 2), ("strength_steps", 1)):
             if not (isinstance(getattr(self, name), int) and getattr(self, name) >= low):
                 raise InputError(f"{name} = {getattr(self, name)!r}", f"an integer, at least {low}")
@@ -71,11 +84,32 @@ class IntentionalParameters:
                 raise InputError(f"{name} = {getattr(self, name)!r}", "a finite number")
 
 
-def bin_deviation(head: FloatArray, travel: FloatArray) -> FloatArray:
-    """Bin of the head minus bin of the travel, around the circle: −3 … 4; NaN where one is missing."""
-    width = 2.0 * np.pi / N_BINS
-    bins = np.floor(np.asarray(head) / width + 0.5) - np.floor(np.asarray(travel) / width + 0.5)
-    return np.mod(bins + N_BINS // 2 - 1, N_BINS) - (N_BINS // 2 - 1)
+PRINTED = IntentionalParameters(variant="printed", bin_difference="numbered")
+"""000 to the letter: eq. 2 with the numbers of the bins, eq. 4–5 with a velocity that accumulates."""
+
+OWN_FILTERS: Mapping[str, IntentionalParameters] = MappingProxyType(
+    {"printed": PRINTED, "consistent": IntentionalParameters()}
+)
+"""Name in tables and figures → parameters of 000's own filter."""
+
+
+def bin_number(angle: FloatArray) -> FloatArray:
+    """Bin of 45° of a direction in radians, 1 to `N_BINS` counter-clockwise, bin 1 about the x axis."""
+    return np.mod(np.floor(np.asarray(angle) * N_BINS / (2.0 * np.pi) + 0.5), N_BINS) + 1.0
+
+
+def bin_deviation(head: FloatArray, travel: FloatArray, difference: BinDifference = "circular") -> FloatArray:
+    """Bin of the head minus bin of the travel, a term of eq. 2; NaN where one is missing.
+
+    Parameters
+    ----------
+    head, travel : radians, of one shape
+    difference : "circular", the shorter way around: −3 … 4; "numbered", as eq. 2 has it: −7 … 7
+    """
+    apart = bin_number(head) - bin_number(travel)
+    if difference == "numbered":
+        return apart
+    return np.mod(apart + N_BINS // 2 - 1, N_BINS) - (N_BINS // 2 - 1)
 
 
 def prior_weight(strength: FloatArray, parameters: IntentionalParameters) -> FloatArray:
@@ -126,6 +160,30 @@ def intentional_filter(
     )
 
 
+def step_tracker(track: Track, parameters: IntentionalParameters | None = None) -> Track:
+    """Online estimates of 000's own filter for one track, each from the past alone.
+
+    The filter counts frames, whatever the times between them. Lengths are metres; the velocity a step is
+    returned in m/s, by the step that led to it.
+
+    Raises
+    ------
+    SolveError
+        If no position was observed.
+    """
+    require_position(track)
+    vectors = observed_vectors(track, "head")
+    head = np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
+    states = intentional_filter(track.position[None], head[None], parameters)
+    rate = np.ones(len(track))
+    if len(track) > 1:
+        rate[1:] = 1.0 / track.dt[1:]
+        rate[0] = rate[1]
+    scale = np.column_stack([np.ones((len(track), 2)), rate, rate])
+    covariance = full_covariance(states.spread[0]) * scale[:, :, None] * scale[:, None, :]
+    return as_track(track, GaussianStates(states.mean[0] * scale, covariance))
+
+
 class _Intention:
     """The transitions of a run: it remembers the last positions and deviations of its tracks."""
 
@@ -140,7 +198,8 @@ class _Intention:
         self.positions = np.concatenate([self.positions[:, 1:], mean[:, None, :2]], axis=1)
         travelled = self._displacement(mean)
         distance = np.linalg.norm(travelled, axis=1)
-        deviation = np.where(distance > 0.0, bin_deviation(head, direction(travelled)), np.nan)
+        deviation = bin_deviation(head, direction(travelled), parameters.bin_difference)
+        deviation = np.where(distance > 0.0, deviation, np.nan)
         deviation = np.where(np.isfinite(deviation), deviation, 0.0)
         self.deviations = np.concatenate([self.deviations[:, 1:], deviation[:, None]], axis=1)
         weight = prior_weight(np.abs(self.deviations.sum(axis=1)), parameters)

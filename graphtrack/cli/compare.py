@@ -28,7 +28,8 @@ def compare(
         str,
         typer.Option(
             "--methods",
-            help="Comma-separated: kf, intentional, particle, rts, ffbs, smoother, chain, isam2, fixed-lag.",
+            help="Comma-separated: kf, intentional, intentional-printed, intentional-consistent, particle, "
+            "rts, ffbs, smoother, chain, isam2, fixed-lag.",
         ),
     ] = "kf,rts,smoother,chain,isam2,fixed-lag",
     model: Annotated[

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
+from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters, step_tracker
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import particle_filter, particle_smoother
@@ -94,6 +95,21 @@ class OnlineGraph:
         return track_online(track, self.model, engine=self.engine, lag=self.lag, camera=camera)
 
 
+@dataclass(frozen=True)
+class StepFilter:
+    """000's own filter (eq. 2–6), which takes frames for steps and has parameters of its own, no model."""
+
+    name: str
+    parameters: IntentionalParameters
+
+    online = True
+    information = "positions, head; past only; parameters of its paper, a frame is a step"
+
+    def estimate(self, track: Track, camera: GroundCamera | None) -> Track:
+        """Position and velocity, each from the past alone."""
+        return step_tracker(track, self.parameters)
+
+
 def channels(model: Model) -> str:
     """The observations that a model uses, in words."""
     used = ["positions", *(["body"] if model.has_body else []), *(["head"] if model.has_head else [])]
@@ -130,6 +146,10 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
         "intentional": lambda model: FunctionMethod(
             "intentional", True, "positions, head; past only", model, _intentional
         ),
+        "intentional-printed": lambda model: StepFilter("intentional-printed", OWN_FILTERS["printed"]),
+        "intentional-consistent": lambda model: StepFilter(
+            "intentional-consistent", OWN_FILTERS["consistent"]
+        ),
         "particle": lambda model: FunctionMethod(
             "particle", True, f"{channels(model)}; past only", model, _particle
         ),
@@ -149,13 +169,17 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
 )
 """Name → factory of the method for a model. All get its parameters; kf and rts use its linear part.
 
-``intentional`` is 000's tracker in continuous time, ``particle`` 002's filter and ``ffbs`` its smoother."""
+``intentional`` is 000's tracker in continuous time; ``intentional-printed`` and ``intentional-consistent``
+are its own filter (eq. 2–6) with its own parameters, whatever the model. ``particle`` is 002's filter and
+``ffbs`` its smoother."""
 
 
 _OWN = {
     "kf": "position",
     "rts": "position",
     "intentional": "intentional",
+    "intentional-printed": "intentional",
+    "intentional-consistent": "intentional",
     "particle": "joint",
     "ffbs": "joint",
 }

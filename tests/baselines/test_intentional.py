@@ -10,10 +10,13 @@ from scipy.linalg import expm
 from walks import turned, walk, without
 
 from graphtrack.baselines.intentional import (
+    PRINTED,
     IntentionalParameters,
     bin_deviation,
+    bin_number,
     intentional_filter,
     prior_weight,
+    step_tracker,
 )
 from graphtrack.baselines.intentional_continuous import (
     intentional_states,
@@ -49,7 +52,7 @@ def by_the_book(
     """000 §III step by step with full matrices, FilterPy's Kalman filter and eq. 2–6 written out."""
 
     def bin_of(angle: float) -> int:
-        return math.floor((math.degrees(angle) % 360.0 + 22.5) / 45.0) % 8
+        return math.floor((math.degrees(angle) % 360.0 + 22.5) / 45.0) % 8 + 1
 
     kalman = filterpy.kalman.KalmanFilter(dim_x=4, dim_z=2, dim_u=1)
     kalman.H = np.eye(2, 4)
@@ -66,7 +69,8 @@ def by_the_book(
         deviation = 0
         if math.isfinite(pose) and d > 0.0:
             deviation = bin_of(pose) - bin_of(math.atan2(velocity[1], velocity[0]))
-            deviation += 8 if deviation < -3 else -8 if deviation > 4 else 0
+            if parameters.bin_difference == "circular":
+                deviation += 8 if deviation < -3 else -8 if deviation > 4 else 0
         deviations.append(deviation)
         strength = abs(sum(deviations[-parameters.strength_steps :]))
         alpha = 1.0 / (1.0 + math.exp(-parameters.weight_rate * (strength - parameters.weight_offset)))
@@ -88,10 +92,18 @@ def by_the_book(
 
 @pytest.mark.parametrize("variant", ["printed", "consistent"])
 @pytest.mark.parametrize("displacement", ["smoothed", "velocity"])
-def test_the_tracker_equals_the_equations_with_full_matrices(variant: str, displacement: str) -> None:
+@pytest.mark.parametrize("bins", ["circular", "numbered"])
+def test_the_tracker_equals_the_equations_with_full_matrices(
+    variant: str, displacement: str, bins: str
+) -> None:
     # A low weight: with the paper's the printed variant's velocity overflows within these steps.
     parameters = IntentionalParameters(
-        variant=variant, displacement=displacement, weight_offset=2.5, displacement_steps=4, strength_steps=6
+        variant=variant,
+        displacement=displacement,
+        bin_difference=bins,
+        weight_offset=2.5,
+        displacement_steps=4,
+        strength_steps=6,
     )
     position, head = noisy_walk()
     found = intentional_filter(position, head, parameters)
@@ -111,6 +123,45 @@ def test_bins_are_neighbours_around_the_circle() -> None:
             bin_deviation(wrap(head + turn), wrap(0.3 + turn)), bin_deviation(head, np.full_like(head, 0.3))
         )
     assert set(bin_deviation(head, np.zeros_like(head)).tolist()) == {-3, -2, -1, 0, 1, 2, 3, 4}
+
+
+def test_numbered_bins_are_apart_across_the_axis() -> None:
+    first, last = np.radians(0.0), np.radians(-45.0)
+    assert bin_deviation(first, last, "numbered") == -7
+    assert bin_deviation(last, first, "numbered") == 7
+    angles = np.radians(np.arange(-180, 180, 7.0))
+    numbers = bin_number(angles)
+    assert set(numbers.tolist()) == set(range(1, 9))
+    # The nearest centre of a bin is within half a bin.
+    centres = (numbers - 1.0) * np.pi / 4.0
+    assert np.abs(wrap(angles - centres)).max() <= np.pi / 8.0 + 1e-9
+    assert PRINTED.bin_difference == "numbered" and PRINTED.variant == "printed"
+
+
+def test_eleven_deviations_are_summed() -> None:
+    # A drift along x; the head is a bin off at frame 20 alone, and the weight is 0 or 1.
+    position = np.column_stack([0.01 * np.arange(40.0), np.zeros(40)])
+    head = np.zeros(40)
+    head[20] = np.pi / 4.0
+    parameters = IntentionalParameters(weight_rate=12.0, weight_offset=0.5)
+    spread = intentional_filter(position, head, parameters).predicted_spread[0, :, 2]
+    # With the weight 1 nothing is left of the velocity but Q. Eq. 2 goes from k = t − 10 to t.
+    intended = np.flatnonzero(np.abs(spread - parameters.process_variance) < 1e-3)
+    np.testing.assert_array_equal(intended, np.arange(21, 21 + 11))
+
+
+def test_the_estimates_of_a_track_are_those_of_the_steps() -> None:
+    track = walk(30, dt=0.25)
+    states = intentional_filter(track.position, track.head, PRINTED)
+    found = step_tracker(track, PRINTED)
+    np.testing.assert_allclose(found.position, states.mean[0, :, :2])
+    assert found.velocity is not None and found.covariance is not None
+    np.testing.assert_allclose(found.velocity, states.mean[0, :, 2:] / 0.25)
+    np.testing.assert_allclose(found.covariance[:, 2, 0], states.spread[0, :, 1] / 0.25)
+    np.testing.assert_allclose(found.covariance[:, 3, 3], states.spread[0, :, 2] / 0.25**2)
+    assert len(step_tracker(track[:1])) == 1
+    with pytest.raises(SolveError):
+        step_tracker(replace(track, position=np.full((30, 2), np.nan)))
 
 
 def test_the_weight_grows_with_the_strength_from_its_base() -> None:
@@ -184,6 +235,7 @@ def test_none_or_one_position(seen: int) -> None:
         {"displacement": "none"},
         {"displacement_steps": 1},
         {"strength_steps": 0},
+        {"bin_difference": "straight"},
         {"process_variance": 0.0},
         {"observation_variance": math.nan},
         {"weight_rate": math.inf},

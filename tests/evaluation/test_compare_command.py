@@ -10,7 +10,8 @@ import pytest
 from graphtrack.cli import main
 from graphtrack.model import Model
 
-ALL = "kf,intentional,particle,chain,fixed-lag,isam2,rts,ffbs,smoother"
+ALL = "kf,intentional,intentional-printed,intentional-consistent,particle,chain,fixed-lag,isam2,rts,ffbs"
+ALL += ",smoother"
 HEAD = "track_id,frame,t,x,y,body_deg,head_deg,true_x,true_y,true_body_deg,true_head_deg\n"
 
 
@@ -99,6 +100,7 @@ def test_a_model_that_no_method_knows_is_one_error(compare):
 
 OWN = {"kf": "position", "intentional": "intentional", "particle": "joint", "chain": "full"}
 OWN |= {"fixed-lag": "full", "isam2": "full", "rts": "position", "ffbs": "joint", "smoother": "full"}
+OWN |= {"intentional-printed": "", "intentional-consistent": ""}  # no model, parameters of their paper
 
 
 def test_each_method_has_its_best_model_and_the_table_and_caption_say_which(compare):

@@ -16,11 +16,12 @@ from graphtrack.baselines.kalman import filter_states, kalman_filter
 from graphtrack.cli.main import app
 from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table, all_experiments
+from graphtrack.evaluation.reproduce.baxter_occlusion import Case, WindowErrors, trajectories
 from graphtrack.evaluation.reproduce.baxter_simulated import squared_error
 from graphtrack.evaluation.reproduce.chen_joint import PAPER, concentration_of
 from graphtrack.evaluation.reproduce.experiment import evenly, thinned
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
-from graphtrack.evaluation.reproduce.occlusion_methods import error_of
+from graphtrack.evaluation.reproduce.occlusion_methods import ONLINE, error_of
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference, reduction
 from graphtrack.inference import track_online
@@ -79,6 +80,17 @@ def test_fitting_finds_the_least() -> None:
     np.testing.assert_allclose(found, [0.02, 7.0], rtol=0.1)
     assert 30.0 < fit(lambda a: -a, [2.0], evaluations=60)[0] <= 200.0
     assert fit(lambda a: math.nan if a > 2.0 else -a, [1.0], evaluations=40)[0] == pytest.approx(2.0, rel=0.1)
+
+
+def test_fitting_stays_where_the_parameters_are_allowed() -> None:
+    rates = []
+
+    def cost(rate: float) -> float:
+        rates.append(with_head_rate(Parameters(), rate).motion.head_rate)
+        return -rate
+
+    assert 60.0 < fit(cost, [2.0], evaluations=60)[0] <= 100.0
+    assert max(rates) <= 100.0
 
 
 def test_coupling_and_density_change_only_what_they_name() -> None:
@@ -174,6 +186,30 @@ def test_thinning_and_choosing() -> None:
     assert [t.track_id for t in evenly(many, 4)] == [0, 10, 19, 29]
     assert len(evenly(many, 100)) == 30
     assert len(evenly(many, 5, least_seconds=100.0)) == 0
+
+
+def test_the_sharpest_turns_stand_beside_the_papers_trajectories() -> None:
+    judged = []
+    for k, degrees in enumerate([10.0, 80.0, 40.0, 5.0, 60.0, 20.0, 30.0, 70.0]):
+        track, window = walk(41, dt=0.1, track_id=k), np.zeros(41, dtype=bool)
+        course = np.where(np.arange(41) < 20, 0.0, np.radians(degrees))
+        path = np.cumsum(0.1 * np.column_stack([np.cos(course), np.sin(course)]), axis=0)
+        window[15:25] = True
+        judged.append((replace(track, position=path, true_position=path, label=f"{degrees:g}"), window))
+    errors = {method: np.full(8, 1.0) for method in ONLINE} | {"kf": np.full(8, 4.0)}
+    errors |= {"kf fitted": np.full(8, 2.0), "printed": np.arange(1.0, 9.0)}
+    found = WindowErrors(Case("turns", [], judged, "kf fitted"), "visible", errors)
+    rows = trajectories([found]).records()
+    assert [row["ours"] for row in rows[:7]] == ["80", "70", "60", "40", "30", "20", "10"]
+    assert [row["paper: reduction (%)"] for row in rows[:7]] == [64.0, 75.5, 84.5, 12.9, 73.2, 62.0, 68.3]
+    assert rows[0]["turn (°)"] == pytest.approx(80.0, abs=1.0)
+    # 000's trackers against its Kalman filter, the others against the case's.
+    assert rows[0]["printed"] == pytest.approx(50.0) and rows[1]["printed"] == pytest.approx(-100.0)
+    assert rows[0]["intentional"] == pytest.approx(50.0)
+    mean, share = rows[7:]
+    assert mean["consistent"] == pytest.approx(75.0)
+    assert mean["paper: reduction (%)"] == pytest.approx(62.9, abs=0.05)
+    assert share["printed"] == pytest.approx(100.0 * 3 / 8)
 
 
 def test_a_table_is_rectangular_and_ready_for_json() -> None:

@@ -7,6 +7,7 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 
 from graphtrack.evaluation.reproduce import (
+    baxter_caviar,
     baxter_occlusion,
     baxter_simulated,
     baxter_statistics,
@@ -20,7 +21,14 @@ __all__ = ["EXPERIMENTS", "Experiment", "Reproduction", "Settings", "Table", "al
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
     {
         module.EXPERIMENT.name: module.EXPERIMENT
-        for module in (baxter_simulated, baxter_occlusion, baxter_statistics, chen_joint, chen_classes)
+        for module in (
+            baxter_simulated,
+            baxter_caviar,
+            baxter_occlusion,
+            baxter_statistics,
+            chen_joint,
+            chen_classes,
+        )
     }
 )
 """Name → experiment on tables."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.baselines.intentional import IntentionalParameters, intentional_filter
+from graphtrack.baselines.intentional import OWN_FILTERS, intentional_filter
 from graphtrack.baselines.intentional_continuous import steer
 from graphtrack.baselines.isotropic import FilteredStates
 from graphtrack.evaluation.reproduce.experiment import (
@@ -135,8 +135,8 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
     error = squared_error(reference.predicted_mean[..., :2], corpus.truth)
     likelihood = np.nansum(reference.log_likelihood, axis=1)
     runs = {
-        variant: intentional_filter(corpus.position, corpus.head, IntentionalParameters(variant=variant))
-        for variant in ("printed", "consistent")
+        method: intentional_filter(corpus.position, corpus.head, parameters)
+        for method, parameters in OWN_FILTERS.items()
     }
     runs["kf fitted"] = steered(corpus, fitted.kalman, 0.0)
     runs["intentional"] = steered(corpus, fitted.intentional, fitted.rate)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize
 
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Parameters
 
@@ -22,7 +23,8 @@ def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations:
 
     Parameters
     ----------
-    objective : of as many numbers as ``start`` has; a value that is not finite counts as very bad
+    objective : of as many numbers as ``start`` has; a value that is not finite counts as very bad, and so do
+        parameters that it refuses with an `InputError`
     start : where to begin, > 0
     evaluations : of the objective, at most
     """
@@ -32,7 +34,10 @@ def fit(objective: Callable[..., float], start: Sequence[float], *, evaluations:
     def cost(point: FloatArray) -> float:
         if np.abs(point - origin).max() > np.log(REACH):
             return 1e12
-        value = float(objective(*np.exp(point).tolist()))
+        try:
+            value = float(objective(*np.exp(point).tolist()))
+        except InputError:
+            return 1e12
         return value if np.isfinite(value) else 1e12
 
     options = {"initial_simplex": simplex, "maxfev": evaluations, "xatol": 0.05, "fatol": 1e-6}

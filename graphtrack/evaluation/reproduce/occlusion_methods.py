@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.baselines.intentional import IntentionalParameters, Variant, intentional_filter
+from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters, intentional_filter
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
@@ -64,12 +64,11 @@ DENSITY, FACTOR, RATE = 0.2, 3.0, 2.0
 """Where every search begins: q in m²/s³, the strength of the couplings, λ in 1/s."""
 
 
-def in_steps(variant: Variant | None) -> Predictor:
+def in_steps(parameters: IntentionalParameters | None) -> Predictor:
     """000's own filters, which count time in steps; None: its Kalman filter."""
 
     def estimate(track: Track) -> FloatArray:
-        head = None if variant is None else track.head
-        parameters = IntentionalParameters(variant=variant or "consistent")
+        head = None if parameters is None else track.head
         return intentional_filter(track.position, head, parameters).mean[0, :, :2]
 
     return estimate
@@ -143,17 +142,15 @@ def offline(model: Model) -> Predictor:
     return lambda track: smooth(TrackSet((track,)), model).tracks[0].position
 
 
-def fitted(
-    training: WithheldWindows, effort: Effort, progress: Progress, *, steps: bool
-) -> dict[str, Predictor]:
-    """The methods by name, each with the parameters that make its own error least in the training windows.
+def fitted(training: WithheldWindows, effort: Effort, progress: Progress) -> dict[str, Predictor]:
+    """The methods by name, each with the parameters that make its own error least in the training windows;
+    000's own filters keep theirs.
 
     Parameters
     ----------
     training : tracks with their windows
     effort : how long the search is
     progress : called after each method
-    steps : 000's own filters, too
     """
 
     def best(
@@ -173,8 +170,7 @@ def fitted(
         return make(*best(lambda *v: predictor(make(*v)), DENSITY, FACTOR, *rate, pairs=pairs))
 
     few, sampled = training[:: effort.sparing], effort.fitting_particles
-    found = {"kf": in_steps(None), "printed": in_steps("printed"), "consistent": in_steps("consistent")}
-    found = found if steps else {}
+    found = {"kf": in_steps(None), **{name: in_steps(own) for name, own in OWN_FILTERS.items()}}
     found["kf fitted"] = kalman(*best(kalman, DENSITY))
     found["intentional"] = intentional(*best(intentional, DENSITY, RATE))
     for preset in PRESETS:
