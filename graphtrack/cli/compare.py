@@ -37,7 +37,7 @@ def compare(
         typer.Option(
             "--model",
             help="A preset or a model file (.toml) for all methods; by default the best preset of each: full "
-            "for the graph, joint for GTSAM's engines and particles, and the filters' own.",
+            "for the graph with every engine, joint for particles, and the filters' own.",
             show_default=False,
         ),
     ] = None,

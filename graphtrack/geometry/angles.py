@@ -68,6 +68,37 @@ def von_mises_log_density(angle: ArrayLike, mean: ArrayLike, concentration: Arra
     return concentration * (np.cos(deviation) - 1.0) - np.log(2.0 * np.pi * special.i0e(concentration))
 
 
+def mixture_log_density(
+    angle: FloatArray, means: FloatArray, weights: FloatArray, kappa: FloatArray | float, uniform: float
+) -> FloatArray:
+    """log of ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ), for n angles.
+
+    Parameters
+    ----------
+    angle : (n,) θ in radians
+    means : (k,) or (n, k) μ in radians
+    weights : (n, k), not negative; they count by their share. All 0 say nothing: the density is 1/2π
+    kappa : κ of every component, of each angle (n,) or of all
+    uniform : ε, the probability of an outlier
+    """
+    from scipy import special
+
+    total = weights.sum(axis=1, keepdims=True)
+    share = np.divide((1.0 - uniform) * weights, total, out=np.zeros_like(weights), where=total > 0.0)
+    outliers = np.where(total > 0.0, uniform, 1.0) / (2.0 * np.pi)
+    spread = np.broadcast_to(np.asarray(kappa, dtype=float).reshape(-1, 1), weights.shape)
+    with np.errstate(divide="ignore"):
+        logs = np.log(share) + von_mises_log_density(angle[:, None], means, spread)
+        return np.asarray(special.logsumexp(np.hstack([logs, np.log(outliers)]), axis=1))
+
+
+def highest_log_density(kappa: FloatArray | float, uniform: float) -> FloatArray:
+    """log of ε/2π + (1 − ε)·VM(0; 0, κ): no mixture of such components is denser anywhere."""
+    from scipy import special
+
+    return np.log((uniform + (1.0 - uniform) / special.i0e(kappa)) / (2.0 * np.pi))
+
+
 def mean_resultant_length(concentration: ArrayLike) -> FloatArray:
     """I₁(κ)/I₀(κ), the mean of cos(deviation) under a von Mises of concentration κ."""
     from scipy import special

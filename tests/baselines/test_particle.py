@@ -34,10 +34,16 @@ from graphtrack.baselines.particle.kernels import (
 )
 from graphtrack.baselines.particle.recovery import draw_orientations, recover
 from graphtrack.errors import InputError, InputWarning, SolveError
-from graphtrack.geometry.angles import class_centres, class_kappa, difference, von_mises_log_density, wrap
+from graphtrack.geometry.angles import (
+    class_centres,
+    class_kappa,
+    difference,
+    mixture_log_density,
+    von_mises_log_density,
+    wrap,
+)
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters, States, Step, Term
-from graphtrack.model.terms.pose import mixture_log_density
 from graphtrack.particles import (
     effective_sample_size,
     generator,

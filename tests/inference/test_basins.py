@@ -23,7 +23,7 @@ SETTLED = 1.5
 """Seconds of answers after which the direction must be known: 15 answers, of which three are flipped."""
 
 
-def misjudged(n_people: int = 6) -> TrackSet:
+def misjudged(n_people: int = 3) -> TrackSet:
     people = TrackSet(tuple(walk(60, seed=k, track_id=k) for k in range(n_people)))
     return add_class_likelihoods(people, rng=np.random.default_rng(7))
 

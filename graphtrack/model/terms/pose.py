@@ -14,7 +14,13 @@ import gtsam
 import numpy as np
 from scipy import special
 
-from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, von_mises_log_density
+from graphtrack.geometry.angles import (
+    FloatArray,
+    class_centres,
+    class_kappa,
+    highest_log_density,
+    mixture_log_density,
+)
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.factors.native import von_mises_prior
@@ -27,33 +33,6 @@ from graphtrack.tracks import Track
 
 if TYPE_CHECKING:
     from graphtrack.model.kernels.packing import PackedTracks
-
-
-def mixture_log_density(
-    angle: FloatArray, means: FloatArray, weights: FloatArray, kappa: FloatArray | float, uniform: float
-) -> FloatArray:
-    """log of ε/2π + (1 − ε)·Σ w_k·VM(θ; μ_k, κ), for n angles.
-
-    Parameters
-    ----------
-    angle : (n,) θ in radians
-    means : (k,) or (n, k) μ in radians
-    weights : (n, k), not negative; they count by their share. All 0 say nothing: the density is 1/2π
-    kappa : κ of every component, of each angle (n,) or of all
-    uniform : ε, the probability of an outlier
-    """
-    total = weights.sum(axis=1, keepdims=True)
-    share = np.divide((1.0 - uniform) * weights, total, out=np.zeros_like(weights), where=total > 0.0)
-    outliers = np.where(total > 0.0, uniform, 1.0) / (2.0 * np.pi)
-    spread = np.broadcast_to(np.asarray(kappa, dtype=float).reshape(-1, 1), weights.shape)
-    with np.errstate(divide="ignore"):
-        logs = np.log(share) + von_mises_log_density(angle[:, None], means, spread)
-        return np.asarray(special.logsumexp(np.hstack([logs, np.log(outliers)]), axis=1))
-
-
-def highest_log_density(kappa: FloatArray | float, uniform: float) -> FloatArray:
-    """log of ε/2π + (1 − ε)·VM(0; 0, κ): no mixture of such components is denser anywhere."""
-    return np.log((uniform + (1.0 - uniform) / special.i0e(kappa)) / (2.0 * np.pi))
 
 
 @compiled
