@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
-from graphtrack.evaluation.reproduce.chen_joint import ANGLES, PAPER, POSITION_STD, PRESETS
+from graphtrack.evaluation.reproduce.chen_joint import (
+    ANGLES,
+    POSITION_STD,
+    PRESETS,
+    Estimator,
+    Scores,
+    beside,
+)
 from graphtrack.evaluation.reproduce.experiment import (
     ASKANCE,
     MOCAP,
@@ -25,7 +31,7 @@ from graphtrack.evaluation.reproduce.experiment import (
     quietly,
 )
 from graphtrack.evaluation.reproduce.resampling import bootstrap
-from graphtrack.geometry.angles import FloatArray, class_centres, difference, mean_absolute_error
+from graphtrack.geometry.angles import class_centres, difference, mean_absolute_error
 from graphtrack.inference import smooth, track_online
 from graphtrack.model import Model
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
@@ -42,7 +48,9 @@ LAG = 2.0
 FLIPPED, AT_RANDOM = 0.2, 0.1
 """Shares of the answers that take front for back, and that are any class."""
 
-Estimator = Callable[[Track, Model], Track]
+BESIDE = "Paper / ours: mean error in degrees (002's classifiers on CHIL, ours as the notes say)"
+
+WITH_FULL = (*PRESETS, "full")
 
 METHODS: Mapping[str, tuple[str, Estimator]] = {
     "particle": ("online", lambda track, model: particle_filter(track, model).track),
@@ -61,20 +69,6 @@ SLOW = ("graph, isam2",)
 
 WITH_MODES = ("graph, chain", "graph, isam2", "smoother")
 """Methods that know the preset ``full`` too."""
-
-
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """Mean absolute errors in degrees, one number a person: (preset, method, angle) → (n,)."""
-
-    data: str
-    people: int
-    errors: Mapping[tuple[str, str, str], FloatArray]
-
-    @property
-    def presets(self) -> tuple[str, ...]:
-        """Those that were run."""
-        return (*PRESETS, "full")
 
 
 def people(settings: Settings) -> dict[str, TrackSet]:
@@ -112,7 +106,7 @@ def scores(data: str, tracks: TrackSet, settings: Settings, progress: Progress) 
     for track in tracks:
         for angle in ANGLES:
             found.setdefault(("observation", "", angle), []).append(_most_likely(track, angle))
-    for preset in (*PRESETS, "full"):
+    for preset in WITH_FULL:
         model = Model(preset)
         for method, (_, estimator) in METHODS.items():
             if preset == "full" and method not in WITH_MODES:
@@ -151,7 +145,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "smooth mixture, which the graph has. joint-body is what 002 calls separate (κ₂ = 0).",
         f"{', '.join(SLOW)}: the first people only.",
     )
-    return Reproduction("chen-classes", (_detail(found, rng), _beside(found)), _figure(found, rng), notes)
+    return Reproduction(
+        "chen-classes", (_detail(found, rng), beside(found, METHODS, BESIDE)), _figure(found, rng), notes
+    )
 
 
 def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Table:
@@ -159,7 +155,7 @@ def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Table:
     for one in found:
         for angle in ANGLES:
             for method, (group, _) in METHODS.items():
-                for preset in one.presets:
+                for preset in WITH_FULL:
                     errors = one.errors.get((preset, method, angle))
                     if errors is None:
                         continue
@@ -181,27 +177,6 @@ def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Table:
     return Table.of("Body and head from class likelihoods", records)
 
 
-def _beside(found: Sequence[Scores]) -> Table:
-    records: list[dict[str, Cell]] = []
-    for i, angle in enumerate(ANGLES):
-        for one in found:
-            for method, (group, _) in METHODS.items():
-                records.append(
-                    {
-                        "angle": angle,
-                        **{f"paper: {name}": PAPER[name][i] for name in PAPER},
-                        "ours: data": one.data,
-                        "ours: method": f"{method} ({group})",
-                        "ours: observation": float(one.errors["observation", "", angle].mean()),
-                        "ours: separate": float(one.errors["joint-body", method, angle].mean()),
-                        "ours: joint": float(one.errors["joint", method, angle].mean()),
-                    }
-                )
-    return Table.of(
-        "Paper / ours: mean error in degrees (002's classifiers on CHIL, ours as the notes say)", records
-    )
-
-
 def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
     from graphtrack.evaluation.reproduce.style import COLOURS
     from graphtrack.report.style import new_figure, tidy
@@ -219,7 +194,7 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
         for column, one in enumerate(found):
             axes = grid[row, column]
             for k, method in enumerate(METHODS):
-                known = [p for p in one.presets if (p, method, angle) in one.errors]
+                known = [p for p in WITH_FULL if (p, method, angle) in one.errors]
                 drawn = [
                     bootstrap(lambda v: np.mean(v, axis=-1), one.errors[p, method, angle], rng=rng)
                     for p in known
@@ -230,7 +205,7 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
                 label = f"{method} ({METHODS[method][0]})"
                 axes.errorbar(x, value, spread, fmt="o", color=colours[method], markersize=4, label=label)
             tidy(axes, grid="y")
-            axes.set_xticks(range(len(one.presets)), one.presets)
+            axes.set_xticks(range(len(WITH_FULL)), WITH_FULL)
             if row == 0:
                 axes.set_title(f"{one.data} ({one.people} people)", fontsize=10)
         top = max(axes.dataLim.y1 for axes in grid[row])

@@ -46,6 +46,8 @@ PRESETS = ("separate", "joint-body", "joint")
 
 PATHS = ParticleOptions(paths=40)
 
+BESIDE = "Paper / ours: mean error in degrees (002 is on CHIL, with its own particle filter)"
+
 POSITION_STD = 0.1
 """Metres of noise on the positions."""
 
@@ -161,7 +163,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         notes.append("No recordings were found: only people drawn from the model.")
     return Reproduction(
         "chen-joint",
-        (_detail(found, rng), _modes(found, rng), _beside(found)),
+        (_detail(found, rng), _modes(found, rng), beside(found, METHODS, BESIDE)),
         _figure(found, rng),
         tuple(notes),
     )
@@ -218,11 +220,12 @@ def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Table:
     return Table.of("Beyond 002: the graph, told whether people face where they go (full)", records)
 
 
-def _beside(found: Sequence[Scores]) -> Table:
+def beside(found: Sequence[Scores], methods: Mapping[str, tuple[str, Estimator]], title: str) -> Table:
+    """002's Table 2 beside the errors of some methods."""
     records: list[dict[str, Cell]] = []
     for i, angle in enumerate(ANGLES):
         for one in found:
-            for method, (group, _) in METHODS.items():
+            for method, (group, _) in methods.items():
                 records.append(
                     {
                         "angle": angle,
@@ -234,9 +237,7 @@ def _beside(found: Sequence[Scores]) -> Table:
                         "ours: joint": float(one.errors["joint", method, angle].mean()),
                     }
                 )
-    return Table.of(
-        "Paper / ours: mean error in degrees (002 is on CHIL, with its own particle filter)", records
-    )
+    return Table.of(title, records)
 
 
 def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
