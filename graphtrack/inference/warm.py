@@ -65,7 +65,7 @@ def warm_up(
     if not is_chain(model):
         make_ready(SOLVER, start_rehearsal())
     elif engine == "gtsam":
-        make_ready(SOLVER, graph_rehearsal(model))
+        make_ready(SOLVER, solver_rehearsal(model, engine))
     elif engine in ("fixed-lag", "isam2"):
         make_ready(SOLVER, online_rehearsal(model))
     else:
@@ -74,7 +74,15 @@ def warm_up(
 
 def solver_rehearsal(model: Model, engine: OfflineEngine, camera: GroundCamera | None = None) -> Rehearsal:
     """What an engine calls for whole tracks."""
-    return graph_rehearsal(model) if engine == "gtsam" else offline_rehearsal(model, camera)
+    if engine != "gtsam":
+        return offline_rehearsal(model, camera)
+    # With terms of one's own it asks for the grid where it needs it.
+    return start_rehearsal() if has_own_kernels(model) and not model.has_modes else graph_rehearsal(model)
+
+
+def has_own_kernels(model: Model) -> bool:
+    """Whether a model has terms with kernels that no preset has: an engine is compiled for them."""
+    return any("kernels" in vars(kind) for kind in model.own_terms)
 
 
 def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps: bool = False) -> Rehearsal:
@@ -114,8 +122,9 @@ def online_rehearsal(model: Model) -> Rehearsal:
 
 def _like(model: Model) -> Model:
     """A model that calls the same functions, whatever its parameters."""
-    own = [kind for kind in model.own_terms if "kernels" in vars(kind)]
-    return Model("full" if model.has_modes else "joint", terms=own)
+    if has_own_kernels(model):
+        return Model(model.preset, terms=model.own_terms)
+    return Model("full" if model.has_modes else "joint")
 
 
 def _solve(model: Model) -> None:

@@ -13,14 +13,16 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import PASSES, is_chain
 from graphtrack.inference.chain.restart import AT_END, AT_START
-from graphtrack.inference.graph.chain_view import ChainView
+from graphtrack.inference.graph.chain_view import ChainView, is_ambiguous
 from graphtrack.inference.initial import initial_states
 from graphtrack.inference.solution import Solution, SolverOptions, bounded, estimated_track
+from graphtrack.inference.warm import SOLVER, graph_rehearsal, has_own_kernels
 from graphtrack.model import Model, States, Step
 from graphtrack.model.factors.derived import Couplings
 from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.observation import chain
 from graphtrack.model.terms.anchor import ANCHOR_KAPPA
+from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track
 
 
@@ -117,8 +119,9 @@ def smooth_graph(
     """Smooth one track; the covariances are those of the Gauss–Newton curvature.
 
     Where all terms have compiled kernels, it starts from the chain's grid of orientations where that has a
-    better basin, and again where the grid has one once it has ended. Modes of couplings are inferred as by
-    the chain engine, from the graph's own states, in turns.
+    better basin, and again where the grid has one once it has ended; with terms of your own only where what
+    was seen may speak for several directions, since an engine for them is to be compiled first. Modes of
+    couplings are inferred as by the chain engine, from the graph's own states, in turns.
 
     Raises
     ------
@@ -128,7 +131,7 @@ def smooth_graph(
     options = SolverOptions() if options is None else options
     initial = initial_states(track, model)
     steps = chain(track, camera)
-    view = ChainView(track, model, camera) if is_chain(model) else None
+    view = _view(track, model, camera, steps)
     graph, values = build_graph(steps, model, initial, None if view is None else view.couplings)
     descent = _Descent(graph, steps, model, options, view)
     try:
@@ -153,6 +156,18 @@ def smooth_graph(
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
     estimate = estimated_track(track, states, covariance, None if view is None else view.modes)
     return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
+
+
+def _view(track: Track, model: Model, camera: GroundCamera | None, steps: Sequence[Step]) -> ChainView | None:
+    """The chain's view of a track where it is worth its compiled engine."""
+    if not is_chain(model):
+        return None
+    if has_own_kernels(model) and not model.has_modes:
+        outliers = model.parameters.likelihood.outlier_probability > 0.0
+        if not outliers and not any(map(is_ambiguous, steps)):
+            return None
+        make_ready(SOLVER, graph_rehearsal(model))
+    return ChainView(track, model, camera)
 
 
 class _Descent:

@@ -12,7 +12,7 @@ from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.graph.couplings import couplings_of
 from graphtrack.inference.initial import pack, problem_of
-from graphtrack.model import Model
+from graphtrack.model import Model, Step
 from graphtrack.model.terms.gait import gait_of
 from graphtrack.tracks import Track
 
@@ -71,3 +71,9 @@ class ChainView:
         here = np.nan_to_num(states)
         here[:, :2] -= self._packed.origin[0]
         return here
+
+
+def is_ambiguous(step: Step) -> bool:
+    """Whether what was seen may speak for several directions, as class likelihoods do."""
+    seen = step.observation
+    return seen.body_likelihood is not None or seen.head_likelihood is not None

@@ -10,6 +10,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.window import ChainWindow
+from graphtrack.inference.graph.chain_view import is_ambiguous
 from graphtrack.inference.graph.couplings import couplings_of
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam import Isam2
@@ -82,7 +83,7 @@ class Guided:
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
         """Add a step whose variables start at ``state``; what is known about it then."""
         if (chain := self._chain) is None:
-            if not _is_ambiguous(step):
+            if not is_ambiguous(step):
                 return self._graph.extend(step, state)
             chain = self._begin()
             chain.restore(self._graph.window())
@@ -99,7 +100,7 @@ class Guided:
     def rework(self, window: Window) -> Newest:
         """Take over a window that was changed; what is known about its newest step then."""
         if (chain := self._chain) is None:
-            if not any(map(_is_ambiguous, window.steps)):
+            if not any(map(is_ambiguous, window.steps)):
                 return self._graph.rework(window)
             chain = self._begin()
         modes = chain.modes_before
@@ -163,7 +164,7 @@ class Guided:
     def restore(self, window: Window) -> None:
         """Take over a window as it stands."""
         self._chain = None
-        if self._always or any(map(_is_ambiguous, window.steps)):
+        if self._always or any(map(is_ambiguous, window.steps)):
             chain = self._begin()
             chain.restore(window)
             self._couple(chain, window.steps)
@@ -196,11 +197,6 @@ class Guided:
         if beside:
             newest = len(beside["states"].ravel()) // 6
             self._begin().resume(replace(window, steps=window.steps[-newest:]), beside)
-
-
-def _is_ambiguous(step: Step) -> bool:
-    seen = step.observation
-    return seen.body_likelihood is not None or seen.head_likelihood is not None
 
 
 def _is_elsewhere(a: FloatArray, b: FloatArray) -> bool:
