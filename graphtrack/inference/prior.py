@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.model import Model, Step
 from graphtrack.model.factors.custom import variable_dimension
+from graphtrack.model.kernels.layout import BODY, HEAD, PLACES, N
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,3 +96,45 @@ def marginal_prior(
     return MarginalPrior(
         keys, point, hessian.information(), np.ravel(hessian.linearTerm()), float(hessian.constantTerm())
     )
+
+
+class StatePrior(NamedTuple):
+    """The same on a state of six: Λ (6, 6), η (6,) and the point; zero for what the model does not have."""
+
+    information: FloatArray
+    linear: FloatArray
+    point: FloatArray
+
+
+def on_state(prior: MarginalPrior, step: Step, model: Model) -> StatePrior:
+    """A prior on the variables of a step, on its state."""
+    parts = dict(_variables(step, model))
+    rows = np.concatenate([np.arange(N)[parts[key]] for key in prior.keys])
+    found = StatePrior(np.zeros((N, N)), np.zeros(N), np.zeros(N))
+    found.information[np.ix_(rows, rows)] = prior.information
+    found.linear[rows] = prior.linear
+    found.point[rows] = np.concatenate([np.array(point) for point in prior.point])
+    return found
+
+
+def on_variables(prior: StatePrior, step: Step, model: Model) -> MarginalPrior:
+    """The inverse of `on_state`."""
+    variables = _variables(step, model)
+    rows = np.concatenate([np.arange(N)[part] for _, part in variables])
+    return MarginalPrior(
+        tuple(key for key, _ in variables),
+        tuple(tuple(prior.point[part].tolist()) for _, part in variables),
+        prior.information[np.ix_(rows, rows)],
+        prior.linear[rows],
+        0.0,
+    )
+
+
+def _variables(step: Step, model: Model) -> list[tuple[int, slice]]:
+    """GTSAM keys of a step's variables, and their places in the state."""
+    variables = [(step.position_key, PLACES["position"]), (step.velocity_key, PLACES["velocity"])]
+    if model.has_body:
+        variables.append((step.body_key, slice(BODY, BODY + 1)))
+    if model.has_head:
+        variables.append((step.head_key, slice(HEAD, HEAD + 1)))
+    return variables

@@ -122,6 +122,7 @@ def people_and_whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Pa
     return folder / "people.csv", folder / "whole.toml"
 
 
+@pytest.mark.slow
 def test_a_fit_that_is_interrupted_and_then_killed_is_resumed_to_the_same_result(
     people_and_whole: tuple[Path, Path], tmp_path: Path
 ) -> None:

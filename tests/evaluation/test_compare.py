@@ -41,7 +41,7 @@ class Echo:
 
 @pytest.fixture(scope="module")
 def tracks() -> TrackSet:
-    return simulate("joint", n_tracks=12, n_steps=80, rng=np.random.default_rng(21))
+    return simulate("joint", n_tracks=12, n_steps=50, rng=np.random.default_rng(21))
 
 
 @pytest.fixture(scope="module")
@@ -122,12 +122,12 @@ def test_online_and_offline_stand_apart_and_the_caption_says_what_was_used(compa
 def test_online_methods_do_not_see_the_future(tracks: TrackSet) -> None:
     track = next(iter(tracks))
     later = track.position.copy()
-    later[41:] += 50.0
+    later[31:] += 50.0
     changed = replace(track, position=later)
     for name in registry:
         method = make_method(name)
         same = np.allclose(
-            method.estimate(track, None).position[:41], method.estimate(changed, None).position[:41]
+            method.estimate(track, None).position[:31], method.estimate(changed, None).position[:31]
         )
         assert same is method.online, name
 
@@ -160,7 +160,7 @@ def test_a_method_that_fails_is_reported_and_the_others_come_out(tracks: TrackSe
     found = compare(tracks, ("kf", Echo(fails=(3,), gaps=(5,))))
     assert {(f.method, f.track_id): f.failure for f in found.failures} == {
         ("echo", 3): "no mood for it",
-        ("echo", 5): "no position at 1 of 80 scored frames",
+        ("echo", 5): "no position at 1 of 50 scored frames",
     }
     # The tables pool the same tracks for both.
     assert value(found, "kf", "position RMSE", "n") == value(found, "echo", "position RMSE", "n") == 10
@@ -183,9 +183,9 @@ def test_frames_before_the_first_position_count_for_nobody(tracks: TrackSet) -> 
     position = track.position.copy()
     position[:7] = np.nan
     late = replace(track, position=position)
-    assert scored_frames(late).tolist() == [False] * 7 + [True] * 73
+    assert scored_frames(late).tolist() == [False] * 7 + [True] * 43
     found = compare(TrackSet((late,)))
-    assert not found.failures and {record.frames for record in found.per_track} == {73}
+    assert not found.failures and {record.frames for record in found.per_track} == {43}
 
 
 def test_processes_change_nothing_and_progress_counts_frames(
@@ -204,7 +204,7 @@ def test_processes_change_nothing_and_progress_counts_frames(
             yield record.method, record.track_id, metrics
 
     assert list(numbers(one)) == list(numbers(two))
-    assert seen == [80] * 4
+    assert seen == [50] * 4
 
 
 def test_without_truth_there_is_advice(tracks: TrackSet) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from selection import others_slow
 from walks import walk
 
 from graphtrack.geometry.angles import difference
@@ -36,7 +37,7 @@ def far_off(estimate: Track, name: str) -> float:
 
 
 @EVERY_ENGINE
-@pytest.mark.parametrize("preset", ["separate", "joint", "full"])
+@pytest.mark.parametrize("preset", others_slow(["separate", "joint", "full"], ["joint"]))
 def test_online_nobody_is_left_facing_backwards(preset: str, engine: Any, lag: float | None) -> None:
     """The answers of the first frames, which may be flipped, do not decide for good."""
     for track in misjudged():
@@ -46,7 +47,7 @@ def test_online_nobody_is_left_facing_backwards(preset: str, engine: Any, lag: f
 
 
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])
-@pytest.mark.parametrize("preset", ["separate", "joint", "full"])
+@pytest.mark.parametrize("preset", others_slow(["separate", "joint", "full"], ["full"]))
 def test_offline_nobody_faces_backwards(preset: str, engine: Any) -> None:
     for found in smooth(misjudged(), preset, engine=engine):
         assert far_off(found, "body") == far_off(found, "head") == 0.0

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import gtsam
 import numpy as np
 import pytest
+from selection import others_slow
 from walks import walk, without
 
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
@@ -25,7 +26,8 @@ EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_toleran
 CONVERGED: dict[str, Any] = {"step_tolerance": 1e-7, "max_iterations": 200}
 GTSAM_ENGINES = pytest.mark.parametrize("engine", ["fixed-lag", "isam2"])
 EVERY_ENGINE = pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
-EVERY_PRESET = pytest.mark.parametrize("preset", ["position", "separate", "joint"])
+PRESETS = ["position", "separate", "joint"]
+EVERY_PRESET = pytest.mark.parametrize("preset", PRESETS)
 # How far a smoother that was built again may be from one that was not (metres, m/s, radians; their squares).
 REBUILT = {"fixed-lag": 1e-10, "isam2": 1e-6}
 
@@ -116,7 +118,7 @@ def test_the_window_of_the_preset_position_equals_rauch_tung_striebel(engine: An
 
 
 @pytest.mark.parametrize("classes", [False, True], ids=["angles", "classes"])
-@pytest.mark.parametrize("preset", ["separate", "joint"])
+@pytest.mark.parametrize("preset", others_slow(["separate", "joint"], ["joint"]))
 def test_the_fixed_lag_tends_to_the_batch_answer_as_the_lag_grows(preset: str, classes: bool) -> None:
     model = Model(preset)
     tracks = [
@@ -141,7 +143,7 @@ def test_the_fixed_lag_tends_to_the_batch_answer_as_the_lag_grows(preset: str, c
     assert apart[2] < 1e-5
 
 
-@pytest.mark.parametrize("threshold", [0.1, 1e-2, 1e-4])
+@pytest.mark.parametrize("threshold", others_slow([0.1, 1e-2, 1e-4], [0.1]))
 @pytest.mark.parametrize("classes", [False, True], ids=["angles", "classes"])
 def test_isam2_ends_within_its_threshold_of_the_batch_answer(threshold: float, classes: bool) -> None:
     track = walk(25, seed=8, noise=0.1, classes=classes)
@@ -484,7 +486,7 @@ def through_json(state: dict[str, Any]) -> dict[str, Any]:
     return json.loads(json.dumps(state, allow_nan=False))
 
 
-@EVERY_PRESET
+@pytest.mark.parametrize("preset", others_slow(PRESETS, ["joint"]))
 @pytest.mark.parametrize("lag", [1.0, None])
 def test_isam2_goes_on_from_any_step_within_its_threshold(preset: str, lag: float | None) -> None:
     """GTSAM does not give its Bayes tree away; for the other engines see `test_resume`."""

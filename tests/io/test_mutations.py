@@ -15,8 +15,8 @@ from graphtrack import io
 from graphtrack.errors import GraphtrackError, InputWarning
 from graphtrack.tracks import Track, TrackSet
 
-MUTANTS, MUTANTS_MORE = 250, 1500
-MUTANTS_BESIDE = 300
+MUTANTS, MUTANTS_MORE = 120, 1500
+MUTANTS_BESIDE = 150
 SLOWEST_READ = 5.0
 """Seconds; a sample reads in milliseconds, so that this is a hang and not a slow machine."""
 

@@ -22,7 +22,7 @@ def test_the_slope_of_the_mass_is_the_mean_of_the_coupling() -> None:
         np.mean([filtered(T, with_head_kappa(TRUE, 4.0 + d), 20_000, rng)[1] for _ in range(4)])
         for d in (-0.5, 0.5)
     ]
-    costs = [coupling_cost(*draw(T, TRUE, 1000, rng), T, TRUE) for _ in range(250)]
+    costs = [coupling_cost(*draw(T, TRUE, 1000, rng), T, TRUE) for _ in range(100)]
     error = np.std(costs) / np.sqrt(len(costs))
     assert sides[0] - sides[1] == pytest.approx(np.mean(costs), abs=4.0 * error)
 

@@ -12,7 +12,7 @@ from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.window_modes import WindowModes
-from graphtrack.inference.prior import MarginalPrior
+from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.solution import bounded
 from graphtrack.inference.state import Angles, Newest, Window
 from graphtrack.model import Model, Observation, Step
@@ -301,34 +301,12 @@ class ChainWindow:
     def _index(self, step: Step) -> int:
         return next(k for k, known in enumerate(self._steps) if known.index == step.index)
 
-    def _keys(self, step: Step) -> list[tuple[int, slice]]:
-        """GTSAM keys of a step's variables, and their places in the state."""
-        keys = [(step.position_key, slice(0, 2)), (step.velocity_key, slice(2, 4))]
-        if self._model.has_body:
-            keys.append((step.body_key, slice(BODY, BODY + 1)))
-        if self._model.has_head:
-            keys.append((step.head_key, slice(HEAD, HEAD + 1)))
-        return keys
-
     def _to_prior(self, step: Step) -> MarginalPrior:
-        keys = self._keys(step)
         point = self._prior[N + 1].copy()
         point[:2] += self._origin
-        rows = np.concatenate([np.arange(N)[part] for _, part in keys])
-        return MarginalPrior(
-            tuple(key for key, _ in keys),
-            tuple(tuple(point[part].tolist()) for _, part in keys),
-            self._prior[np.ix_(rows, rows)],
-            self._prior[N, rows],
-            0.0,
-        )
+        return on_variables(StatePrior(self._prior[:N], self._prior[N], point), step, self._model)
 
     def _from_prior(self, prior: MarginalPrior, step: Step, origin: FloatArray) -> FloatArray:
-        parts = dict(self._keys(step))
-        rows = np.concatenate([np.arange(N)[parts[key]] for key in prior.keys])
-        result = np.zeros((N + 2, N))
-        result[np.ix_(rows, rows)] = prior.information
-        result[N, rows] = prior.linear
-        result[N + 1, rows] = np.concatenate([np.array(point) for point in prior.point])
-        result[N + 1, :2] -= origin
-        return result
+        information, linear, point = on_state(prior, step, self._model)
+        point[:2] -= origin
+        return np.vstack([information, linear, point])
