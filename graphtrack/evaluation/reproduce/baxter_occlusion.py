@@ -10,6 +10,7 @@ import numpy as np
 
 from graphtrack.baselines.intentional import OWN_FILTERS
 from graphtrack.evaluation.reproduce.experiment import (
+    ISAM2,
     MOCAP,
     TURNING,
     Cell,
@@ -285,7 +286,7 @@ def _figure(
         tidy(axes)
         parts = [errors for errors in found if errors.case is case]
         online = [m for m in ONLINE if m in methods and m not in ("kf", "printed")]
-        online = [m for m in online if m != case.reference]
+        online = [m for m in online if m != case.reference and not m.endswith(ISAM2)]
         values, spans = _bars(parts, online, rng)
         bars(line[1], [f"head {p.head}" for p in parts], values, spans)
         line[1].axhline(0.0, color=TRUTH_COLOUR, linewidth=0.8)

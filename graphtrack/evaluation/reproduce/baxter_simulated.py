@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from graphtrack.baselines.intentional import OWN_FILTERS, intentional_filter
 from graphtrack.baselines.intentional_continuous import steer
 from graphtrack.baselines.isotropic import FilteredStates
 from graphtrack.evaluation.reproduce.experiment import (
+    ISAM2,
     LAG,
     Cell,
     Experiment,
@@ -24,6 +26,7 @@ from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_den
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import track_online
+from graphtrack.inference.online import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.simulation.corpus import NUMERALS, Corpus, CorpusParameters, simulate_behaviour
 
@@ -34,7 +37,8 @@ RATES = (1.0, 0.8, 0.6)
 GRAPHS = {"graph joint": "joint", "graph joint-intentional": "joint-intentional"}
 """Method → preset. In the second one the head steers the velocity, as it does in 000's tracker."""
 
-METHODS = ("printed", "consistent", "kf fitted", "intentional", *GRAPHS)
+DRAWN = ("printed", "consistent", "kf fitted", "intentional", *GRAPHS)
+METHODS = (*DRAWN, *(f"{name}{ISAM2}" for name in GRAPHS))
 FIT_UNITS = {"graph joint": 20, "graph joint-intentional": 30}
 """Evaluations of the search for the parameters of each graph, two of them and three; half with ``quick``."""
 
@@ -150,15 +154,17 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
         )
         for method, run in runs.items()
     ]
-    for method, model in fitted.graphs.items():
+    engines: dict[str, OnlineEngine] = {"": "chain", ISAM2: "isam2"}
+    for (method, model), (suffix, engine) in product(fitted.graphs.items(), engines.items()):
         by_graph = []
         for track in corpus.tracks(people):
-            predicted, logs = one_step_ahead(track_online(track, model, lag=LAG), track, model)
+            estimate = track_online(track, model, engine=engine, lag=LAG)
+            predicted, logs = one_step_ahead(estimate, track, model)
             by_graph.append((squared_error(predicted, np.asarray(track.true_position)), np.nansum(logs)))
             progress(1)
         errors, sums = np.array(by_graph).T
         found.append(
-            Gain(corpus.behaviour, rate, method, error[:people] / errors, likelihood[:people] / sums)
+            Gain(corpus.behaviour, rate, method + suffix, error[:people] / errors, likelihood[:people] / sums)
         )
     return found
 
@@ -272,7 +278,7 @@ def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
         for column, rate in enumerate(RATES):
             axes = grid[row, column]
             axes.axhline(1.0, color=NEUTRAL_COLOUR, linewidth=1.0, zorder=1)
-            for k, method in enumerate(METHODS):
+            for k, method in enumerate(DRAWN):
                 own = [gain for gain in found if gain.method == method and gain.rate == rate]
                 values = [getattr(gain, measure) for gain in own]
                 middle, spread = np.array([(np.median(v), np.std(v)) for v in values]).T
@@ -292,7 +298,7 @@ EXPERIMENT = Experiment(
     "000 Fig. 4 and 5: simulated corpus, gain over the Kalman filter, median ± 1 σ",
     lambda settings: (
         sum(FIT_UNITS.values()) // (1 + settings.quick)
-        + len(GRAPHS) * len(NUMERALS) * len(RATES) * tracks_of_graph(settings)
+        + 2 * len(GRAPHS) * len(NUMERALS) * len(RATES) * tracks_of_graph(settings)
     ),
     run,
 )

@@ -12,11 +12,12 @@ from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters,
 from graphtrack.baselines.intentional_continuous import intentional_tracker
 from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
-from graphtrack.evaluation.reproduce.experiment import LAG, Progress
+from graphtrack.evaluation.reproduce.experiment import ISAM2, LAG, Progress
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference import smooth, track_online
+from graphtrack.inference.online import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.tracks import Track, TrackSet
 
@@ -27,6 +28,7 @@ PRESETS = ("joint", STEERED)
 ONLINE = (
     *("kf", "printed", "consistent", "kf fitted", "intentional"),
     *(f"{method} {preset}" for method in ("particle", "graph") for preset in PRESETS),
+    *(f"graph {preset}{ISAM2}" for preset in PRESETS),
 )
 OFFLINE = ("rts", *(f"{method} {preset}" for method in ("ffbs", "smoother") for preset in PRESETS))
 OWN = ("kf", "printed", "consistent")
@@ -132,9 +134,9 @@ def hidden_only(model: Model) -> Predictor:
     return lambda track: from_the_past(track, model, unseen(track)).position
 
 
-def online(model: Model) -> Predictor:
+def online(model: Model, engine: OnlineEngine = "chain") -> Predictor:
     """The online graph."""
-    return lambda track: track_online(track, model, lag=LAG).position
+    return lambda track: track_online(track, model, engine=engine, lag=LAG).position
 
 
 def offline(model: Model) -> Predictor:
@@ -177,7 +179,9 @@ def fitted(training: WithheldWindows, effort: Effort, progress: Progress) -> dic
         model = best_model(preset, lambda m: particles(m, sampled), few)
         found[f"particle {preset}"] = particles(model, effort.particles)
     for preset in PRESETS:
-        found[f"graph {preset}"] = online(best_model(preset, hidden_only))
+        model = best_model(preset, hidden_only)
+        found[f"graph {preset}"] = online(model)
+        found[f"graph {preset}{ISAM2}"] = online(model, "isam2")
     found["rts"] = backward(*best(backward, DENSITY))
     for preset in PRESETS:
         model = best_model(preset, lambda m: particle_paths(m, sampled), few)
@@ -187,5 +191,5 @@ def fitted(training: WithheldWindows, effort: Effort, progress: Progress) -> dic
     return found
 
 
-FITS = len(ONLINE) - len(OWN) + len(OFFLINE)
+FITS = len(ONLINE) - len(OWN) - len(PRESETS) + len(OFFLINE)
 """Methods whose parameters are fitted."""
