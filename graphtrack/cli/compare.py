@@ -31,7 +31,7 @@ def compare(
             help="Comma-separated: kf, intentional, intentional-printed, intentional-consistent, particle, "
             "rts, ffbs, smoother, chain, isam2, fixed-lag.",
         ),
-    ] = "kf,rts,smoother,chain,isam2,fixed-lag",
+    ] = "kf,rts,smoother,chain,isam2",
     model: Annotated[
         str | None,
         typer.Option(

@@ -27,7 +27,7 @@ from graphtrack.tracks import Track, TrackSet
 if TYPE_CHECKING:
     from graphtrack.io.given import Given
 
-METHODS = ("kf", "rts", "smoother", "chain", "isam2", "fixed-lag")
+METHODS = ("kf", "rts", "smoother", "chain", "isam2")
 
 MethodGroup = Literal["online", "offline"]
 

@@ -59,7 +59,7 @@ def test_knowing_the_future_helps(comparison: Comparison) -> None:
     assert not comparison.failures
     for metric in ("position RMSE", "velocity RMSE"):
         assert value(comparison, "rts", metric) < value(comparison, "kf", metric)
-        assert value(comparison, "smoother", metric) < value(comparison, "fixed-lag", metric)
+        assert value(comparison, "smoother", metric) < value(comparison, "isam2", metric)
     by_track = {(record.method, record.track_id): record.metrics for record in comparison.per_track}
     better = [
         by_track["rts", i]["position RMSE"] < by_track["kf", i]["position RMSE"]
@@ -110,7 +110,7 @@ def test_everything_is_ready_for_json(comparison: Comparison) -> None:
 
 def test_online_and_offline_stand_apart_and_the_caption_says_what_was_used(comparison: Comparison) -> None:
     groups = {name: {row["method"] for row in comparison.group(name)} for name in ("online", "offline")}
-    assert groups == {"online": {"kf", "chain", "isam2", "fixed-lag"}, "offline": {"rts", "smoother"}}
+    assert groups == {"online": {"kf", "chain", "isam2"}, "offline": {"rts", "smoother"}}
     order = [row["group"] for row in comparison.rows]
     assert order == sorted(order, reverse=True), "online rows stand together, and first"
     for method, used in comparison.information.items():
@@ -237,17 +237,17 @@ def test_unknown_and_repeated_methods_are_refused(tracks: TrackSet) -> None:
 
 def test_the_published_filters_stand_beside_the_graph() -> None:
     observed = simulate(n_tracks=3, n_steps=40, rng=np.random.default_rng(0))
-    names = ["kf", "intentional", "particle", "fixed-lag", "rts", "ffbs", "smoother"]
+    names = ["kf", "intentional", "particle", "isam2", "rts", "ffbs", "smoother"]
     found = compare(observed, names)
     assert not found.failures
     assert {row["method"] for row in found.group("online")} == set(names[:4])
     assert {row["method"] for row in found.group("offline")} == set(names[4:])
     # Who uses the same observations says so in the same words, and the caption repeats it.
     information = found.information
-    assert information["particle"] == information["fixed-lag"] == "positions, body, head; past only"
+    assert information["particle"] == information["isam2"] == "positions, body, head; past only"
     assert information["ffbs"] == information["smoother"]
     assert information["intentional"] == "positions, head; past only"
     assert all(f"{name} ({information[name]})" in found.caption for name in names)
     errors = {row["method"]: row["mean"] for row in found.rows if row["metric"] == "body error"}
-    assert errors["particle"] < 1.25 * errors["fixed-lag"]
+    assert errors["particle"] < 1.25 * errors["isam2"]
     assert errors["ffbs"] < errors["particle"]
