@@ -2,13 +2,14 @@
 # make test   linter, type checker and tests      make test-all   the slow tests too
 # make bench  speed, against peers in the same run and against tests/benchmarks/baseline.json
 # make notebooks, make pictures   run them again and store what they show
+# make claims  measure what README and docs state, and compare
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 # Modules are turned into bytecode when they are imported, which few of those installed ever are.
 PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
-.PHONY: demo test lint compiled-solver compiled-others checked test-all bench notebooks pictures clean
+.PHONY: demo test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims clean
 .DELETE_ON_ERROR:
 
 $(BIN)/python:
@@ -52,6 +53,10 @@ notebooks: $(VENV)/installed-test
 pictures: demo
 	mkdir -p docs/images
 	cp demo/tracks.png docs/images/demo.png
+
+# Hours: the experiments that README and docs quote, at full size, and whether the pages say what they measured.
+claims: $(VENV)/installed-test
+	$(BIN)/python tests/claims/check.py
 
 clean:
 	rm -rf $(VENV) demo build .pytest_cache .mypy_cache .ruff_cache .hypothesis
