@@ -93,6 +93,17 @@ def follow(
             show_default=False,
         ),
     ] = None,
+    colour_rate: Annotated[
+        float | None,
+        typer.Option(
+            "--colour-rate",
+            min=0.0,
+            max=1.0,
+            help="Share of the colours that the tracker color remembers which a frame replaces; 0, the "
+            "default: the first box's stay. mixed-state has 0.05.",
+            show_default=False,
+        ),
+    ] = None,
     as_in_the_paper: Annotated[
         bool,
         typer.Option(
@@ -138,6 +149,10 @@ def follow(
     parameters = parameters_of(tracker, as_in_the_paper=as_in_the_paper)
     if pan_limit is not None and hasattr(parameters, "pan_limit"):
         parameters = replace(parameters, pan_limit=math.radians(pan_limit))
+    if colour_rate is not None:
+        if tracker != "color":
+            raise InputError(f"--colour-rate with {tracker}", "the tracker color")
+        parameters = replace(parameters, rate=colour_rate)
     images = [image for given in background or () for image in following.background_images(given)]
     follower = make_tracker(tracker, particles, seed, parameters, background=images)
     of_heads = tracker in OF_HEADS

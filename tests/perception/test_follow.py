@@ -246,6 +246,9 @@ def test_wrong_options_are_told_before_the_work(folder: Path, blobs: list[BlobTr
         ("--render", "film.mkv"),
         ("--render", "no/such/folder/film.mp4"),
         ("--foot-at", "99"),
+        ("--middle-at", "1"),
+        ("--colour-rate", "0.1", "--tracker", "sigma-pi"),
+        ("--background", folder),
     ):
         done = follow(folder, *arguments)
         assert done.returncode == 2 and done.stderr.count("error:") == 1, arguments

@@ -117,7 +117,7 @@ def _clock(panel: Image, middle: tuple[int, int], estimate: BoxEstimate, pan_cla
     pan = mean_pan(estimate, pan_classes)
     tip = centre + 0.85 * radius * np.array([np.sin(pan), np.cos(pan)])
     cv2.arrowedLine(panel, middle, tuple(int(value) for value in tip.round()), _PAN, 2, cv2.LINE_AA)
-    text = f"pan {np.rad2deg(pan):+.0f} deg"
+    text = f"pan {round(float(np.rad2deg(pan))):+d} deg"
     cv2.putText(panel, text, (middle[0] - 42, middle[1] - 72), FONT, 0.4, _TEXT, 1, cv2.LINE_AA)
 
 
@@ -128,5 +128,5 @@ def _level(panel: Image, middle: tuple[int, int], tilt: float) -> None:
     cv2.line(panel, middle, (middle[0] + radius, middle[1]), _TRACK, 1, cv2.LINE_AA)
     tip = (round(middle[0] + 0.85 * radius * np.cos(tilt)), round(middle[1] - 0.85 * radius * np.sin(tilt)))
     cv2.arrowedLine(panel, middle, tip, _PAN, 2, cv2.LINE_AA)
-    text = f"tilt {np.rad2deg(tilt):+.0f} deg"
+    text = f"tilt {round(float(np.rad2deg(tilt))):+d} deg"
     cv2.putText(panel, text, (middle[0] - 18, middle[1] - 54), FONT, 0.4, _TEXT, 1, cv2.LINE_AA)
