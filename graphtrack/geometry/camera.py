@@ -5,9 +5,9 @@ Source for the angles: Chen, Heili & Odobez 2011 (002), §3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,9 @@ from graphtrack.geometry.homography import (
 )
 
 __all__ = ["GroundCamera", "HomographyFit", "apply_homography", "fit_homography"]
+
+Lens = Literal["pinhole", "fisheye"]
+_COEFFICIENTS = {"pinhole": 5, "fisheye": 4}
 
 _UNDISTORTED_WITHIN = 0.5
 """Pixels by which an undistorted point, distorted again, may miss; beyond, the lens model has no inverse."""
@@ -40,24 +43,35 @@ class GroundCamera:
     homography : (3, 3) ideal pixel → ground (metres); the third coordinate is positive on the visible side
         of the horizon
     intrinsics : (3, 3) camera matrix in pixels, if known
-    distortion : (5,) k1, k2, p1, p2, k3 of OpenCV's model; needs ``intrinsics``
+    distortion : (5,) k1, k2, p1, p2, k3 of OpenCV's model, or (4,) k1 … k4 of its fisheye model; needs
+        ``intrinsics``
     centre_on_ground : (2,) the ground point below the optical centre (metres), where it is known apart from
         the intrinsics
+    lens : "pinhole", or "fisheye": OpenCV's model (Kannala & Brandt 2006), in which the radius in units of
+        the focal length is θ·(1 + k1·θ² + k2·θ⁴ + k3·θ⁶ + k4·θ⁸), θ being the angle from the optical axis;
+        without a distortion it is equidistant. Its ideal pixels are those of a pinhole with the same camera
+        matrix; there are none from 90° on.
 
     Raises
     ------
     InputError
-        For a singular homography, or distortion without intrinsics.
+        For a singular homography, or a distortion or a fisheye without intrinsics.
     """
 
     homography: FloatArray
     intrinsics: FloatArray | None = None
     distortion: FloatArray | None = None
     centre_on_ground: FloatArray | None = None
+    lens: Lens = "pinhole"
 
     def __post_init__(self) -> None:
         self._set("homography", check_homography(self.homography))
-        for name, shape in (("intrinsics", (3, 3)), ("distortion", (5,)), ("centre_on_ground", (2,))):
+        if self.lens not in _COEFFICIENTS:
+            raise InputError(f"a lens {self.lens!r}", "'pinhole' or 'fisheye'")
+        if self.lens == "fisheye" and self.distortion is None:
+            self._set("distortion", np.zeros(4))
+        coefficients = (_COEFFICIENTS[self.lens],)
+        for name, shape in (("intrinsics", (3, 3)), ("distortion", coefficients), ("centre_on_ground", (2,))):
             value = getattr(self, name)
             if value is None:
                 continue
@@ -77,13 +91,14 @@ class GroundCamera:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, GroundCamera):
             return NotImplemented
-        return all(_same(getattr(self, n), getattr(other, n)) for n in self.__dataclass_fields__)
+        fields = (name for name in self.__dataclass_fields__ if name != "lens")
+        return self.lens == other.lens and all(_same(getattr(self, n), getattr(other, n)) for n in fields)
 
     def __hash__(self) -> int:
         return hash(self.homography.tobytes())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return GroundCamera, (self.homography, self.intrinsics, self.distortion, self.centre_on_ground)
+        return GroundCamera, tuple(getattr(self, name) for name in self.__dataclass_fields__)
 
     @classmethod
     def from_homography(cls, homography: ArrayLike, *, visible: ArrayLike | None = None) -> GroundCamera:
@@ -120,6 +135,8 @@ class GroundCamera:
         translation: ArrayLike,
         intrinsics: ArrayLike,
         distortion: ArrayLike | None = None,
+        *,
+        lens: Lens = "pinhole",
     ) -> GroundCamera:
         """A calibrated camera over the ground plane z = 0.
 
@@ -128,7 +145,8 @@ class GroundCamera:
         rotation : (3, 3), world → camera
         translation : (3,) metres: a point X has camera coordinates R·X + t
         intrinsics : (3, 3) camera matrix in pixels
-        distortion : (5,) k1, k2, p1, p2, k3
+        distortion : (5,) k1, k2, p1, p2, k3, or (4,) k1 … k4 of a fisheye
+        lens : see there
         """
         rotation, translation = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
         intrinsics = np.asarray(intrinsics, dtype=float)
@@ -140,6 +158,7 @@ class GroundCamera:
             intrinsics,
             None if distortion is None else np.asarray(distortion, dtype=float),
             centre[:2],
+            lens,
         )
 
     @classmethod
@@ -153,7 +172,7 @@ class GroundCamera:
         """The same camera for its image at ``factor`` times the size."""
         to_old = np.diag([1.0 / factor, 1.0 / factor, 1.0])
         intrinsics = None if self.intrinsics is None else np.diag([factor, factor, 1.0]) @ self.intrinsics
-        return GroundCamera(self.homography @ to_old, intrinsics, self.distortion, self.centre_on_ground)
+        return replace(self, homography=self.homography @ to_old, intrinsics=intrinsics)
 
     def undistort(self, pixel: ArrayLike) -> FloatArray:
         """Ideal pixels (..., 2) of raw pixels (..., 2); NaN where the lens model has no inverse."""
@@ -164,9 +183,12 @@ class GroundCamera:
 
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
         flat = np.ascontiguousarray(pixel.reshape(-1, 1, 2))
-        ideal = cv2.undistortPointsIter(
-            flat, self.intrinsics, self.distortion, np.eye(3), self.intrinsics, criteria
-        ).reshape(pixel.shape)
+        k = self.intrinsics
+        if self.lens == "fisheye":
+            found = cv2.fisheye.undistortPoints(flat, k, self.distortion, R=np.eye(3), P=k, criteria=criteria)
+        else:
+            found = cv2.undistortPointsIter(flat, k, self.distortion, np.eye(3), k, criteria)
+        ideal = np.asarray(found, float).reshape(pixel.shape)
         with np.errstate(invalid="ignore", over="ignore"):
             miss = np.linalg.norm(self.distort(ideal) - pixel, axis=-1, keepdims=True)
         return np.where(miss < _UNDISTORTED_WITHIN, ideal, np.nan)
@@ -176,20 +198,9 @@ class GroundCamera:
         pixel = np.asarray(pixel, dtype=float)
         if self.distortion is None or self.intrinsics is None:
             return pixel.copy()
-        k1, k2, p1, p2, k3 = self.distortion
         normalised = apply_homography(np.linalg.inv(self.intrinsics), pixel)
-        x, y = normalised[..., 0], normalised[..., 1]
-        with np.errstate(over="ignore", invalid="ignore"):
-            r2 = x**2 + y**2
-            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            bent = np.stack(
-                [
-                    x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2),
-                    y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y,
-                ],
-                axis=-1,
-            )
-        return apply_homography(self.intrinsics, bent)
+        bend = _bent_by_fisheye if self.lens == "fisheye" else _bent
+        return apply_homography(self.intrinsics, bend(normalised, self.distortion))
 
     def image_to_ground(self, pixel: ArrayLike) -> FloatArray:
         """Ground points (..., 2) in metres of raw pixels (..., 2); NaN at and beyond the horizon."""
@@ -210,6 +221,20 @@ class GroundCamera:
         """Metres per ideal pixel: (..., 2, 2) derivative of the ground point at raw pixels (..., 2)."""
         return jacobian(self.homography, self.undistort(pixel))
 
+    def pixel_jacobian(self, pixel: ArrayLike) -> FloatArray:
+        """Metres per raw pixel: (..., 2, 2) derivative of the ground point at raw pixels (..., 2).
+
+        It is `ground_jacobian` but for a fisheye, whose raw and ideal pixels have little in common.
+        """
+        if self.lens == "pinhole":
+            return self.ground_jacobian(pixel)
+        pixel = np.asarray(pixel, dtype=float)
+        steps = 0.5 * np.eye(2)
+        return np.stack(
+            [self.image_to_ground(pixel + step) - self.image_to_ground(pixel - step) for step in steps],
+            axis=-1,
+        )
+
     @cached_property
     def is_mirrored(self) -> bool:
         """Whether the ground's axes are left-handed as seen from above.
@@ -224,6 +249,18 @@ class GroundCamera:
         """The ground point (2,) below the optical centre in metres; None if only a homography is known."""
         if self.centre_on_ground is not None:
             return self.centre_on_ground
+        centre = self._optical_centre
+        return None if centre is None else centre[:2]
+
+    @cached_property
+    def height(self) -> float | None:
+        """Metres of the optical centre above the ground; None if the camera matrix is not known."""
+        centre = self._optical_centre
+        return None if centre is None else abs(float(centre[2]))
+
+    @cached_property
+    def _optical_centre(self) -> FloatArray | None:
+        """(3,) metres, by homography and camera matrix."""
         if self.intrinsics is None:
             return None
         pose = np.linalg.inv(self.intrinsics) @ self._to_image
@@ -231,8 +268,7 @@ class GroundCamera:
         # Nearest rotation: the two columns are orthonormal only as far as the homography is exact.
         rough = np.column_stack([first, second, np.cross(first, second)])
         left, _, right = np.linalg.svd(rough)
-        centre: FloatArray = -(left @ right).T @ translation
-        return centre[:2]
+        return np.asarray(-(left @ right).T @ translation, dtype=float)
 
     def ray_bearing(self, position: ArrayLike) -> FloatArray:
         """World direction (..., radians) in which the camera looks at ground points (..., 2).
@@ -288,6 +324,30 @@ class GroundCamera:
     def _to_image(self) -> FloatArray:
         """Ground → ideal pixel, the third coordinate positive on the visible side."""
         return np.asarray(np.linalg.inv(self.homography), dtype=float)
+
+
+def _bent(point: FloatArray, distortion: FloatArray) -> FloatArray:
+    """Points (..., 2) at distance 1 before the camera, as the lens shows them (OpenCV's model)."""
+    k1, k2, p1, p2, k3 = distortion
+    x, y = point[..., 0], point[..., 1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        r2 = x**2 + y**2
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        along = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x**2)
+        down = y * radial + p1 * (r2 + 2.0 * y**2) + 2.0 * p2 * x * y
+    return np.stack([along, down], axis=-1)
+
+
+def _bent_by_fisheye(point: FloatArray, distortion: FloatArray) -> FloatArray:
+    """The same by OpenCV's fisheye model."""
+    radius = np.hypot(point[..., 0], point[..., 1])
+    angle = np.arctan(radius)
+    k1, k2, k3, k4 = distortion
+    a2 = angle**2
+    seen = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(radius > 1e-12, seen / radius, 1.0)
+    return np.asarray(point * factor[..., None])
 
 
 def _same(a: FloatArray | None, b: FloatArray | None) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,9 @@ PERSON_HEIGHT = 1.7
 """Metres; the scale of views without a camera is chosen so that the median person has this size."""
 
 _LARGEST_SETTING = 1e7
+_DISTORTION = tuple(f"Distortion{name}" for name in ("K1", "K2", "P1", "P2", "K3"))
+_FISHEYE = tuple(f"FisheyeK{k}" for k in (1, 2, 3, 4))
+"""Names of which any says that the lens is a fisheye."""
 _QUATERNION = ("RotationX", "RotationY", "RotationZ", "RotationW")
 
 BEYOND_HORIZON = "at or beyond the camera's horizon"
@@ -143,7 +146,8 @@ def read_homography(path: str | Path) -> FloatArray:
 def read_calibration(path: str | Path) -> GroundCamera:
     """A camera from the ``Name = number`` lines of an Oxford Town Centre calibration (``.ci``).
 
-    x_cam = R(q)·X + t in metres, z = 0 the ground; skew must be 0.
+    x_cam = R(q)·X + t in metres, z = 0 the ground; skew must be 0. With a line ``FisheyeK1 = number`` (to
+    ``FisheyeK4``, 0 where there is none) the lens is a fisheye of OpenCV's model.
 
     Raises
     ------
@@ -166,27 +170,36 @@ def read_calibration(path: str | Path) -> GroundCamera:
     fx, fy, cx, cy = take("FocalLengthX", "FocalLengthY", "PrincipalPointX", "PrincipalPointY")
     if min(fx, fy) < 1.0:
         raise InputError(f"focal lengths {fx:g}, {fy:g}", "at least a pixel", path=path)
-    distortion = [values.get(f"Distortion{name}", 0.0) for name in ("K1", "K2", "P1", "P2", "K3")]
+    fisheye = any(name in values for name in _FISHEYE)
+    if fisheye and any(values.get(name, 0.0) for name in _DISTORTION):
+        raise InputError("FisheyeK… and Distortion…", "one of the two models of a lens", path=path)
     try:
         return GroundCamera.from_calibration(
             Rotation.from_quat(quaternion).as_matrix(),
             np.array(take("TranslationX", "TranslationY", "TranslationZ")),
             np.array([[fx, values.get("Skew", 0.0), cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
-            np.array(distortion),
+            np.array([values.get(name, 0.0) for name in (_FISHEYE if fisheye else _DISTORTION)]),
+            lens="fisheye" if fisheye else "pinhole",
         )
     except InputError as error:
         raise InputError(error.found, error.expected, path=path) from error
 
 
 def write_calibration(
-    path: str | Path, rotation: FloatArray, translation: FloatArray, intrinsics: FloatArray
+    path: str | Path,
+    rotation: FloatArray,
+    translation: FloatArray,
+    intrinsics: FloatArray,
+    *,
+    fisheye: Sequence[float] | FloatArray = (),
 ) -> None:
-    """Write a camera without distortion that `read_calibration` reads.
+    """Write a camera that `read_calibration` reads, without distortion or with a fisheye.
 
     Parameters
     ----------
     rotation, translation : (3, 3) and (3,) metres: a point X of the world has camera coordinates R·X + t
     intrinsics : (3, 3) camera matrix in pixels
+    fisheye : k1 … k4 of OpenCV's fisheye model; none for a pinhole
     """
     from scipy.spatial.transform import Rotation
 
@@ -196,6 +209,7 @@ def write_calibration(
         "PrincipalPointX": intrinsics[0, 2],
         "PrincipalPointY": intrinsics[1, 2],
         "Skew": intrinsics[0, 1],
+        **dict(zip(_FISHEYE, fisheye, strict=len(fisheye) > 0)),
         **dict(zip(("TranslationX", "TranslationY", "TranslationZ"), translation, strict=True)),
         **dict(zip(_QUATERNION, Rotation.from_matrix(rotation).as_quat(), strict=True)),
     }

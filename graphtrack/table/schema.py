@@ -100,11 +100,14 @@ NAMES = (*INTEGERS, *BY_NAME, "label")
 BOX_COLUMNS = ("left", "top", "width", "height", "confidence")
 """Columns that a tracker on pixels writes beside those of a track; nothing is read from them."""
 
+TILT_COLUMN = "head_tilt_deg"
+"""A column of the same kind, of trackers of heads: degrees above the horizontal."""
+
 ANSWER_COLUMNS = ("status", "reason", "error", "line")
 """What `graphtrack track -` says beside an estimate, or in its place; nothing of a track either."""
 
 _OF_TABLE = frozenset(NAMES)
-_KNOWN = frozenset((*NAMES, *BOX_COLUMNS, *ANSWER_COLUMNS))
+_KNOWN = frozenset((*NAMES, *BOX_COLUMNS, TILT_COLUMN, *ANSWER_COLUMNS))
 
 
 def unknown(names: Iterable[str]) -> list[str]:

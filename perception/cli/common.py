@@ -29,7 +29,9 @@ Homography = Annotated[
     Path | None,
     typer.Option("--homography", help="File with 3×3 numbers: image → ground in metres.", **FILE),
 ]
-Calibration = Annotated[Path | None, typer.Option("--calibration", help="Camera calibration (.ci).", **FILE)]
+Calibration = Annotated[
+    Path | None, typer.Option("--calibration", help="Camera calibration (.ci), of a fisheye too.", **FILE)
+]
 Fps = Annotated[
     float | None,
     typer.Option("--fps", min=0.1, help=f"Frames a second, if not the video's (else {_FPS:g})."),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,7 +31,6 @@ from perception.cli.common import (
 
 if TYPE_CHECKING:
     from perception.follow.guidance import GraphGuide
-    from perception.follow.world import BoxCamera
     from perception.images.pixels import Image
     from perception.trackers.tracker import Box, BoxEstimate
 
@@ -71,16 +71,55 @@ def follow(
             show_default=False,
         ),
     ] = None,
+    middle_at: Annotated[
+        float | None,
+        typer.Option(
+            "--middle-at",
+            min=0.0,
+            max=20.0,
+            help="For a camera that looks down: metres above the ground of what is in the middle of the box, "
+            "in place of a foot point. By default with a fisheye: 1, or 1.6 for the box of a head.",
+            show_default=False,
+        ),
+    ] = None,
     pan_limit: Annotated[
-        float,
+        float | None,
         typer.Option(
             "--pan-limit",
             min=0.0,
             max=180.0,
             help="Degrees: mixed-state leaves out heads that face away from the camera by more; 90 if they "
-            "never turn their backs.",
+            "never turn their backs. By default 180, in the paper 90.",
+            show_default=False,
         ),
-    ] = 180.0,
+    ] = None,
+    colour_rate: Annotated[
+        float | None,
+        typer.Option(
+            "--colour-rate",
+            min=0.0,
+            max=1.0,
+            help="Share of the colours that the tracker color remembers which a frame replaces; 0, the "
+            "default: the first box's stay. mixed-state has 0.05.",
+            show_default=False,
+        ),
+    ] = None,
+    as_in_the_paper: Annotated[
+        bool,
+        typer.Option(
+            "--as-in-the-paper", help="The tracker as its paper has it, without what was found to be better."
+        ),
+    ] = False,
+    background: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--background",
+            help="Image, or folder of images, of what is never the person (furniture), for sigma-pi; can be "
+            "given several times.",
+            metavar="IMAGE|FOLDER",
+            exists=True,
+        ),
+    ] = None,
     fps: Fps = None,
     head_pose: Annotated[
         str,
@@ -92,34 +131,32 @@ def follow(
     """Follow one person or head through a video, and write its boxes as observations for graphtrack."""
     from graphtrack.errors import InputError
     from perception.follow import following
-    from perception.follow.world import PERSON_IN_HEADS, BoxCamera
     from perception.images.drawing import draw, pictures
     from perception.images.frames import FrameSource
-    from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
-    from perception.trackers.registry import OF_HEADS, make_tracker
+    from perception.trackers.registry import OF_HEADS, make_tracker, parameters_of
 
     if head_pose not in ("frame", "filtered"):
         raise InputError(f"--head-pose {head_pose}", "frame or filtered")
     if output.suffix.lower() != ".csv":
         raise InputError(f"{output.name}", "a file to write that ends in .csv", path=output)
     cameras = {"--homography": homography, "--calibration": calibration}
-    check_places({"--output": output}, render, source, cameras)
+    never = [path for given in background or () for path in FrameSource.files(given)]
+    check_places({"--output": output}, render, source, {**cameras, **{f"--background {p}": p for p in never}})
     box = None if init is None else following.parse_box(init)
     frames = FrameSource.open(source)
     rate = frame_rate(frames, fps)
     camera = read_camera(homography, calibration)
-    parameters = None
-    if tracker == MixedStateTracker.name:
-        parameters = MixedStateParameters(pan_limit=math.radians(pan_limit))
-    follower = make_tracker(tracker, particles, seed, parameters)
+    parameters = parameters_of(tracker, as_in_the_paper=as_in_the_paper)
+    if pan_limit is not None and hasattr(parameters, "pan_limit"):
+        parameters = replace(parameters, pan_limit=math.radians(pan_limit))
+    if colour_rate is not None:
+        if tracker != "color":
+            raise InputError(f"--colour-rate with {tracker}", "the tracker color")
+        parameters = replace(parameters, rate=colour_rate)
+    images = [image for given in background or () for image in following.background_images(given)]
+    follower = make_tracker(tracker, particles, seed, parameters, background=images)
     of_heads = tracker in OF_HEADS
-    if foot_at is None:
-        foot_at = PERSON_IN_HEADS if of_heads and camera is not None else 1.0
-
-    def on_ground(first: Box) -> BoxCamera:
-        if camera is not None:
-            return BoxCamera(camera, foot_at)
-        return BoxCamera.from_box(first, PERSON_IN_HEADS if of_heads else 1.0, foot_at)
+    on_ground = following.box_cameras(camera, of_heads=of_heads, foot_at=foot_at, middle_at=middle_at)
 
     def guide(first: Box) -> GraphGuide:
         from perception.follow.guidance import GraphGuide

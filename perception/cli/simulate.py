@@ -43,6 +43,10 @@ def simulate(
     count: Annotated[
         int | None, typer.Option("--count", min=1, help="Crops of heads or people, by default 400.")
     ] = None,
+    target: Annotated[
+        str | None,
+        typer.Option("--target", help="Who comes into the room (ceiling): person, the default, or robot."),
+    ] = None,
     seed: Seed = 0,
 ) -> None:
     """Render people whose truth is known: a short clip, or crops to train on."""
@@ -56,13 +60,20 @@ def simulate(
     if kind not in KINDS:
         raise InputError(f"kind {kind!r}", f"one of {', '.join(KINDS)}")
     known = signature(KINDS[kind]).parameters
-    options = {"people": people, "frames": frames, "fps": fps, "images": images or None, "count": count}
+    options: dict[str, object] = {
+        "people": people,
+        "frames": frames,
+        "fps": fps,
+        "images": images or None,
+        "count": count,
+    }
+    options["target"] = target
     given = {name: value for name, value in options.items() if value is not None}
     for name in given:
         if name not in known:
             raise InputError(f"--{name} with {kind}", "another kind, or no such option")
     length = "count" if "count" in known else "frames"
-    total = given.get(length, known[length].default)
+    total = int(str(given.get(length, known[length].default)))
     rng, begun = np.random.default_rng(seed), time.perf_counter()
     with progress_bar(total, length) as advance:
         boxes = KINDS[kind](output, rng, advance, **given)

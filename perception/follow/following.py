@@ -7,23 +7,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.numbers import parse_number
 from graphtrack.table.columns import to_columns
-from graphtrack.table.schema import BOX_COLUMNS
+from graphtrack.table.schema import BOX_COLUMNS, TILT_COLUMN
 from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet
 from perception.detection.people import PeopleDetector
-from perception.follow.world import BoxCamera
-from perception.images.frames import Frame, of_one_size
-from perception.images.pixels import Image, crop
+from perception.follow.world import BODY_MIDDLE, HEAD_MIDDLE, PERSON_IN_HEADS, BoxCamera
+from perception.images.frames import Frame, FrameSource, of_one_size
+from perception.images.pixels import Image, as_uint8, crop
 from perception.models import load_head_localiser
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import Box, BoxEstimate, Tracker
 
 if TYPE_CHECKING:
+    from graphtrack.geometry.camera import GroundCamera
     from perception.follow.guidance import GraphGuide
 
 
@@ -71,6 +73,60 @@ def find_head(image: Image) -> Box:
         )
     left, top, width, height = load_head_localiser().locate(crop(image, people[0])).boxes[0].tolist()
     return round(people[0, 0]) + left, round(people[0, 1]) + top, width, height
+
+
+def background_images(path: str | Path) -> list[Image]:
+    """What is never the target: an image, or those of a folder.
+
+    Raises
+    ------
+    InputError
+        If the folder has no images, or one cannot be decoded.
+    """
+    path = Path(path)
+    found = []
+    for file in FrameSource.files(path):
+        image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise InputError("no image that can be decoded", "an image of the background", path=file)
+        found.append(as_uint8(np.asarray(image)))
+    if not found:
+        raise InputError("a folder without images", "images of the background", path=path)
+    return found
+
+
+def box_cameras(
+    camera: GroundCamera | None,
+    *,
+    of_heads: bool,
+    foot_at: float | None = None,
+    middle_at: float | None = None,
+) -> Callable[[Box], BoxCamera]:
+    """How boxes are brought to the ground, given the first one.
+
+    Parameters
+    ----------
+    camera : if one is known; without, `BoxCamera.from_box`
+    of_heads : whether boxes are those of heads
+    foot_at, middle_at : see `BoxCamera`; by default by the foot point, and by the middle under a fisheye
+
+    Raises
+    ------
+    InputError
+        If both are given, or ``middle_at`` without a calibrated camera.
+    """
+    if middle_at is not None and (foot_at is not None or camera is None):
+        found = "--middle-at and --foot-at" if foot_at is not None else "--middle-at without a camera"
+        raise InputError(found, "one of them" if foot_at is not None else "--calibration")
+    if camera is not None and camera.lens == "fisheye" and foot_at is None and middle_at is None:
+        middle_at = HEAD_MIDDLE if of_heads else BODY_MIDDLE
+    heads = PERSON_IN_HEADS if of_heads else 1.0
+    if foot_at is None:
+        foot_at = heads if camera is not None else 1.0
+    if camera is None:
+        return lambda first: BoxCamera.from_box(first, heads, foot_at)
+    known = BoxCamera(camera, foot_at, middle_at=middle_at)
+    return lambda first: known
 
 
 def check_start(image: Image) -> None:
@@ -178,7 +234,7 @@ def to_track(
 
 
 def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> None:
-    """Write the table of `perception follow`: the native table with the boxes beside.
+    """Write the table of `perception follow`: the native table with the boxes beside, and the head's tilt.
 
     Parameters
     ----------
@@ -197,6 +253,9 @@ def write_boxes(found: Sequence[Followed], track: Track, path: str | Path) -> No
     table |= dict(zip(BOX_COLUMNS, beside.T, strict=True))
     table |= {name: columns[name] for name in position}
     table |= {name: columns[name] for name in columns if name.startswith("head_p")}
+    tilts = [item.estimate.tilt if item.estimate.found else None for item in found]
+    if any(tilt is not None for tilt in tilts):
+        table[TILT_COLUMN] = np.rad2deg(np.array(tilts, float))
     with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
         stream.write(",".join(table) + "\n")
         for row in zip(*(values.tolist() for values in table.values()), strict=True):

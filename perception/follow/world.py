@@ -19,6 +19,12 @@ from perception.trackers.tracker import BoxEstimate
 PERSON_IN_HEADS = 7.3
 """Height of a person over that of the box of their head (skull, hair and face)."""
 
+BODY_MIDDLE, HEAD_MIDDLE = 1.0, 1.6
+"""Metres above the ground of what is seen in the middle of the boxes of a person and of a head from above.
+Of exact boxes of rendered people, to 3 m from the nadir of a fisheye 2.9 m above the floor, the mean error is
+0.10 m by the middle at 1.0 m; 0.28 m by the box's point that is nearest to the nadir, which is no foot where
+the person is below the camera or diagonal to it; and 0.96 m by the lower edge."""
+
 _LEVEL = 0.3
 """Rendered walkers' heads leave their course by so much less down the image than across it."""
 _HEAD = PoseClasses.circle(HEAD_CLASSES)
@@ -55,14 +61,24 @@ class BoxCamera:
     smallest_std : a position's standard deviation is never less than so many box widths
     level : factor of predicted standard deviations down the image; less than 1 where people walk level, as
         before an upright camera of which nothing else is known
+    middle_at : metres above the ground of what is seen in the middle of boxes, for a camera that looks down,
+        whose images have no lower edge to stand on; it needs a calibrated camera, and ``foot_at`` is not used
     """
 
     camera: GroundCamera
     foot_at: float = 1.0
     smallest_std: float = 0.05
     level: float = 1.0
+    middle_at: float | None = None
 
     def __post_init__(self) -> None:
+        if self.middle_at is not None:
+            height = self.camera.height
+            if height is None:
+                raise InputError("a camera of which only the homography is known", "a calibration")
+            if not 0.0 <= self.middle_at < 0.9 * height:
+                expected = f"a height in metres well below the camera's {height:.2f}"
+                raise InputError(f"middle_at = {self.middle_at}", expected)
         for name, low, high in (("foot_at", -20.0, 20.0), ("smallest_std", 1e-6, 1e3), ("level", 0.0, 1.0)):
             value = getattr(self, name)
             if not low <= value <= high:
@@ -76,12 +92,45 @@ class BoxCamera:
 
     def foot(self, boxes: ArrayLike) -> FloatArray:
         """Foot points (..., 2) in pixels of boxes (..., 4): left, top, width, height."""
-        left, top, width, height = np.moveaxis(np.asarray(boxes, float), -1, 0)
-        return np.stack([left + width / 2.0, top + self.foot_at * height], axis=-1)
+        if self.middle_at is not None:
+            return self.camera.ground_to_image(self.position(boxes))
+        return self._mark(boxes)
 
     def position(self, boxes: ArrayLike) -> FloatArray:
         """Places (..., 2) on the ground in metres of boxes (..., 4); NaN at and beyond the horizon."""
-        return self.camera.image_to_ground(self.foot(boxes))
+        return self._below(self.camera.image_to_ground(self._mark(boxes)))
+
+    def _mark(self, boxes: ArrayLike) -> FloatArray:
+        """The point (..., 2) of boxes (..., 4) whose height above the ground is known: foot or middle."""
+        left, top, width, height = np.moveaxis(np.asarray(boxes, float), -1, 0)
+        share = self.foot_at if self.middle_at is None else 0.5
+        return np.stack([left + width / 2.0, top + share * height], axis=-1)
+
+    @property
+    def _nearness(self) -> float:
+        """Distance from the camera, along the ground, of what is at the height of the mark, over that of
+        the ground that is seen behind it."""
+        if self.middle_at is None or self.camera.height is None:
+            return 1.0
+        return 1.0 - self.middle_at / self.camera.height
+
+    def _below(self, behind: FloatArray) -> FloatArray:
+        """The ground (..., 2) below marks, behind which the ground (..., 2) is seen."""
+        centre = self.camera.optical_centre_on_ground
+        if self.middle_at is None or centre is None:
+            return behind
+        return np.asarray(centre + self._nearness * (behind - centre))
+
+    def _mark_of(self, position: ArrayLike) -> FloatArray:
+        """The pixel (..., 2) of the mark of who is at a place (..., 2)."""
+        place, centre = np.asarray(position, float), self.camera.optical_centre_on_ground
+        if self.middle_at is not None and centre is not None:
+            place = centre + (place - centre) / self._nearness
+        return self.camera.ground_to_image(place)
+
+    def _jacobian(self, mark: FloatArray) -> FloatArray:
+        """Metres of the place per pixel (..., 2, 2) of the mark (..., 2)."""
+        return self._nearness * self.camera.pixel_jacobian(mark)
 
     def sighting(
         self, estimate: BoxEstimate, pan_classes: PoseClasses | None, *, filtered: bool = False
@@ -109,21 +158,23 @@ class BoxCamera:
 
         The camera is taken to be linear about the box; the two axes have the same variance, the mean one.
         """
-        feet = self.foot(particles)
-        away = feet - weights @ feet
+        marks = self._mark(particles)
+        away = marks - weights @ marks
         least = self.smallest_std * float(np.asarray(box, float)[2])
         covariance = (weights[:, None] * away).T @ away + least**2 * np.eye(2)
-        jacobian = self.camera.ground_jacobian(self.foot(box))
+        jacobian = self._jacobian(self._mark(box))
         return float(np.sqrt(np.trace(jacobian @ covariance @ jacobian.T) / 2.0))
 
     def box_centre(self, position: ArrayLike, height: ArrayLike) -> FloatArray:
         """Centres (..., 2) in pixels of boxes of a height (...,) in pixels, at places (..., 2) in metres."""
-        foot = self.camera.ground_to_image(position)
-        return foot - np.stack([np.zeros_like(height), (self.foot_at - 0.5) * np.asarray(height)], axis=-1)
+        mark = self._mark_of(position)
+        if self.middle_at is not None:
+            return mark
+        return mark - np.stack([np.zeros_like(height), (self.foot_at - 0.5) * np.asarray(height)], axis=-1)
 
     def pixel_covariance(self, position: ArrayLike, covariance: FloatArray) -> FloatArray:
         """Covariance (2, 2) in pixels² of a place (2,) whose covariance is (2, 2) m²."""
-        jacobian = self.camera.ground_jacobian(self.camera.ground_to_image(position))
+        jacobian = self._jacobian(self._mark_of(position))
         inverse = np.diag([1.0, self.level]) @ np.linalg.inv(jacobian)
         return np.asarray(inverse @ covariance @ inverse.T, float)
 

@@ -17,22 +17,30 @@ from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
 from perception.reproduce.graph_on_top import GraphOnTop, Truth, graph_on_top, survives
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
-from perception.trackers.color import ColourTracker
+from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.mixed_state.exemplars import HeadExemplars
-from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
+from perception.trackers.mixed_state.tracker import ColourMemory, MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import Box, BoxEstimate, Tracker
 
-SEQUENTIAL, JOINT, AS_PRINTED = "colour, then pose", "mixed-state", "mixed-state, as in the paper"
+SEQUENTIAL, REMEMBERED = "colour, then pose", "colour with memory, then pose"
+JOINT, AS_PRINTED = "mixed-state", "mixed-state, as in the paper"
+
+_MEMORY = ColourMemory().rate
 
 METHODS: Mapping[str, Callable[[HeadExemplars, int], Tracker]] = {
-    SEQUENTIAL: lambda exemplars, seed: ColourTracker(exemplars=exemplars, seed=seed),
+    SEQUENTIAL: lambda exemplars, seed: ColourTracker(
+        ColourParameters.of_the_paper(), exemplars=exemplars, seed=seed
+    ),
+    REMEMBERED: lambda exemplars, seed: ColourTracker(
+        ColourParameters(rate=_MEMORY), exemplars=exemplars, seed=seed
+    ),
     AS_PRINTED: lambda exemplars, seed: MixedStateTracker(
-        MixedStateParameters(labels="sampled", colour=None), exemplars=exemplars, seed=seed
+        MixedStateParameters.of_the_paper(), exemplars=exemplars, seed=seed
     ),
     JOINT: lambda exemplars, seed: MixedStateTracker(exemplars=exemplars, seed=seed),
 }
-"""Same frames, first box, number of particles, motion of boxes and exemplars for all. As in the paper:
-labels are sampled and colours are not looked at."""
+"""Same frames, first box, number of particles, motion of boxes and exemplars for all. The memory of colours
+is that of the mixed-state tracker; as in the paper: `MixedStateParameters.of_the_paper`."""
 
 PAN_LIMIT = float(np.pi / 2.0)
 """004 knows heads that face the camera by 90° at most; in its experiment all methods do."""
@@ -49,6 +57,7 @@ class HeadJob:
     all_around : whether the head turns through all pans; if not, methods know that it faces the camera
     occlusion : first frame and number of frames in which the head is hidden
     clutter : amount of things of the head's colours
+    tilt : 1-σ of the head's tilt, radians
     methods : which of `METHODS`
     """
 
@@ -57,6 +66,7 @@ class HeadJob:
     all_around: bool = False
     occlusion: tuple[int, int] | None = None
     clutter: float = 1.0
+    tilt: float = 0.12
     methods: tuple[str, ...] = (SEQUENTIAL, JOINT)
 
     def render(self) -> HeadClip:
@@ -66,6 +76,7 @@ class HeadJob:
             all_around=self.all_around,
             occlusion=self.occlusion,
             clutter=self.clutter,
+            tilt=self.tilt,
         )
         return head_clip(np.random.default_rng(self.seed), parameters)
 
@@ -83,15 +94,21 @@ class Run:
 
     Attributes
     ----------
+    boxes : (n, 4) pixels
     error : (n,) e(t), 0…1
     pan : (n,) estimated pan (radians), mean of the distribution
     pan_error : (n,) radians
+    mode_error : (n,) radians, of the most likely pan (eq. 10)
+    tilt_error : (n,) radians
     on_top : what smoothing in the graph makes of it
     """
 
+    boxes: FloatArray
     error: FloatArray
     pan: FloatArray
     pan_error: FloatArray
+    mode_error: FloatArray
+    tilt_error: FloatArray
     on_top: GraphOnTop
 
     @property
@@ -149,10 +166,19 @@ def _ground(first: ArrayLike) -> BoxCamera:
 def scored(found: Sequence[BoxEstimate], classes: PoseClasses | None, clip: HeadClip) -> Run:
     """Errors of the estimates of one sequence."""
     assert classes is not None
-    pan = mean_pan(np.array([item.pan for item in found]), classes)
-    error = tracking_error(np.array([item.box for item in found]), clip.boxes)
+    distribution = np.array([item.pan for item in found])
+    pan, mode = mean_pan(distribution, classes), classes.pan[distribution.argmax(axis=1)]
+    boxes, tilt = np.array([item.box for item in found]), np.array([item.tilt for item in found], float)
     on_top = graph_on_top(found, Truth(clip.boxes, clip.pan, clip.fps), _ground(found[0].box), classes)
-    return Run(error, pan, np.abs(difference(pan, clip.pan)), on_top)
+    return Run(
+        boxes=boxes,
+        error=tracking_error(boxes, clip.boxes),
+        pan=pan,
+        pan_error=np.abs(difference(pan, clip.pan)),
+        mode_error=np.abs(difference(mode, clip.pan)),
+        tilt_error=np.abs(tilt - clip.tilt),
+        on_top=on_top,
+    )
 
 
 def mean_pan(distribution: FloatArray, classes: PoseClasses) -> FloatArray:

@@ -24,6 +24,7 @@ _COLOURS = {
     "colour·shape": "#E69F00",
     "motion·colour·shape": "#5F6672",
     "sigma-pi": "#0072B2",
+    "motion not adaptive": "#56B4E9",
     "motion alone": "#9AA1AB",
 }
 

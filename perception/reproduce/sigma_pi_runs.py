@@ -13,15 +13,18 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.detection.boxes import read_boxes
 from perception.images.pixels import Image, as_uint8
-from perception.synthetic.ceiling import KINDS, ceiling_sequence
+from perception.synthetic.ceiling import ALL_KINDS, ceiling_sequence
 from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTracker
 from perception.trackers.tracker import Box, BoxEstimate
 
+OURS, FIXED, MOTION = "sigma-pi", "motion not adaptive", "motion alone"
 METHODS: Mapping[str, SigmaPiParameters] = {
-    "sigma-pi": SigmaPiParameters(),
-    "motion alone": SigmaPiParameters(cues=("motion",)),
+    OURS: SigmaPiParameters(),
+    FIXED: SigmaPiParameters(fixed=("motion",)),
+    MOTION: SigmaPiParameters(cues=("motion",)),
 }
-"""The tracker, and the same with the motion cue only: 003's comparison."""
+"""The tracker; the same with a reliability of motion that is not adaptive, as 003 has it; and the same with
+the motion cue only, 003's comparison."""
 
 _SEEN = 0.5
 """Share of a rendered person that must be visible for the frame to count."""
@@ -97,7 +100,7 @@ def rendered(kind: str, seed: Sequence[int], frames: int) -> dict[str, Tally]:
     ----------
     seed : of the sequence and of the particles
     """
-    sequence = ceiling_sequence(KINDS[kind], np.random.default_rng(seed), frames=frames, oversampling=1)
+    sequence = ceiling_sequence(ALL_KINDS[kind], np.random.default_rng(seed), frames=frames, oversampling=1)
     trackers = {
         name: SigmaPiTracker(parameters, seed=np.random.default_rng([*seed, 1]))
         for name, parameters in METHODS.items()

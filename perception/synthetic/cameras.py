@@ -61,24 +61,19 @@ class Camera:
         return np.where((z > 1e-6)[..., None], pixel, np.nan)
 
     @property
+    def translation(self) -> FloatArray:
+        """(3,) metres: a point X of the world has camera coordinates rotation·X + translation."""
+        return np.asarray(-self.rotation @ np.asarray(self.position))
+
+    @property
     def intrinsics(self) -> FloatArray:
-        """Camera matrix (3, 3) of a pinhole camera, in pixels."""
+        """Camera matrix (3, 3), in pixels."""
         w, h = self.size
         return np.array([[self.focal, 0.0, w / 2.0], [0.0, self.focal, h / 2.0], [0.0, 0.0, 1.0]])
 
     def ground_camera(self) -> GroundCamera:
-        """The same pinhole camera as the tracker knows it, with its optical centre.
-
-        Raises
-        ------
-        ValueError
-            For a fisheye, which no homography describes.
-        """
-        if self.lens != "pinhole":
-            raise ValueError("a fisheye has no homography")
-        return GroundCamera.from_calibration(
-            self.rotation, -self.rotation @ np.asarray(self.position), self.intrinsics
-        )
+        """The same camera as the tracker knows it, with its optical centre."""
+        return GroundCamera.from_calibration(self.rotation, self.translation, self.intrinsics, lens=self.lens)
 
 
 @lru_cache(maxsize=64)

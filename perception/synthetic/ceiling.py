@@ -17,6 +17,7 @@ from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.ceiling_walks import INSIDE, ROOM, CeilingKind, Walk, walk
 from perception.synthetic.raycast import Ground, Light
+from perception.synthetic.robot import RobotLook, random_robot
 from perception.synthetic.scene import Furniture, Label, Person, Scene
 from perception.synthetic.sensor import Sensor
 from perception.synthetic.still import StillScene
@@ -43,6 +44,11 @@ KINDS: Mapping[str, CeilingKind] = MappingProxyType(
 )
 """Name of the kind, as in 003's Table 1 → what happens."""
 
+ALL_KINDS: Mapping[str, CeilingKind] = MappingProxyType(
+    {**KINDS, "robot moving": CeilingKind(0.6, (0.5, 2.0), target="robot")}
+)
+"""Those, and a mobile robot, which 003 means to track as well (§4) and gives no figures of."""
+
 
 @dataclass(frozen=True, eq=False)
 class CeilingFrame:
@@ -60,7 +66,7 @@ class CeilingSequence:
     Attributes
     ----------
     scene : the room with what never moves
-    looks : of the person and of the distracter
+    looks : of the person or robot, and of the distracter
     walks : of the person, and of the distracter where there is one
     moved : furniture that is moved, with its places (n, 2) in metres
     sensor : of the camera
@@ -70,7 +76,7 @@ class CeilingSequence:
     """
 
     scene: Scene
-    looks: tuple[Appearance, Appearance]
+    looks: tuple[Appearance | RobotLook, Appearance]
     walks: tuple[Walk, ...]
     moved: tuple[tuple[Furniture, FloatArray], ...]
     sensor: Sensor
@@ -156,7 +162,7 @@ def ceiling_sequence(
     )
     return CeilingSequence(
         Scene(camera, light, floor, still, (0.3, 0.3, 0.3)),
-        (random_appearance(rng), random_appearance(rng)),
+        (random_robot(rng) if kind.target == "robot" else random_appearance(rng), random_appearance(rng)),
         tuple(walks),
         tuple((table, _pushed(table, kind.moves[k], frames, rng)) for k, table in enumerate(tables)),
         sensor,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -30,6 +31,7 @@ class CeilingKind:
     sits : spans in which the person sits on a chair
     moves : spans in which a piece of furniture is moved
     distracter : span in which somebody else is in the room
+    target : "person", or "robot": a mobile robot is to be tracked
     """
 
     speed: float = 1.0
@@ -37,6 +39,7 @@ class CeilingKind:
     sits: tuple[tuple[float, float], ...] = ()
     moves: tuple[tuple[float, float], ...] = ()
     distracter: tuple[float, float] | None = None
+    target: Literal["person", "robot"] = "person"
 
 
 @dataclass(frozen=True, eq=False)

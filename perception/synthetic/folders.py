@@ -18,7 +18,8 @@ from graphtrack.tracks import Track, TrackSet
 from perception.detection.boxes import PersonBox, write_boxes
 from perception.images.drawing.output import pictures
 from perception.images.pixels import Image
-from perception.synthetic.ceiling import KINDS as CEILING_KINDS
+from perception.synthetic.cameras import Camera
+from perception.synthetic.ceiling import ALL_KINDS as CEILING_KINDS
 from perception.synthetic.ceiling import CeilingSequence, ceiling_sequence
 from perception.synthetic.clips import draw_walks
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
@@ -29,6 +30,8 @@ VIDEO, IMAGES, BOXES, TRUTH, LABELS = "video.mp4", "images", "boxes.txt", "truth
 HOMOGRAPHY, CALIBRATION = "homography.txt", "camera.ci"
 
 Advance = Callable[[int], None]
+TARGETS = {"person": "person moving 1", "robot": "robot moving"}
+"""Who can come into the room → kind of the sequence."""
 _BATCH = 20
 _UNTIL_THERE = 30
 _ALL_WAYS = HeadVariation(tilt_deviation=None)
@@ -59,12 +62,7 @@ def write_street(
     with atomic_path(folder, directory=True) as made:
         boxes = _write_frames(made, walks.frames(rng), fps, images, advance)
         np.savetxt(made / HOMOGRAPHY, camera.ground_camera().homography)
-        write_calibration(
-            made / CALIBRATION,
-            camera.rotation,
-            -camera.rotation @ np.asarray(camera.position),
-            camera.intrinsics,
-        )
+        _write_camera(made, camera)
         write(walks.truth, made / TRUTH)
     return boxes
 
@@ -77,21 +75,29 @@ def write_ceiling(
     frames: int = 150,
     fps: float = 12.5,
     images: bool = False,
+    target: str = "person",
 ) -> list[PersonBox]:
-    """Somebody who comes into a room under a fisheye camera: frames, exact boxes and truth.
+    """Somebody who comes into a room under a fisheye camera: frames, exact boxes, camera and truth.
+
+    Parameters
+    ----------
+    target : "person", or "robot": a mobile robot in their place
 
     Raises
     ------
     InputError
-        For less frames than until they come in.
+        For less frames than until they come in, or another target.
     """
+    if target not in TARGETS:
+        raise InputError(f"--target {target}", f"one of {', '.join(TARGETS)}")
     if frames < _UNTIL_THERE:
         raise InputError(
             f"{frames} frames", f"at least {_UNTIL_THERE}, since somebody comes in after a while"
         )
-    sequence = ceiling_sequence(CEILING_KINDS["person moving 1"], rng, frames=frames, fps=fps)
+    sequence = ceiling_sequence(CEILING_KINDS[TARGETS[target]], rng, frames=frames, fps=fps)
     with atomic_path(folder, directory=True) as made:
         boxes = _write_frames(made, _labelled(sequence), fps, images, advance)
+        _write_camera(made, sequence.scene.camera)
         write(_walk_of(sequence), made / TRUTH)
     return boxes
 
@@ -181,6 +187,12 @@ def _write_frames(
             advance(1)
     write_boxes(boxes, folder / BOXES)
     return boxes
+
+
+def _write_camera(folder: Path, camera: Camera) -> None:
+    fisheye = (0.0, 0.0, 0.0, 0.0) if camera.lens == "fisheye" else ()
+    place = folder / CALIBRATION
+    write_calibration(place, camera.rotation, camera.translation, camera.intrinsics, fisheye=fisheye)
 
 
 def _labelled(sequence: CeilingSequence) -> Iterator[tuple[Image, list[PersonBox]]]:

@@ -210,7 +210,8 @@ def _walk(p: HeadClipParameters, rng: np.random.Generator) -> _HeadPath:
     else:
         pan = np.pi / 2.0 * np.sin(1.2 * turn + rng.uniform(-0.5, 0.5))
     shoulders = gaussian_filter1d(pan, 12.0, mode="nearest")
-    tilt = np.clip(p.tilt * _smooth(n, 15.0, rng), -0.5, 0.5)
+    reach = max(0.5, 2.5 * p.tilt)
+    tilt = np.clip(p.tilt * _smooth(n, 15.0, rng), -reach, reach)
     pixel = np.column_stack([margin + across, down])
     return _HeadPath(pixel, _FOCAL * _HEAD_WIDTH / width, pan, tilt, shoulders, phase)
 

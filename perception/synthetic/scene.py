@@ -15,6 +15,7 @@ from perception.synthetic.appearance import Appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.person import Posture, person_solids
 from perception.synthetic.raycast import Cast, Ground, Light, cast
+from perception.synthetic.robot import RobotLook, robot_solids
 from perception.synthetic.sensor import Sensor, develop
 from perception.synthetic.solids import Builder, Solids, rotation_z
 
@@ -43,10 +44,16 @@ class Furniture:
 
 @dataclass(frozen=True)
 class Person:
-    """A person in a scene: who, and how they stand."""
+    """A person in a scene, or a robot: who, and how they stand."""
 
-    look: Appearance
+    look: Appearance | RobotLook
     posture: Posture
+
+    def solids(self) -> tuple[Solids, Solids]:
+        """Body and head in the world (metres)."""
+        if isinstance(self.look, RobotLook):
+            return robot_solids(self.look, self.posture)
+        return person_solids(self.look, self.posture)
 
 
 @dataclass(frozen=True)
@@ -125,7 +132,7 @@ def cast_scene(scene: Scene, people: Sequence[Person], rays: FloatArray) -> Cast
     """What the camera's rays (h, w, 3) meet; the groups 3k … 3k + 2 are person k, the last ones furniture."""
     parts: list[Solids] = []
     for k, person in enumerate(people):
-        body, head = person_solids(person.look, person.posture)
+        body, head = person.solids()
         parts += [body.in_group(3 * k), replace(head, group=head.group + 3 * k + 1)]
     parts += [furniture_solids(item).in_group(3 * len(people) + k) for k, item in enumerate(scene.furniture)]
     owner = np.concatenate([np.arange(3 * len(people)) // 3, len(people) + np.arange(len(scene.furniture))])

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from perception.synthetic.person import person_solids
 from perception.synthetic.scene import (
     Furniture,
     Person,
@@ -51,7 +50,7 @@ class StillScene:
     ) -> RenderedFrame:
         """One frame with people, and with furniture that is not part of the scene itself."""
         scene = replace(self._scene, furniture=(*self._scene.furniture, *moving))
-        solids = [person_solids(person.look, person.posture) for person in people]
+        solids = [person.solids() for person in people]
         movers = [*(Solids.together(*parts) for parts in solids), *(furniture_solids(f) for f in moving)]
         areas = [self._area(mover) for mover in movers]
         for area in areas:

@@ -22,7 +22,7 @@ from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes
 
 @dataclass(frozen=True)
 class ColourParameters:
-    """How the colour tracker moves and looks
+    """How the colour tracker moves, looks and remembers.
 
     Attributes
     ----------
@@ -33,6 +33,8 @@ class ColourParameters:
     start_std : 1-σ of the first boxes about the given one, as a share of its size
     least_similarity : Bhattacharyya coefficient of the estimate below which the target is not found
     resample_below : share of the particles; resampling is systematic, below this effective sample size
+    rate : share of the remembered histogram that a frame replaces while the target is found; 0: the first
+        box's stays, as in Pérez et al. and so in 004's baseline. `MixedStateTracker` has the same memory.
     """
 
     particles: int = 200
@@ -42,10 +44,18 @@ class ColourParameters:
     start_std: float = 0.04
     least_similarity: float = 0.6
     resample_below: float = 0.5
+    rate: float = 0.0
 
     def __post_init__(self) -> None:
         if self.particles < 2:
             raise InputError(f"{self.particles} particles", "at least 2")
+        if not 0.0 <= self.rate <= 1.0:
+            raise InputError(f"rate = {self.rate}", "a share from 0 to 1")
+
+    @classmethod
+    def of_the_paper(cls, particles: int = 200) -> ColourParameters:
+        """004's baseline, Pérez et al. 2002: the histogram of the first box stays."""
+        return cls(particles, rate=0.0)
 
 
 class ColourTracker:
@@ -115,25 +125,32 @@ class ColourTracker:
         normalise(log_weights, weights)
         self._cloud = replace(self._cloud, weights=weights)
         box, spread = self._cloud.mean()
-        at_mean = float(bhattacharyya(p.colours.of_boxes(pixels, np.array([box])), self._model)[0])
-        pan = self._pan(image, box)
+        here = p.colours.of_boxes(pixels, np.array([box]))
+        at_mean = float(bhattacharyya(here, self._model)[0])
+        found = at_mean > p.least_similarity
+        if found:
+            self._model = (1.0 - p.rate) * self._model + p.rate * here[0]
+        pan, tilt = self._pose(image, box)
         return BoxEstimate(
             box=box,
             spread=spread,
             confidence=at_mean,
-            found=at_mean > p.least_similarity,
+            found=found,
             particles=self._cloud.boxes,
             weights=weights,
             pan=pan,
             pan_likelihood=pan,
+            tilt=tilt,
             cues={"colour": at_mean},
         )
 
-    def _pan(self, image: Image, box: Box) -> FloatArray | None:
-        """Distribution (n_pan,) of the pan, by this box of this frame alone (004 §4.2)."""
+    def _pose(self, image: Image, box: Box) -> tuple[FloatArray | None, float | None]:
+        """Distribution (n_pan,) of the pan and expected tilt, by this box of this frame alone (004 §4.2)."""
         if self.exemplars is None:
-            return None
+            return None, None
         patch = equalised(cut(grey(image), enlarged(np.array([box]), PATCH_MARGIN), SIDE))
         poses = self.exemplars.pose_log_likelihood(self.exemplars.log_ratio(gabor_features(patch)))
-        pans = np.exp(self.exemplars.classes.pan_log_likelihood(poses[0]))
-        return np.asarray(pans / pans.sum(), float)
+        of_classes = np.exp(poses[0] - poses[0].max())
+        of_classes /= of_classes.sum()
+        pans = of_classes.reshape(self.exemplars.classes.n_tilt, -1).sum(axis=0)
+        return np.asarray(pans, float), self.exemplars.mean_tilt(of_classes)

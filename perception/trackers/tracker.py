@@ -47,6 +47,7 @@ class BoxEstimate:
     pan : (n_pan,) distribution of the head's pan over the tracker's classes, image frame; it sums to 1
     pan_likelihood : (n_pan,) likelihood of the pan by this frame alone, up to a factor
     cues : strength of each cue, by name
+    tilt : expected tilt of the head, radians above the horizontal
     """
 
     box: Box
@@ -58,6 +59,7 @@ class BoxEstimate:
     pan: FloatArray | None = None
     pan_likelihood: FloatArray | None = None
     cues: Mapping[str, float] = field(default_factory=dict)
+    tilt: float | None = None
 
     @property
     def centre(self) -> FloatArray:

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, direction
 from graphtrack.geometry.camera import GroundCamera, apply_homography, fit_homography
+from graphtrack.io.cameras import read_calibration, write_calibration
 
 CENTRE = np.array([2.0, -3.0, 6.0])
 DOWNWARD = np.diag([1.0, -1.0, -1.0])
@@ -227,3 +230,79 @@ def test_cameras_are_values() -> None:
 def test_cameras_that_cannot_be(settings: dict[str, np.ndarray]) -> None:
     with pytest.raises(InputError):
         GroundCamera(np.eye(3), **settings)
+
+
+# -- fisheyes ----------------------------------------------------------------------------------------------
+
+BENT = np.array([0.05, -0.02, 0.004, -0.001])
+
+
+def fisheye(distortion: np.ndarray | None = BENT, tilt: float = 0.5) -> GroundCamera:
+    rotation = Rotation.from_euler("x", -tilt).as_matrix() @ DOWNWARD
+    intrinsics = np.array([[300.0, 0.0, 640.0], [0.0, 310.0, 360.0], [0.0, 0.0, 1.0]])
+    given = rotation, -rotation @ CENTRE, intrinsics, distortion
+    return GroundCamera.from_calibration(*given, lens="fisheye")
+
+
+def test_a_fisheye_sees_the_ground_where_opencv_does() -> None:
+    places = CENTRE[:2] + np.random.default_rng(0).uniform(-8.0, 8.0, (100, 2))
+    camera = fisheye()
+    rotation = Rotation.from_euler("x", -0.5).as_matrix() @ DOWNWARD
+    points = np.column_stack([places, np.zeros(100)])[:, None]
+    turned = Rotation.from_matrix(rotation).as_rotvec()
+    expected, _ = cv2.fisheye.projectPoints(
+        points, turned, -rotation @ CENTRE, camera.intrinsics, camera.distortion
+    )
+    np.testing.assert_allclose(camera.ground_to_image(places), expected[:, 0], atol=1e-6)
+    np.testing.assert_allclose(camera.image_to_ground(expected[:, 0]), places, atol=1e-4)
+    np.testing.assert_allclose(camera.optical_centre_on_ground, CENTRE[:2], atol=1e-9)
+    assert camera.height == pytest.approx(CENTRE[2])
+
+
+def test_an_equidistant_fisheye_has_radii_as_its_angles_and_no_ground_beyond_a_right_angle() -> None:
+    camera = fisheye(None, 0.0)
+    angles = np.linspace(0.05, 1.4, 20)
+    place = CENTRE[:2] + np.column_stack([CENTRE[2] * np.tan(angles), np.zeros(20)])
+    np.testing.assert_allclose(camera.ground_to_image(place)[:, 0], 640.0 + 300.0 * angles, atol=1e-6)
+    beyond = np.array([640.0 + 300.0 * 1.7, 360.0])
+    assert np.isnan(camera.image_to_ground(beyond)).all()
+
+
+def test_a_fisheyes_derivative_is_that_of_raw_pixels() -> None:
+    camera, pixel, step = fisheye(), np.array([[700.0, 400.0], [500.0, 300.0]]), 1e-3
+    columns = [
+        (camera.image_to_ground(pixel + d) - camera.image_to_ground(pixel - d)) / (2.0 * step)
+        for d in step * np.eye(2)
+    ]
+    np.testing.assert_allclose(camera.pixel_jacobian(pixel), np.stack(columns, axis=-1), rtol=1e-3, atol=1e-6)
+    plain = camera_at()
+    np.testing.assert_array_equal(plain.pixel_jacobian(pixel), plain.ground_jacobian(pixel))
+
+
+def test_a_fisheye_is_kept_resized_and_written(tmp_path: Path) -> None:
+    camera = fisheye()
+    assert pickle.loads(pickle.dumps(camera)) == camera != GroundCamera(camera.homography, camera.intrinsics)
+    pixel = np.array([[700.0, 400.0]])
+    half = camera.resized(0.5)
+    np.testing.assert_allclose(half.image_to_ground(pixel / 2.0), camera.image_to_ground(pixel), atol=1e-6)
+    rotation = Rotation.from_euler("x", -0.5).as_matrix() @ DOWNWARD
+    assert camera.intrinsics is not None
+    write_calibration(tmp_path / "c.ci", rotation, -rotation @ CENTRE, camera.intrinsics, fisheye=BENT)
+    read = read_calibration(tmp_path / "c.ci")
+    assert read.lens == "fisheye"
+    np.testing.assert_allclose(read.image_to_ground(pixel), camera.image_to_ground(pixel), atol=1e-6)
+    with (tmp_path / "c.ci").open("a") as stream:
+        stream.write("DistortionK1 = 0.1\n")
+    with pytest.raises(InputError, match="one of the two models"):
+        read_calibration(tmp_path / "c.ci")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"lens": "mirror"}, {"lens": "fisheye"}, {"lens": "fisheye", "distortion": np.zeros(5)}],
+    ids=["lens", "no camera matrix", "five coefficients"],
+)
+def test_fisheyes_that_cannot_be(wrong: dict[str, object]) -> None:
+    intrinsics = np.eye(3) if "distortion" in wrong else None
+    with pytest.raises(InputError):
+        GroundCamera(np.eye(3), intrinsics, **wrong)  # type: ignore[arg-type]

@@ -60,6 +60,25 @@ def test_the_arrow_points_down_to_the_camera_and_right_at_a_quarter(
     assert len(changed(turned, opposite, pans=True))
 
 
+@pytest.mark.parametrize(("tilt", "above"), [(0.6, True), (-0.6, False)])
+def test_the_tilts_hand_is_above_the_level_where_the_head_looks_up(
+    estimate: BoxEstimate, tilt: float, above: bool
+) -> None:
+    grey = np.full((480, 200, 3), 100, np.uint8)
+    classes = BlobTracker().pan_classes
+    level, nodding = (draw(grey, 1, replace(estimate, tilt=t), classes) for t in (0.0, tilt))
+    without = draw(grey, 1, estimate, classes)
+    assert (level != without).any() and level.shape == without.shape
+    # Rows of the hand where the level one is not; the text above has changed as well.
+    changed_rows = np.flatnonzero((level != nodding).any(axis=2)[:, 200:].any(axis=1))
+    middle = changed_rows.max() if above else changed_rows[changed_rows > changed_rows.min() + 20].min()
+    drawn = (nodding[:, 200:] == (60, 240, 255)).all(axis=2) & (level[:, 200:] != nodding[:, 200:]).any(
+        axis=2
+    )
+    rows = np.flatnonzero(drawn.any(axis=1))
+    assert (rows.mean() < middle) == above
+
+
 def test_not_found_is_shown(estimate: BoxEstimate) -> None:
     rows, columns = changed(estimate, replace(estimate, found=False)).T
     assert ((rows < 12.0) & (columns < 60.0)).any()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -20,6 +21,7 @@ from perception.follow.world import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.synthetic import Camera
 from perception.trackers.registry import TRACKERS, make_tracker
+from perception.trackers.tracker import BoxEstimate
 
 INIT = f"32,50,{BLOB[0]},{BLOB[1]}"
 HIDDEN = range(20, 26)
@@ -50,7 +52,7 @@ def blobs(monkeypatch: pytest.MonkeyPatch) -> list[BlobTracker]:
     made: list[BlobTracker] = []
 
     def make(
-        name: str, particles: int | None = None, seed: int = 0, parameters: object = None
+        name: str, particles: int | None = None, seed: int = 0, parameters: object = None, **options: object
     ) -> BlobTracker:
         made.append(BlobTracker(particles=particles or 30, seed=seed))
         return made[-1]
@@ -96,6 +98,22 @@ def test_the_table_has_boxes_foot_points_and_heads(folder: Path) -> None:
     assert np.isfinite(columns["left"]).all()
     assert "no camera" in done.stderr and "not found in 6 of 39" in done.stderr
     assert "015.png" in done.stderr
+
+
+def test_the_tilt_is_written_in_degrees_where_the_target_is_found(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = BlobTracker.step
+
+    def nodding(self: BlobTracker, image: np.ndarray, proposal: object = None) -> BoxEstimate:
+        return replace(step(self, image, None), tilt=0.5)
+
+    monkeypatch.setattr(BlobTracker, "step", nodding)
+    follow(folder)
+    tilt, seen = table(folder)["head_tilt_deg"], np.isfinite(table(folder)["x"])
+    np.testing.assert_allclose(tilt[seen][1:], np.rad2deg(0.5))
+    assert np.isnan(tilt[~seen]).all()
+    assert graphtrack.read(folder.parent / "boxes.csv").summary.notes == ()
 
 
 def test_graphtrack_takes_the_table_as_it_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -228,6 +246,9 @@ def test_wrong_options_are_told_before_the_work(folder: Path, blobs: list[BlobTr
         ("--render", "film.mkv"),
         ("--render", "no/such/folder/film.mp4"),
         ("--foot-at", "99"),
+        ("--middle-at", "1"),
+        ("--colour-rate", "0.1", "--tracker", "sigma-pi"),
+        ("--background", folder),
     ):
         done = follow(folder, *arguments)
         assert done.returncode == 2 and done.stderr.count("error:") == 1, arguments

@@ -1,4 +1,4 @@
-"""What a tracker says of a frame, drawn: particles, box, pan and cues."""
+"""What a tracker says of a frame, drawn: particles, box, pan, tilt and cues."""
 
 from __future__ import annotations
 
@@ -86,6 +86,9 @@ def _panel(panel: Image, number: int, estimate: BoxEstimate, pan_classes: PoseCl
         row += _ROW
     if estimate.pan is not None and pan_classes is not None and row + 150 <= len(panel):
         _clock(panel, (_PANEL_WIDTH // 2, row + 85), estimate, pan_classes)
+        row += 160
+    if estimate.tilt is not None and row + 120 <= len(panel):
+        _level(panel, (_PANEL_WIDTH // 2 - 24, row + 68), estimate.tilt)
 
 
 def _bar(panel: Image, row: int, name: str, value: float, full: float) -> None:
@@ -114,5 +117,16 @@ def _clock(panel: Image, middle: tuple[int, int], estimate: BoxEstimate, pan_cla
     pan = mean_pan(estimate, pan_classes)
     tip = centre + 0.85 * radius * np.array([np.sin(pan), np.cos(pan)])
     cv2.arrowedLine(panel, middle, tuple(int(value) for value in tip.round()), _PAN, 2, cv2.LINE_AA)
-    text = f"pan {np.rad2deg(pan):+.0f} deg"
+    text = f"pan {round(float(np.rad2deg(pan))):+d} deg"
     cv2.putText(panel, text, (middle[0] - 42, middle[1] - 72), FONT, 0.4, _TEXT, 1, cv2.LINE_AA)
+
+
+def _level(panel: Image, middle: tuple[int, int], tilt: float) -> None:
+    """The tilt, seen from the side: level to the right, the hand above it where the head looks up."""
+    radius = 48
+    cv2.ellipse(panel, middle, (radius, radius), 0, -90, 90, _TRACK, 1, cv2.LINE_AA)
+    cv2.line(panel, middle, (middle[0] + radius, middle[1]), _TRACK, 1, cv2.LINE_AA)
+    tip = (round(middle[0] + 0.85 * radius * np.cos(tilt)), round(middle[1] - 0.85 * radius * np.sin(tilt)))
+    cv2.arrowedLine(panel, middle, tip, _PAN, 2, cv2.LINE_AA)
+    text = f"tilt {round(float(np.rad2deg(tilt))):+d} deg"
+    cv2.putText(panel, text, (middle[0] - 18, middle[1] - 54), FONT, 0.4, _TEXT, 1, cv2.LINE_AA)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from graphtrack.geometry.angles import FloatArray, difference
-from perception.pose.classes import PoseClasses
+from perception.pose.classes import TILT_EDGE, PoseClasses
 from perception.pose.head_pose.exemplars import (
     SATURATION,
     filter_log_densities,
@@ -24,6 +24,9 @@ from perception.pose.head_pose.exemplars import (
     in_steps,
 )
 from perception.storage import ModelCard, Stored
+
+LOOKING_UP = TILT_EDGE + 0.165
+"""Radians: mean tilt of the heads that the class of those who look up was learned from; down the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +72,31 @@ class HeadExemplars(Stored):
         ratio = combined(head, background, self.background_log_weight, self.exponent)
         return self.slope * ratio + self.intercept
 
+    def log_density(self, features: NDArray[np.floating]) -> FloatArray:
+        """log p_T(z|k) (n, labels) of responses (n, 764), as eq. 5 has it: all responses count alike."""
+        return np.asarray(self._of_heads(features).sum(axis=-1), float)
+
+    def fit(self, log_density: FloatArray) -> FloatArray:
+        """Geometric mean (n, labels) of the factors max{exp(…), T} of densities of eq. 5, e⁻³ to 1."""
+        log_scale = -np.log(self.deviation).sum(axis=-1).ravel()
+        return np.asarray(np.exp((log_density - log_scale) / self.centre.shape[-1]))
+
+    def mean_tilt(self, of_labels: FloatArray) -> float:
+        """Expected tilt (radians above the horizontal) of a distribution (labels,)."""
+        levels = np.arange(self.classes.n_tilt) - self.classes.n_tilt // 2
+        return float(LOOKING_UP * levels @ of_labels.reshape(self.classes.n_tilt, -1).sum(axis=1))
+
+    def _of_heads(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Log densities (n, labels, 4) of each filter."""
+        head = filter_log_densities(features, self.centre, self.deviation, SATURATION)
+        return head.reshape(len(features), self.labels, -1)
+
     def by_filter(self, features: NDArray[np.floating]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Log densities of each filter: (n, labels, 4) and (n, B, 4)."""
-        head = filter_log_densities(features, self.centre, self.deviation, SATURATION)
         background = filter_log_densities(
             features, self.background_centre[None], self.background_deviation[None], SATURATION
         )
-        return head.reshape(len(features), self.labels, -1), background[:, 0]
+        return self._of_heads(features), background[:, 0]
 
     def pose_log_likelihood(self, log_ratio: FloatArray) -> FloatArray:
         """log Σ_l π_l p(z|θ, l) (..., n_classes) of values (..., labels) (eq. 3)."""

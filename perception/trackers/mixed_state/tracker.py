@@ -31,6 +31,7 @@ from perception.trackers.tracker import (
 )
 
 Labels = Literal["sampled", "summed"]
+Likelihood = Literal["ratio", "density"]
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,8 @@ class MixedStateParameters:
     particles : number of particles
     labels : "sampled": every particle has one label, as in the paper; "summed": every particle has the
         distribution of its labels given its path, so that only boxes are sampled (Rao–Blackwell)
+    likelihood : "ratio": p(z|X)/p(z|no head) with a weight for each filter, and the head may be hidden;
+        "density": p_T(z|k) of eq. 5 as it is printed, by which the head is always there
     colour : the colours of the head that is followed, by which it is told from other heads and from what
         hides it; None: exemplars alone, as in the paper
     dynamics : of the box
@@ -76,6 +79,7 @@ class MixedStateParameters:
 
     particles: int = 200
     labels: Labels = "summed"
+    likelihood: Likelihood = "ratio"
     colour: ColourMemory | None = field(default_factory=ColourMemory)
     dynamics: BoxDynamics = field(default_factory=BoxDynamics)
     pan_limit: float = float(np.pi)
@@ -90,18 +94,39 @@ class MixedStateParameters:
     def __post_init__(self) -> None:
         if self.particles < 2:
             raise InputError(f"{self.particles} particles", "at least 2")
+        if self.likelihood not in ("ratio", "density"):
+            raise InputError(f"likelihood {self.likelihood!r}", "'ratio' or 'density'")
         if self.labels not in ("sampled", "summed"):
             raise InputError(f"labels {self.labels!r}", "'sampled' or 'summed'")
         if not 0.0 <= self.pan_limit <= np.pi + 1e-9:
             raise InputError(f"pan_limit = {self.pan_limit} radians", "an angle from 0 to π")
 
+    @classmethod
+    def of_the_paper(cls, particles: int = 200) -> MixedStateParameters:
+        """004 as it is printed, and nothing else.
+
+        Likelihoods of eq. 5, labels that are sampled, resampling in every step (§3.1), pans from −90° to 90°
+        (§2.1); no colours. The head is never hidden. The motion of boxes, of which the paper says its kind
+        but no numbers, is ours.
+        """
+        return cls(
+            particles,
+            likelihood="density",
+            labels="sampled",
+            colour=None,
+            pan_limit=float(np.pi / 2.0),
+            resample_below=1.0,
+        )
+
 
 class MixedStateTracker:
-    """Follow a head and its pan.
+    """Follow a head, its pan and its tilt.
 
     The weight of a particle is 1 − P + P·p(z|X)/p(z|no head), P being the probability that the head can be
     seen: a hidden Markov chain of two states, which the particles' mean ratio drives. While P is small the
-    weights stay as they are and the cloud spreads; they cannot all vanish.
+    weights stay as they are and the cloud spreads; they cannot all vanish. With ``likelihood="density"`` it
+    is p_T(z|k) (eq. 6), and the confidence is how like the exemplars the patches are
+    (`HeadExemplars.fit`).
 
     Parameters
     ----------
@@ -180,36 +205,47 @@ class MixedStateTracker:
         """Weigh the particles by the frame; ``visible`` is the probability before it."""
         before = self._cloud.weights
         patches = cut(grey(image), enlarged(self._cloud.boxes, PATCH_MARGIN), SIDE)
-        ratio = self.exemplars.log_ratio(gabor_features(equalised(patches)))
+        features = gabor_features(equalised(patches))
         of_colour, pixels = self._by_colour(image)
-        if self.parameters.labels == "sampled":
-            likely = np.exp(ratio[np.arange(len(ratio)), self._label])
+        if self.parameters.likelihood == "ratio":
+            by_label = self.exemplars.log_ratio(features)
+            by_shape = self._over_labels(by_label)
+            weights, self._seen = _perhaps_hidden(before, np.exp(by_shape + of_colour), visible)
+            odds = float(before @ np.exp(by_shape))
+            like, confidence = odds / (1.0 + odds), self._seen
         else:
-            joint = self._belief * np.exp(ratio)
-            likely = joint.sum(axis=1)
-            self._belief = joint / likely[:, None]
-        by_shape = float(before @ likely)
-        likely = likely * np.exp(of_colour)
-        evidence = float(before @ likely)
-        weights = before * (1.0 - visible + visible * likely)
-        weights /= weights.sum()
-        self._seen = visible * evidence / (1.0 - visible + visible * evidence)
+            by_label = self.exemplars.log_density(features)
+            weights = _normalised(before, self._over_labels(by_label) + of_colour)
+            fit = (self._labels() * self.exemplars.fit(by_label)).sum(axis=1)
+            like = confidence = float(weights @ fit)
         self._cloud = replace(self._cloud, weights=weights)
         box, spread = self._cloud.mean()
-        cues = {"exemplars": by_shape / (1.0 + by_shape)}
+        cues = {"exemplars": like}
         if pixels is not None:
             cues["colour"] = self._remember(pixels, box)
+        of_labels = weights @ self._labels()
         return BoxEstimate(
             box=box,
             spread=spread,
-            confidence=self._seen,
+            confidence=confidence,
             found=self._seen > 0.5,
             particles=self._cloud.boxes,
             weights=weights,
-            pan=self._by_pan(weights @ self._labels()),
-            pan_likelihood=self._pan_likelihood(ratio, weights),
+            pan=self._by_pan(of_labels),
+            pan_likelihood=self._pan_likelihood(by_label, weights),
+            tilt=self.exemplars.mean_tilt(of_labels),
             cues=cues,
         )
+
+    def _over_labels(self, by_label: FloatArray) -> FloatArray:
+        """Log likelihoods (n,) of the particles, of values (n, labels); beliefs take them in."""
+        if self.parameters.labels == "sampled":
+            return np.asarray(by_label[np.arange(len(by_label)), self._label])
+        with np.errstate(divide="ignore"):
+            joint = by_label + np.log(self._belief)
+        total = np.asarray(logsumexp(joint, axis=1), float)
+        self._belief = np.exp(joint - total[:, None])
+        return total
 
     def _by_colour(self, image: Image) -> tuple[FloatArray, NDArray[np.int32] | None]:
         """What the colours add to the log ratio (n,), and the bins (h, w) of the frame."""
@@ -248,3 +284,17 @@ class MixedStateTracker:
             over_boxes = logsumexp(poses + np.log(weights)[:, None], axis=0)
         pans = self.exemplars.classes.pan_log_likelihood(over_boxes)
         return np.exp(pans - logsumexp(pans))
+
+
+def _perhaps_hidden(before: FloatArray, likelihood: FloatArray, visible: float) -> tuple[FloatArray, float]:
+    """Weights (n,) after likelihood ratios (n,) of a head that may be hidden, and P that it is seen."""
+    evidence = float(before @ likelihood)
+    weights = before * (1.0 - visible + visible * likelihood)
+    seen = visible * evidence / (1.0 - visible + visible * evidence)
+    return np.asarray(weights / weights.sum()), seen
+
+
+def _normalised(before: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+    """Weights (n,) of eq. 6; likelihoods of 764 responses are out of a number's range, their ratios not."""
+    weights = before * np.exp(log_likelihood - log_likelihood.max())
+    return np.asarray(weights / weights.sum())

@@ -25,6 +25,7 @@ class SigmaPiParameters:
     lost_share : the same for particles that nothing supports, while the person is not found
     learning_rate, offset : ε and β of eq. 5
     reliability : of every term at first
+    fixed : cues whose own reliability (that of the linear term) stays as at first; ("motion",) in the paper
     first_size : width and height of the person that is looked for where no box is given
     size_std : 1-σ of the logarithm of the size of particles that are drawn anew
     size_range : least and greatest width and height, in sizes of the first box and of ``first_size``
@@ -49,6 +50,7 @@ class SigmaPiParameters:
     learning_rate: float = 0.05
     offset: float = 0.01
     reliability: float = 1.0
+    fixed: tuple[str, ...] = ()
     first_size: tuple[float, float] = (36.0, 36.0)
     size_std: float = 0.25
     size_range: tuple[float, float] = (0.75, 2.0)
@@ -65,6 +67,13 @@ class SigmaPiParameters:
     def __post_init__(self) -> None:
         if self.particles < 1:
             raise InputError(f"{self.particles} particles", "at least 1")
-        unknown = set(self.cues) - set(CUES)
-        if unknown or not self.cues:
+        if set(self.cues) - set(CUES) or not self.cues:
             raise InputError(f"the cues {', '.join(self.cues) or 'none'}", f"some of {', '.join(CUES)}")
+        if set(self.fixed) - set(CUES):
+            raise InputError(f"the fixed cues {', '.join(self.fixed)}", f"some of {', '.join(CUES)}, or none")
+
+    @classmethod
+    def of_the_paper(cls, particles: int = 50) -> SigmaPiParameters:
+        """What can be switched to 003: motion's reliability is not adaptive (§2.2), and particles that were
+        drawn anew weigh as much as any (§2.1)."""
+        return cls(particles, random_weight=1.0, fixed=("motion",))

@@ -56,6 +56,7 @@ class SigmaPiTracker:
         self._rng = generator(seed)
         self._never = [as_uint8(image) for image in background]
         self._used = np.array([name in parameters.cues for name in CUES])
+        self._fixed = np.array([term[1:] == () and CUES[term[0]] in parameters.fixed for term in TERMS])
         self._size: tuple[int, ...] | None = None
 
     def start(self, image: Image, box: Box | None = None) -> BoxEstimate:
@@ -232,9 +233,8 @@ class SigmaPiTracker:
     def _learn(self, best: FloatArray) -> None:
         """Adapt reliabilities, and colour and shape where the other cues support the estimate."""
         p = self.parameters
-        self.reliabilities = adapted(self.reliabilities, self._active, p.learning_rate, p.offset) * (
-            self._offset > 0.0
-        )
+        learned = adapted(self.reliabilities, self._active, p.learning_rate, p.offset) * (self._offset > 0.0)
+        self.reliabilities = np.where(self._fixed, self.reliabilities, learned)
         window = boxes_of(best[None])[0]
         if not self._found:
             if self._colour.target is None:

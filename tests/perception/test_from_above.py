@@ -1,0 +1,169 @@
+"""A room under a fisheye camera: calibration, places on the ground, and a robot in place of the person."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import Done, run
+
+from graphtrack import io
+from graphtrack.errors import InputError
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.cameras import read_calibration
+from perception.detection.boxes import read_boxes
+from perception.follow.following import box_cameras
+from perception.follow.world import BODY_MIDDLE, BoxCamera
+from perception.synthetic.ceiling import ALL_KINDS, ceiling_sequence
+from perception.synthetic.robot import RobotLook
+from perception.synthetic.scene import Person
+from perception.synthetic.sensor import Sensor
+from perception.synthetic.still import StillScene
+
+CAMERA = ceiling_sequence(ALL_KINDS["robot moving"], np.random.default_rng(0), frames=30).scene.camera
+GROUND = CAMERA.ground_camera()
+
+
+@pytest.fixture(scope="module")
+def rooms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    made = {}
+    for target in ("person", "robot"):
+        made[target] = tmp_path_factory.mktemp("rooms") / target
+        done = run("simulate", "ceiling", "-o", made[target], "--target", target, "--frames", 70, "--seed", 3)
+        assert done.returncode == 0, done.stderr
+    return made
+
+
+def follow(room: Path, output: Path, *arguments: object) -> Done:
+    options = ["--tracker", "sigma-pi", "--calibration", room / "camera.ci", "-o", output]
+    return run("follow", room / "video.mp4", *options, *arguments)
+
+
+def away(boxes: BoxCamera, room: Path) -> np.ndarray:
+    """Metres between the places of a room's exact boxes and the truth."""
+    (truth,) = io.read(room / "truth.csv")
+    at = dict(zip(truth.frame.tolist(), truth.position, strict=True))
+    found = [(boxes.position(item.box), at[item.frame]) for item in read_boxes(room / "boxes.txt")]
+    return np.array([np.linalg.norm(place - true) for place, true in found])
+
+
+def test_a_room_comes_with_the_calibration_that_it_was_rendered_with(rooms: dict[str, Path]) -> None:
+    camera = read_calibration(rooms["person"] / "camera.ci")
+    assert camera.lens == "fisheye" and camera.height == pytest.approx(2.9)
+    places = np.random.default_rng(0).uniform(-3.0, 3.0, (200, 2))
+    rays = CAMERA.project(np.column_stack([places, np.zeros(200)]))
+    np.testing.assert_allclose(camera.ground_to_image(places), rays, atol=1e-6)
+    np.testing.assert_allclose(camera.image_to_ground(rays), places, atol=1e-5)
+
+
+def test_the_middle_of_a_box_from_above_is_a_better_place_than_its_lower_edge(
+    rooms: dict[str, Path],
+) -> None:
+    by_middle = away(BoxCamera(GROUND, middle_at=BODY_MIDDLE), rooms["person"])
+    by_foot = away(BoxCamera(GROUND), rooms["person"])
+    assert by_middle.mean() < 0.2 and by_middle.max() < 0.5
+    assert by_foot.mean() > 3.0 * by_middle.mean()
+    assert away(BoxCamera(GROUND, middle_at=0.5), rooms["robot"]).mean() < 0.2
+
+
+def test_places_from_above_come_back_with_their_spread() -> None:
+    boxes = BoxCamera(GROUND, smallest_std=1e-6, middle_at=1.0)
+    box = np.array([70.0, 80.0, 24.0, 36.0])
+    place = boxes.position(box)
+    np.testing.assert_allclose(boxes.box_centre(place, 36.0), [82.0, 98.0], atol=1e-3)
+    np.testing.assert_allclose(GROUND.image_to_ground(boxes.foot(box)), place, atol=1e-4)
+    rng = np.random.default_rng(0)
+    particles, weights = box + rng.normal(0.0, 0.3, (4000, 4)), rng.dirichlet(np.ones(4000))
+    places = boxes.position(particles)
+    off = places - weights @ places
+    covariance = (weights[:, None] * off).T @ off
+    expected = np.sqrt(np.trace(covariance) / 2.0)
+    assert boxes.position_std(box, particles, weights) == pytest.approx(expected, rel=0.03)
+    middle = particles[:, :2] + particles[:, 2:] / 2.0
+    off = middle - weights @ middle
+    np.testing.assert_allclose(
+        boxes.pixel_covariance(place, covariance), (weights[:, None] * off).T @ off, rtol=0.05, atol=0.01
+    )
+
+
+def test_what_the_middle_of_a_box_needs() -> None:
+    with pytest.raises(InputError, match="a calibration"):
+        BoxCamera(GroundCamera.from_scale(0.01), middle_at=1.0)
+    with pytest.raises(InputError, match="below the camera"):
+        BoxCamera(GROUND, middle_at=2.8)
+    with pytest.raises(InputError, match="one of them"):
+        box_cameras(GROUND, of_heads=False, foot_at=1.0, middle_at=1.0)
+    with pytest.raises(InputError, match="--calibration"):
+        box_cameras(None, of_heads=False, middle_at=1.0)
+    first = (0.0, 0.0, 10.0, 20.0)
+    assert box_cameras(GROUND, of_heads=False)(first).middle_at == BODY_MIDDLE
+    assert box_cameras(GROUND, of_heads=False, foot_at=1.0)(first).middle_at is None
+
+
+@pytest.mark.slow
+def test_sigma_pi_gives_places_near_the_truth(rooms: dict[str, Path], tmp_path: Path) -> None:
+    # A robot is found later: in the door it is hardly larger than the least window.
+    for target, options, least in (("person", (), 25), ("robot", ("--middle-at", 0.5), 10)):
+        done = follow(rooms[target], tmp_path / "o.csv", *options)
+        assert done.returncode == 0 and "no camera" not in done.stderr, done.stderr
+        (truth,), (track,) = io.read(rooms[target] / "truth.csv"), io.read(tmp_path / "o.csv")
+        at = dict(zip(truth.frame.tolist(), truth.position, strict=True))
+        seen = [k for k, p in enumerate(track.position) if np.isfinite(p).all() and track.frame[k] in at]
+        errors = [np.linalg.norm(track.position[k] - at[int(track.frame[k])]) for k in seen]
+        assert len(seen) > least and np.median(errors) < 0.25, target
+
+
+def test_a_background_is_read_before_the_work(rooms: dict[str, Path], tmp_path: Path) -> None:
+    output, good, bad = tmp_path / "o.csv", tmp_path / "sofa.png", tmp_path / "bad.png"
+    cv2.imwrite(str(good), np.random.default_rng(0).integers(0, 255, (60, 80, 3)).astype(np.uint8))
+    bad.write_bytes(b"no image")
+    (tmp_path / "empty").mkdir()
+    for given, message in (
+        (["--background", bad], "no image that can be decoded"),
+        (["--background", good, "--background", tmp_path / "empty"], "a folder without images"),
+        (["--background", tmp_path / "none"], "does not exist"),
+        (["--background", good, "--tracker", "color", "--init", "1,1,9,9"], "sigma-pi, or none"),
+    ):
+        done = follow(rooms["robot"], output, *given)
+        assert done.returncode == 2 and message in done.stderr, done.stderr
+        assert not output.exists()
+
+
+def test_a_robot_is_labelled_where_its_pixels_are() -> None:
+    sequence = ceiling_sequence(
+        ALL_KINDS["robot moving"], np.random.default_rng(1), frames=60, oversampling=1
+    )
+    assert isinstance(sequence.looks[0], RobotLook) and sequence.walks[0].sitting.max() == 0.0
+    light = replace(sequence.scene.light, key=(0.0, 0.0, 0.0))
+    room = StillScene(replace(sequence.scene, light=light), oversampling=1)
+    empty = room.render((), Sensor(), np.random.default_rng(0)).image
+    for k in (30, 45, 59):
+        posture = sequence.walks[0].posture(k)
+        assert posture is not None
+        frame = room.render([Person(sequence.looks[0], posture)], Sensor(), np.random.default_rng(0))
+        box = frame.labels[0].body_box
+        assert box is not None
+        rows, columns = np.nonzero((frame.image != empty).any(axis=2))
+        left, top, width, height = box
+        if frame.labels[0].visibility == 1.0:
+            np.testing.assert_allclose(
+                [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1],
+                [left, top, left + width, top + height],
+                atol=2.0,
+            )
+        assert min(width, height) > 8.0 and max(width, height) < 60.0
+
+
+def test_who_comes_into_the_room_can_be_chosen(rooms: dict[str, Path], tmp_path: Path) -> None:
+    person, robot = (rooms[name] / "boxes.txt" for name in ("person", "robot"))
+    assert person.read_bytes() != robot.read_bytes()
+    for arguments, message in (
+        (("ceiling", "--target", "dog"), "one of person, robot"),
+        (("street", "--target", "robot"), "--target with street"),
+    ):
+        done = run("simulate", *arguments, "-o", tmp_path / "x", "--frames", 40)
+        assert done.returncode == 2 and message in done.stderr
+        assert not (tmp_path / "x").exists()
