@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import cv2
@@ -195,32 +194,6 @@ def non_maximum_suppression(boxes: FloatArray, scores: FloatArray, overlap: floa
         kept.append(best)
         left = left[intersection_over_union(boxes[left], boxes[best]) <= overlap]
     return kept
-
-
-def select_along_track(candidates: Sequence[HeadCandidates], *, smoothness: float = 2.0) -> NDArray[np.int64]:
-    """Which candidate (n,) of each frame of a track: the path of highest score that moves and grows least.
-
-    Parameters
-    ----------
-    candidates : of each frame, in coordinates in which the person stands still (those of the crop)
-    smoothness : score that a step of one head height costs
-
-    Notes
-    -----
-    Dynamic programming over the candidates (Viterbi); the cost of a step is the distance of the boxes' four
-    numbers over the head's height.
-    """
-    best = candidates[0].scores
-    back: list[NDArray[np.int64]] = []
-    for before, after in pairwise(candidates):
-        step = np.linalg.norm(after.boxes[:, None, :] - before.boxes[None, :, :], axis=2)
-        total = best[None, :] - smoothness * step / np.maximum(after.boxes[:, 3], 1e-9)[:, None]
-        back.append(total.argmax(axis=1))
-        best = total.max(axis=1) + after.scores
-    path = [int(best.argmax())]
-    for pointers in reversed(back):
-        path.append(int(pointers[path[-1]]))
-    return np.array(path[::-1])
 
 
 def _prepared(image: Image) -> tuple[NDArray[np.float32], tuple[float, float]]:
