@@ -68,6 +68,9 @@ def observe(
     body_pose_model: Annotated[
         Path | None, typer.Option("--body-pose-model", help="A model of your own (.npz).", **FILE)
     ] = None,
+    head_localiser_model: Annotated[
+        Path | None, typer.Option("--head-localiser-model", help="A model of your own (.npz).", **FILE)
+    ] = None,
     write_boxes_to: Annotated[
         Path | None, typer.Option("--write-boxes", help="Write the detected boxes here, as MOT text.")
     ] = None,
@@ -123,13 +126,14 @@ def observe(
             "--calibration": calibration,
             "--head-pose-model": head_pose_model,
             "--body-pose-model": body_pose_model,
+            "--head-localiser-model": head_localiser_model,
         },
         table=None if streamed else output,
     )
     frames = FrameSource.open(source)
     rate = frame_rate(frames, fps)
     models = pipeline.Models(
-        load_head_localiser(),
+        load_head_localiser(head_localiser_model),
         load_classifier("body_pose", body_pose_model),
         load_classifier(head_pose, head_pose_model),
     )
@@ -152,7 +156,8 @@ def observe(
         if write_boxes_to is not None:
             write_boxes(people, write_boxes_to)
     looked = time.perf_counter()
-    key = _key(frames.stamp(), head_pose, _stamp(head_pose_model), _stamp(body_pose_model), people)
+    own = [_stamp(path) for path in (head_pose_model, body_pose_model, head_localiser_model)]
+    key = _key(frames.stamp(), head_pose, own, people)
     journal = FrameJournal(known_so_far, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record)
     journal.open()
     _say_how_far(journal)

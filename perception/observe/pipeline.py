@@ -283,6 +283,8 @@ def to_track(
     head_classes: PoseClasses,
     camera: GroundCamera,
     fps: float,
+    *,
+    in_image: bool = False,
 ) -> Track:
     """One person's track, with class likelihoods in the world frame.
 
@@ -291,20 +293,27 @@ def to_track(
     items : what was seen in n frames, on this side of the horizon
     heads : (n,) which candidate is the head
     head_classes, camera, fps : as for `to_tracks`
+    in_image : whether the likelihoods are left in the image frame, for filters that judge them there (002
+        eq. 13–14)
     """
     pixel = np.array([foot_point(item.box) for item in items])
     position = camera.image_to_ground(pixel)
     frame = np.array([item.frame for item in items])
     head = np.array([item.pan[k] for item, k in zip(items, heads.tolist(), strict=True)])
     body = np.array([item.body for item in items])
+    channels = [(body, _BODY, _BODY), (head, head_classes.pans, _HEAD)]
+    if in_image:
+        of_body, of_head = (image_likelihood(*channel) for channel in channels)
+    else:
+        of_body, of_head = (world_likelihood(*channel, camera, position) for channel in channels)
     return Track(
         track_id=items[0].track_id,
         frame=frame,
         t=frame / fps,
         position=position,
         pixel=pixel,
-        body_likelihood=world_likelihood(body, _BODY, _BODY, camera, position),
-        head_likelihood=world_likelihood(head, head_classes.pans, _HEAD, camera, position),
+        body_likelihood=of_body,
+        head_likelihood=of_head,
     )
 
 
@@ -342,6 +351,16 @@ def world_likelihood(
     p = np.exp(np.asarray(log_likelihood, float))
     at = np.stack([camera.image_angle(np.full(len(p), pan), position) for pan in wanted.pan], axis=1)
     found = interpolated(p, classes, at)
+    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
+
+
+def image_likelihood(log_likelihood: ArrayLike, classes: PoseClasses, wanted: PoseClasses) -> FloatArray:
+    """Likelihoods (n, n_wanted) of other classes of the image than those (n, n_pan) that are known.
+
+    They are interpolated linearly between the centres. Rows sum to 1.
+    """
+    p = np.exp(np.asarray(log_likelihood, float))
+    found = interpolated(p, classes, np.broadcast_to(wanted.pan, (len(p), wanted.n_pan)))
     return np.asarray(found / found.sum(axis=1, keepdims=True), float)
 
 

@@ -15,7 +15,12 @@ from perception.pose.boosting import Quantised, reweighted
 from perception.pose.features.blocks import block_corners, block_histograms, corner_sums, integral_histogram
 from perception.pose.head_detector import BoostedBlocks, Weak
 from perception.pose.head_path import select_along_track, select_so_far
-from perception.pose.heads import HeadCandidates, HeadLocaliser, non_maximum_suppression
+from perception.pose.heads import (
+    HeadCandidates,
+    HeadLocaliser,
+    candidate_windows,
+    non_maximum_suppression,
+)
 from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedestrians
 
 People = tuple[PedestrianSet, PedestrianSet]
@@ -167,3 +172,16 @@ def test_the_causal_selection_is_the_end_of_the_best_path_up_to_each_frame() -> 
     np.testing.assert_array_equal(found, ends)
     # The whole track knows better: this is what causality costs, and why the two are told apart.
     assert (found != select_along_track(frames, smoothness=0.3)).any()
+
+
+def test_plain_the_detector_alone_judges_windows_all_over_the_box(people: People) -> None:
+    plain = HeadLocaliser(rounds=60, plain=True).fit(people[0].images, people[0].head_box)
+    image = people[1].images[0]
+    found = plain.locate(image)
+    factor = 128.0 / image.shape[0]
+    windows = candidate_windows(128 * image.shape[1] // image.shape[0], 1.0)
+    assert (windows[:, 1] + windows[:, 3] / 2.0).max() > 100.0  # feet are windows too
+    # The best candidate is a window itself, not a mean of some.
+    away = np.abs(found.boxes[0] * factor - windows).max(axis=1)
+    assert away.min() < 1.5
+    assert mean_overlap(plain, people[1]) > 0.2

@@ -16,28 +16,26 @@ from graphtrack.evaluation.reproduce.chen_joint import (
     Scores,
     beside,
 )
+from graphtrack.evaluation.reproduce.chen_tables import WITH_FULL, detail, draw_errors, most_likely_error
 from graphtrack.evaluation.reproduce.experiment import (
     ASKANCE,
     MOCAP,
     TURNING,
     WALKING,
-    Cell,
     Experiment,
     Progress,
     Reproduction,
     Settings,
-    Table,
     evenly,
     quietly,
 )
-from graphtrack.evaluation.reproduce.resampling import bootstrap
-from graphtrack.geometry.angles import class_centres, difference, mean_absolute_error
+from graphtrack.geometry.angles import mean_absolute_error
 from graphtrack.inference import smooth, track_online
 from graphtrack.model import Model
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, TrackSet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,8 +48,6 @@ FLIPPED, AT_RANDOM = 0.2, 0.1
 
 BESIDE = "Paper / ours: mean error in degrees (002's classifiers on CHIL, ours as the notes say)"
 
-WITH_FULL = (*PRESETS, "full")
-
 METHODS: Mapping[str, tuple[str, Estimator]] = {
     "particle": ("online", lambda track, model: particle_filter(track, model).track),
     "particle, closest class": (
@@ -63,6 +59,8 @@ METHODS: Mapping[str, tuple[str, Estimator]] = {
     "smoother": ("offline", lambda track, model: smooth(TrackSet((track,)), model).tracks[0]),
 }
 """Method → group and estimator."""
+
+GROUPS = {method: group for method, (group, _) in METHODS.items()}
 
 SLOW = ("graph, isam2",)
 """Methods that see the first of the people only."""
@@ -105,7 +103,7 @@ def scores(data: str, tracks: TrackSet, settings: Settings, progress: Progress) 
     found: dict[tuple[str, str, str], list[float]] = {}
     for track in tracks:
         for angle in ANGLES:
-            found.setdefault(("observation", "", angle), []).append(_most_likely(track, angle))
+            found.setdefault(("observation", "", angle), []).append(most_likely_error(track, track, angle))
     for preset in WITH_FULL:
         model = Model(preset)
         for method, (_, estimator) in METHODS.items():
@@ -118,15 +116,6 @@ def scores(data: str, tracks: TrackSet, settings: Settings, progress: Progress) 
                     found.setdefault((preset, method, angle), []).append(float(np.degrees(error)))
                 progress(1)
     return Scores(data, len(tracks), {key: np.array(values) for key, values in found.items()})
-
-
-def _most_likely(track: Track, angle: str) -> float:
-    """Mean error (degrees) of the most likely class of each frame."""
-    likelihood, truth = getattr(track, f"{angle}_likelihood"), getattr(track, f"true_{angle}")
-    centres = class_centres(likelihood.shape[1])
-    known = np.isfinite(likelihood).all(axis=1)
-    answer = centres[likelihood[known].argmax(axis=1)]
-    return float(np.degrees(np.abs(difference(answer, truth[known])).mean()))
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
@@ -146,71 +135,19 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         f"{', '.join(SLOW)}: the first people only.",
     )
     return Reproduction(
-        "chen-classes", (_detail(found, rng), beside(found, METHODS, BESIDE)), _figure(found, rng), notes
+        "chen-classes",
+        (detail(found, GROUPS, rng), beside(found, GROUPS, BESIDE)),
+        _figure(found, rng),
+        notes,
     )
 
 
-def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
-    for one in found:
-        for angle in ANGLES:
-            for method, (group, _) in METHODS.items():
-                for preset in WITH_FULL:
-                    errors = one.errors.get((preset, method, angle))
-                    if errors is None:
-                        continue
-                    interval = bootstrap(lambda v: np.mean(v, axis=-1), errors, rng=rng)
-                    records.append(
-                        {
-                            "data": one.data,
-                            "people": len(errors),
-                            "angle": angle,
-                            "group": group,
-                            "method": method,
-                            "model": preset,
-                            "most likely class (°)": float(one.errors["observation", "", angle].mean()),
-                            "error (°)": interval.value,
-                            "low": interval.low,
-                            "high": interval.high,
-                        }
-                    )
-    return Table.of("Body and head from class likelihoods", records)
-
-
 def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
-    from graphtrack.evaluation.reproduce.style import COLOURS
-    from graphtrack.report.style import new_figure, tidy
+    from graphtrack.report.style import new_figure
 
     figure = new_figure(4.2 * len(found) + 1.0, 7.2)
     grid = figure.subplots(2, len(found), sharex=True, sharey="row", squeeze=False)
-    colours = {
-        "particle": COLOURS["particle"],
-        "particle, closest class": COLOURS["particle joint-intentional"],
-        "graph, chain": COLOURS["graph"],
-        "graph, isam2": COLOURS["graph joint-intentional"],
-        "smoother": COLOURS["printed"],
-    }
-    for row, angle in enumerate(ANGLES):
-        for column, one in enumerate(found):
-            axes = grid[row, column]
-            for k, method in enumerate(METHODS):
-                known = [p for p in WITH_FULL if (p, method, angle) in one.errors]
-                drawn = [
-                    bootstrap(lambda v: np.mean(v, axis=-1), one.errors[p, method, angle], rng=rng)
-                    for p in known
-                ]
-                value = np.array([interval.value for interval in drawn])
-                spread = [value - [i.low for i in drawn], [i.high for i in drawn] - value]
-                x = np.arange(len(known)) + 0.09 * (k - 2)
-                label = f"{method} ({METHODS[method][0]})"
-                axes.errorbar(x, value, spread, fmt="o", color=colours[method], markersize=4, label=label)
-            tidy(axes, grid="y")
-            axes.set_xticks(range(len(WITH_FULL)), WITH_FULL)
-            if row == 0:
-                axes.set_title(f"{one.data} ({one.people} people)", fontsize=10)
-        top = max(axes.dataLim.y1 for axes in grid[row])
-        grid[row, 0].set_ylim(0.0, 1.05 * top)
-        grid[row, 0].set_ylabel(f"{angle}: mean error (°)")
+    draw_errors(grid, found, GROUPS, rng)
     grid[0, 0].legend(frameon=False, fontsize=8)
     return figure
 
