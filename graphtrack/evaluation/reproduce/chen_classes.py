@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
+from graphtrack.evaluation.reproduce import chen_image
 from graphtrack.evaluation.reproduce.chen_joint import (
     ANGLES,
     POSITION_STD,
@@ -84,14 +87,21 @@ def people(settings: Settings) -> dict[str, TrackSet]:
             "joint", n_tracks=count, n_steps=120, rng=settings.rng(1)
         )
     return {
-        name: add_class_likelihoods(
-            add_noise(tracks, position_std=POSITION_STD, rng=settings.rng(2, i)),
-            body=confusion_matrix(BODY_CLASSES, flipped=FLIPPED, at_random=AT_RANDOM),
-            head=confusion_matrix(HEAD_CLASSES, flipped=FLIPPED, at_random=AT_RANDOM),
-            rng=settings.rng(3, i),
+        name: classified(
+            add_noise(tracks, position_std=POSITION_STD, rng=settings.rng(2, i)), settings.rng(3, i)
         )
         for i, (name, tracks) in enumerate(found.items())
     }
+
+
+def classified(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
+    """The tracks as the experiment's classifiers see them."""
+    return add_class_likelihoods(
+        tracks,
+        body=confusion_matrix(BODY_CLASSES, flipped=FLIPPED, at_random=AT_RANDOM),
+        head=confusion_matrix(HEAD_CLASSES, flipped=FLIPPED, at_random=AT_RANDOM),
+        rng=rng,
+    )
 
 
 def _seen(settings: Settings, method: str, tracks: TrackSet) -> TrackSet:
@@ -120,7 +130,13 @@ def scores(data: str, tracks: TrackSet, settings: Settings, progress: Progress) 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment."""
-    found = [scores(name, tracks, settings, progress) for name, tracks in people(settings).items()]
+    everyone = people(settings)
+    found = [scores(name, tracks, settings, progress) for name, tracks in everyone.items()]
+    pictured = []
+    for i, (name, tracks) in enumerate(everyone.items()):
+        few = _seen(settings, SLOW[0], tracks)
+        pictured.append(chen_image.image_scores(name, few, partial(classified, rng=settings.rng(4, i))))
+        progress(1)
     rng = settings.rng(99)
     notes = (
         f"Positions with {POSITION_STD} m of noise; in each frame a class of the body (8) and one of the "
@@ -132,11 +148,17 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         f"{LAG:g} s open.",
         "closest class: eq. 13–14, the score of the class that is closest to a particle; particle is their "
         "smooth mixture, which the graph has. joint-body is what 002 calls separate (κ₂ = 0).",
-        f"{', '.join(SLOW)}: the first people only.",
+        f"{', '.join(SLOW)}, and the table of answers in the image: the first people only.",
+        "Answers in the image: classes of the angles at which a camera 3 m above the ground sees them, "
+        "judged there at each particle's position (eq. 13–14 as printed), or turned to the world once, where "
+        "the position was observed.",
+    )
+    in_image = replace(
+        detail(pictured, chen_image.GROUPS, rng), title="Answers in the image of a camera (eq. 13–14)"
     )
     return Reproduction(
         "chen-classes",
-        (detail(found, GROUPS, rng), beside(found, GROUPS, BESIDE)),
+        (detail(found, GROUPS, rng), in_image, beside(found, GROUPS, BESIDE)),
         _figure(found, rng),
         notes,
     )
@@ -156,6 +178,7 @@ def work(settings: Settings) -> int:
     """Estimates."""
     total = 0
     for tracks in people(settings).values():
+        total += 1  # answers in the image
         for method in METHODS:
             presets = len(PRESETS) + (method in WITH_MODES)
             total += presets * len(_seen(settings, method, tracks))
