@@ -81,7 +81,7 @@ def splits(
         scores = split_scores(
             model, images, pan, 0.5, settings.rng(3), repetitions=2 * repetitions, groups=groups
         )
-        found.append(Split("CAVIAR, 4-11 pixels", name, len(images), scores))
+        found.append(Split("CAVIAR, 4-10 pixels", name, len(images), scores))
         progress(1)
     return found
 

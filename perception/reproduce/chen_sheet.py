@@ -62,7 +62,7 @@ def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
         estimate = METHODS[method].estimate(person, Model(preset), 0)
         for column, row in enumerate(rows):
             axes = grid[line, column]
-            picture, caption = _cell(sheet, person, estimate, row)
+            picture, caption = cell(sheet, person, estimate, row)
             axes.imshow(picture[:, :, ::-1])
             axes.set_xticks([])
             axes.set_yticks([])
@@ -76,7 +76,7 @@ def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
     grid[-1, 0].set_ylabel("from above: particle, joint", fontsize=9)
 
 
-def _cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tuple[Image, str]:
+def cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tuple[Image, str]:
     """The picture of a frame, and the errors of body and head in words."""
     observed, truth = person.causal, person.truth
     assert observed.body_likelihood is not None and observed.head_likelihood is not None
