@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -153,7 +155,12 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 def _people(settings: Settings) -> list[PersonWithHeads]:
     path = settings.recording(*CAVIAR)
-    return [] if path is None else people_with_heads(path.parents[1])
+    return [] if path is None else _read(path.parents[1])
+
+
+@cache
+def _read(folder: Path) -> list[PersonWithHeads]:
+    return people_with_heads(folder)
 
 
 def _split_table(found: Sequence[Split]) -> Table:
@@ -233,7 +240,7 @@ def _confusion(axes: Axes, one: Split) -> None:
 
 def work(settings: Settings) -> int:
     """Splits, and the rest."""
-    return len(SHARES) + (2 if settings.recording(*CAVIAR) is not None else 0) + 1
+    return len(SHARES) + (2 if len(_people(settings)) > 1 else 0) + 1
 
 
 EXPERIMENT = Experiment(

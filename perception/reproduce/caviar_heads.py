@@ -59,18 +59,19 @@ def people_with_heads(folder: Path) -> list[PersonWithHeads]:
 
 
 def _people_of(path: Path, frames: Path) -> list[PersonWithHeads]:
+    gazes = [track for track in quietly(path) if track.head is not None]
+    labelled = {int(k) for track in gazes for k in track.frame[np.isfinite(np.asarray(track.head))]}
     pictures = {
         frame.number: frame.image
-        for frame in FrameSource.open(frames).where(lambda number: True)
+        for frame in FrameSource.open(frames).where(lambda number: number in labelled)
         if frame.image is not None
     }
     rows = read_heads(Source.open(path))
     whose = zip(rows.track_id.tolist(), rows.frame.tolist(), strict=True)
     place = dict(zip(whose, rows.channels["head"], strict=True))
     camera, found = lobby_camera(), []
-    for track in quietly(path):
-        if track.head is None:
-            continue
+    for track in gazes:
+        assert track.head is not None
         usable = [
             k
             for k, frame in enumerate(track.frame.tolist())
