@@ -26,8 +26,8 @@ def reproduce(
     name: Annotated[
         str,
         typer.Argument(
-            help="baxter-simulated, baxter-caviar, baxter-occlusion, baxter-statistics, chen-joint, "
-            "ba-mixed-state, yan-sigma-pi, or all.",
+            help="baxter-simulated, baxter-caviar, baxter-occlusion, baxter-statistics, baxter-network, "
+            "chen-joint, chen-classes, chen-pixels, ba-mixed-state, yan-sigma-pi, or all.",
             show_default=False,
         ),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,9 +30,8 @@ from perception.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from graphtrack.geometry.camera import GroundCamera
     from perception.detection.boxes import PersonBox
-    from perception.detection.people import Detections
+    from perception.detection.people import Detections, PeopleTracker
     from perception.images.frames import Frame, FrameSource
     from perception.observe.journal import FrameJournal
     from perception.observe.pipeline import SeenTracks
@@ -40,7 +39,15 @@ if TYPE_CHECKING:
 
 def observe(
     source: VideoOrFolder,
-    output: Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv, .csv.gz or .parquet.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="File to write: .csv, .csv.gz, .parquet or .ndjson; - for NDJSON rows on standard output, "
+            "frame by frame.",
+        ),
+    ],
     boxes: Annotated[
         Path | None,
         typer.Option(
@@ -61,10 +68,22 @@ def observe(
     body_pose_model: Annotated[
         Path | None, typer.Option("--body-pose-model", help="A model of your own (.npz).", **FILE)
     ] = None,
+    head_localiser_model: Annotated[
+        Path | None, typer.Option("--head-localiser-model", help="A model of your own (.npz).", **FILE)
+    ] = None,
     write_boxes_to: Annotated[
         Path | None, typer.Option("--write-boxes", help="Write the detected boxes here, as MOT text.")
     ] = None,
     render: Render = None,
+    causal: Annotated[
+        bool | None,
+        typer.Option(
+            "--causal/--whole-track",
+            help="Choose heads, and join detections, from what came before alone, or along whole tracks; "
+            "the former with -o -, else the latter.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Find people and say where they are and how their bodies and heads point, frame by frame.
 
@@ -72,22 +91,29 @@ def observe(
     """
     from graphtrack.errors import InputError
     from graphtrack.io import write
+    from perception.cli.observe_stream import observe_stream
     from perception.detection.boxes import read_boxes, write_boxes
-    from perception.detection.people import Detections
+    from perception.detection.people import Detections, PeopleTracker
     from perception.images.drawing.output import is_video
     from perception.images.frames import FrameSource
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser
     from perception.observe import pipeline
     from perception.observe.journal import FrameJournal
+    from perception.observe.live import LiveObserver
 
     if head_pose not in HEAD_POSE:
         raise InputError(f"--head-pose {head_pose}", " or ".join(HEAD_POSE))
     if boxes is not None and write_boxes_to is not None:
         raise InputError("--write-boxes beside --boxes", "one of them: given boxes are not detected")
+    streamed = str(output) == "-"
+    if streamed:
+        _refuse_with_stream({"--write-boxes": write_boxes_to, "--render": render}, causal)
     found_so_far = output.with_name(f"{output.name}.detections")
     known_so_far = output.with_name(f"{output.name}.journal")
     check_places(
-        {
+        {}
+        if streamed
+        else {
             "--output": output,
             "the journals of --output": [found_so_far, known_so_far],
             "--write-boxes": write_boxes_to,
@@ -100,17 +126,21 @@ def observe(
             "--calibration": calibration,
             "--head-pose-model": head_pose_model,
             "--body-pose-model": body_pose_model,
+            "--head-localiser-model": head_localiser_model,
         },
-        table=output,
+        table=None if streamed else output,
     )
     frames = FrameSource.open(source)
     rate = frame_rate(frames, fps)
     models = pipeline.Models(
-        load_head_localiser(),
+        load_head_localiser(head_localiser_model),
         load_classifier("body_pose", body_pose_model),
         load_classifier(head_pose, head_pose_model),
     )
     camera = read_camera(homography, calibration)
+    if streamed:
+        observe_stream(frames, boxes, LiveObserver(models, camera, rate))
+        return
     refused: dict[str, None] = {}  # what cannot be decoded may be told twice
     refuse = refused.setdefault
     one_size = render is not None and is_video(render)
@@ -120,11 +150,14 @@ def observe(
     if boxes is not None:
         people = read_boxes(boxes, refuse)
     else:
-        people = _detect(frames, camera, detections, refuse, one_size=one_size)
+        people = _detect(
+            frames, PeopleTracker(camera), detections, refuse, one_size=one_size, causal=bool(causal)
+        )
         if write_boxes_to is not None:
             write_boxes(people, write_boxes_to)
     looked = time.perf_counter()
-    key = _key(frames.stamp(), head_pose, _stamp(head_pose_model), _stamp(body_pose_model), people)
+    own = [_stamp(path) for path in (head_pose_model, body_pose_model, head_localiser_model)]
+    key = _key(frames.stamp(), head_pose, own, people)
     journal = FrameJournal(known_so_far, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record)
     journal.open()
     _say_how_far(journal)
@@ -134,7 +167,7 @@ def observe(
         with _decoded(frames, journal.frames.keys() | empty, one_size=one_size) as decoded:
             count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
         seen = pipeline.seen_in(journal)
-        observed = pipeline.to_tracks(seen, models.head_pose.classes, camera, rate)
+        observed = pipeline.to_tracks(seen, models.head_pose.classes, camera, rate, causal=bool(causal))
     except InputError:  # the same command would end in the same way
         journal.close(remove=True)
         detections.close(remove=True)
@@ -158,6 +191,17 @@ def observe(
         markup=False,
     )
     print_written(output, render)
+
+
+def _refuse_with_stream(files: Mapping[str, Path | None], causal: bool | None) -> None:
+    """Refuse what cannot be had of frames that are gone when the next comes."""
+    from graphtrack.errors import InputError
+
+    for name, path in files.items():
+        if path is not None:
+            raise InputError(f"{name} with -o -", "a file as the output: rows are given away as they come")
+    if causal is False:
+        raise InputError("--whole-track with -o -", "a file as the output: rows are given before the rest")
 
 
 def _stamp(path: Path | None) -> object:
@@ -203,16 +247,17 @@ def _decoded(
 
 def _detect(
     frames: FrameSource,
-    camera: GroundCamera | None,
+    tracker: PeopleTracker,
     journal: FrameJournal[Detections],
     refuse: Callable[[str], object],
     *,
     one_size: bool,
+    causal: bool,
 ) -> list[PersonBox]:
     """Detected people as tracks; frames that the journal has are not looked at again."""
-    from perception.detection.people import Detections, PeopleDetector, PeopleTracker
+    from perception.detection.people import Detections, PeopleDetector
 
-    detector, tracker = PeopleDetector(), PeopleTracker(camera)
+    detector = PeopleDetector()
     journal.open()
     _say_how_far(journal)
     start, count = time.perf_counter(), 0
@@ -234,7 +279,7 @@ def _detect(
         refuse(
             f"{tracker.passing} of {detected} detected boxes, in tracks of less than {tracker.least} boxes"
         )
-    return tracker.tracks()
+    return tracker.tracks(causal=causal)
 
 
 def _render(frames: FrameSource, observed: SeenTracks, path: Path, fps: float) -> None:

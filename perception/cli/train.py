@@ -44,6 +44,13 @@ def train(
             "--count", min=100, help="Rendered images to train on, if not as many as the package's model."
         ),
     ] = None,
+    as_published: Annotated[
+        bool,
+        typer.Option(
+            "--as-published",
+            help="body_pose, templates or head_localiser as Chen, Heili & Odobez (2011) printed them.",
+        ),
+    ] = False,
     seed: Seed = 0,
 ) -> None:
     """Train a model on your labelled images, or on rendered ones."""
@@ -58,11 +65,13 @@ def train(
     if (images is None) != (labels is None):
         raise InputError("one of --images and --labels", "both or neither")
     if images is not None and labels is not None:
-        model = train_on_files(name, images, labels, seed=seed)
+        model = train_on_files(name, images, labels, seed=seed, as_published=as_published)
     else:
         total = count or COUNTS.get(name, 0)  # another name is refused
         with progress_bar(total, "images to train on") as advance:
-            model = train_on_rendered(name, images=count, seed=seed, advance=advance)
+            model = train_on_rendered(
+                name, images=count, seed=seed, as_published=as_published, advance=advance
+            )
     model.save(output)
     console.print(model.card.text(), markup=False)
     console.print(f"wrote {output}", markup=False)

@@ -189,13 +189,24 @@ class PeopleTracker:
             ids.append(track.track_id)
         return ids
 
-    def tracks(self) -> list[PersonBox]:
-        """The boxes of all tracks that are long enough, by frame and id; short gaps are filled linearly."""
+    def tracks(self, *, causal: bool = False) -> list[PersonBox]:
+        """The boxes of all tracks that are long enough, by frame and id; short gaps are filled linearly.
+
+        Parameters
+        ----------
+        causal : whether later frames change nothing: a track begins with the box that makes it long enough,
+            and its gaps stay
+        """
         found: list[PersonBox] = []
         for track in [*self._ended, *self._alive]:
             if len(track.boxes) >= self.least:
-                found += filled(track.boxes)
+                found += track.boxes[self.least - 1 :] if causal else filled(track.boxes)
         return sorted(found, key=lambda item: (item.frame, item.track_id))
+
+    def confirmed(self, frame: int) -> list[PersonBox]:
+        """The boxes of the latest frame whose tracks are long enough by then, by id."""
+        long = [track.boxes[-1] for track in self._alive if len(track.boxes) >= self.least]
+        return sorted((box for box in long if box.frame == frame), key=lambda box: box.track_id)
 
     @property
     def least(self) -> int:

@@ -1,73 +1,219 @@
-"""What estimating body and head together makes of what is seen frame by frame (002 Table 2)."""
+"""What estimating body and head together makes of what is seen frame by frame, from pixels (002 Table 2)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, difference
-from graphtrack.inference import smooth
+from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
+from graphtrack.evaluation.reproduce.chen_joint import ANGLES, Scores
+from graphtrack.evaluation.reproduce.chen_tables import WITH_FULL, most_likely_error
+from graphtrack.geometry.angles import FloatArray, mean_absolute_error
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference import track_online
+from graphtrack.inference.offline import smooth_track
+from graphtrack.model import Model
 from graphtrack.tracks import Track, TrackSet
-from perception.observe.pipeline import Models, observe_frame, to_tracks
-from perception.pose.classes import PoseClasses
+from perception.observe.pipeline import (
+    Models,
+    SeenPerson,
+    head_in_image,
+    observe_frame,
+    to_track,
+    to_tracks,
+)
 from perception.synthetic.clips import Clip
 
+LAG = 2.0
+"""Seconds that the online graphs keep open, as `graphtrack track` does."""
 
-def observed(clip: Clip, models: Models) -> TrackSet:
-    """The observations of a clip, as `perception observe` writes them."""
-    seen = []
+LEAST_FRAMES = 5
+"""Of a person who is judged."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPerson:
+    """A person of a clip as observed, in the three ways in which methods take it, and the truth.
+
+    Attributes
+    ----------
+    causal : likelihoods in the world, heads chosen from the past alone
+    whole : the same with heads chosen along the whole track
+    image : as ``causal``, but the likelihoods are in the image
+    truth : of the same frames
+    camera : over the ground
+    boxes, head_boxes : (n, 4) pixels in the image, the heads those of ``causal``
+    """
+
+    causal: Track
+    whole: Track
+    image: Track
+    truth: Track
+    camera: GroundCamera
+    boxes: FloatArray
+    head_boxes: FloatArray
+
+
+Estimate = Callable[[ObservedPerson, Model, int], Track]
+"""A person, a model and a seed → estimates at the person's frames."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to estimate.
+
+    Attributes
+    ----------
+    group : "online" or "offline"
+    estimate : does it
+    presets : that it is run with
+    seeds : how often, where chance has a part in it
+    """
+
+    group: str
+    estimate: Estimate
+    presets: tuple[str, ...] = WITH_FULL
+    seeds: int = 1
+
+
+def _particle(person: ObservedPerson, model: Model, seed: int) -> Track:
+    return particle_filter(person.causal, model, camera=person.camera, seed=seed).track
+
+
+def _in_image(person: ObservedPerson, model: Model, seed: int) -> Track:
+    """As printed: eq. 12 in pixels, eq. 13–14 the closest class in the image, at each particle's position."""
+    options = ParticleOptions(pose="closest", image_pose=True)
+    return particle_filter(person.image, model, camera=person.camera, options=options, seed=seed).track
+
+
+def _chain(person: ObservedPerson, model: Model, seed: int) -> Track:
+    return track_online(person.causal, model, engine="chain", lag=LAG, camera=person.camera)
+
+
+def _isam2(person: ObservedPerson, model: Model, seed: int) -> Track:
+    return track_online(person.causal, model, engine="isam2", lag=LAG, camera=person.camera)
+
+
+def _smoother(person: ObservedPerson, model: Model, seed: int) -> Track:
+    return smooth_track(person.causal, model, person.camera).track
+
+
+def _whole(person: ObservedPerson, model: Model, seed: int) -> Track:
+    return smooth_track(person.whole, model, person.camera).track
+
+
+_SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter does not know the modes of ``full``
+
+METHODS: Mapping[str, Method] = {
+    "particle": Method("online", _particle, _SEPARATE_AND_JOINT, seeds=3),
+    "particle, eq. 12–14": Method("online", _in_image, _SEPARATE_AND_JOINT, seeds=3),
+    "graph, chain": Method("online", _chain),
+    "graph, isam2": Method("online", _isam2, _SEPARATE_AND_JOINT),
+    "smoother": Method("offline", _smoother),
+    "smoother, heads of the whole track": Method("offline", _whole),
+}
+"""Online methods and the first smoother have the same observations; the last one's heads know the future."""
+
+
+def seen_in_clip(clip: Clip, models: Models) -> list[SeenPerson]:
+    """What the models say of everybody in a clip."""
+    seen: list[SeenPerson] = []
     for k, image in enumerate(clip.images):
         boxes = [item for item in clip.boxes if item.frame == k]
         seen += observe_frame(image, k, boxes, models, lambda reason: None)
-    return to_tracks(seen, models.head_pose.classes, clip.camera, clip.fps).tracks
+    return seen
+
+
+def observed(clip: Clip, models: Models, *, causal: bool = False) -> TrackSet:
+    """The observations of a clip, as `perception observe` writes them."""
+    seen = seen_in_clip(clip, models)
+    return to_tracks(seen, models.head_pose.classes, clip.camera, clip.fps, causal=causal).tracks
+
+
+def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
+    """The people of a clip who are seen in `LEAST_FRAMES` frames or more."""
+    seen, classes = seen_in_clip(clip, models), models.head_pose.classes
+    if not seen:
+        return []
+    causal = to_tracks(seen, classes, clip.camera, clip.fps, causal=True)
+    whole = to_tracks(seen, classes, clip.camera, clip.fps).tracks
+    found = []
+    for track in causal.tracks:
+        if len(track) < LEAST_FRAMES:
+            continue
+        key, truth = track.track_id, clip.truth[track.track_id]
+        items, heads = causal.seen[key], causal.heads[key]
+        found.append(
+            ObservedPerson(
+                track,
+                whole[key],
+                to_track(items, heads, classes, clip.camera, clip.fps, in_image=True),
+                truth[np.searchsorted(truth.frame, track.frame)],
+                clip.camera,
+                np.array([item.box for item in items]),
+                np.array([head_in_image(item, k) for item, k in zip(items, heads.tolist(), strict=True)]),
+            )
+        )
+    return found
+
+
+def scores(
+    data: str, people: Iterable[ObservedPerson], progress: Callable[[int], object] = lambda count: None
+) -> Scores:
+    """Mean errors in degrees of each person by each method of `METHODS`, and of the single frames."""
+    found: dict[tuple[str, str, str], list[float]] = {}
+    count = 0
+    for person in people:
+        count += 1
+        for angle in ANGLES:
+            for name, track in (("", person.causal), ("whole track", person.whole)):
+                error = most_likely_error(track, person.truth, angle)
+                found.setdefault(("observation", name, angle), []).append(error)
+        for name, method in METHODS.items():
+            for preset in method.presets:
+                errors = _errors(person, method, Model(preset))
+                for angle, error in zip(ANGLES, errors.tolist(), strict=True):
+                    found.setdefault((preset, name, angle), []).append(error)
+        progress(1)
+    return Scores(data, count, {key: np.array(values) for key, values in found.items()})
+
+
+def _errors(person: ObservedPerson, method: Method, model: Model) -> FloatArray:
+    """Mean errors (2,) in degrees of body and head, over the frames and the seeds."""
+    of_seeds = []
+    for seed in range(method.seeds):
+        estimate = method.estimate(person, model, seed)
+        of_seeds.append(
+            [
+                mean_absolute_error(getattr(estimate, angle), getattr(person.truth, f"true_{angle}"))
+                for angle in ANGLES
+            ]
+        )
+    return np.asarray(np.degrees(np.mean(of_seeds, axis=0)), float)
 
 
 def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, str | float]]:
-    """Mean errors in degrees of body and head over all person-frames of clips.
+    """Mean errors in degrees of body and head over the people of clips, with their standard errors.
 
     Returns
     -------
-    A row for each way: the most likely class of each frame, then offline smoothing with the presets
-    "separate" and "joint".
+    A row for the most likely class of each frame, with heads chosen from the past alone and along the whole
+    track; then one for each method of `METHODS` with each of its presets.
     """
-    errors: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
-    for clip in clips:
-        seen = observed(clip, models)
-        by_frame = TrackSet(tuple(_most_likely(track) for track in seen))
-        ways = {"per frame": by_frame, "separate": smooth(seen, "separate"), "joint": smooth(seen, "joint")}
-        for way, estimates in ways.items():
-            for track in estimates:
-                errors.setdefault(way, []).append(_errors(track, clip.truth[track.track_id]))
+    found = scores("clips", [person for clip in clips for person in people_of(clip, models)])
     rows: list[dict[str, str | float]] = []
-    for way, found in errors.items():
-        body, head = (np.concatenate([pair[k] for pair in found]) for k in (0, 1))
-        rows.append(
-            {
-                "estimate": way,
-                "body_deg": float(np.degrees(body.mean())),
-                "head_deg": float(np.degrees(head.mean())),
-                "person_frames": len(body),
-            }
-        )
+    for preset, name in dict.fromkeys(key[:2] for key in found.errors):
+        per_frame = preset == "observation"
+        row: dict[str, str | float] = {
+            "estimate": "per frame" if per_frame else name,
+            "model": ("heads of the whole track" if name else "") if per_frame else preset,
+            "group": ("offline" if name else "online") if per_frame else METHODS[name].group,
+        }
+        for angle in ANGLES:
+            errors = found.errors[preset, name, angle]
+            row[f"{angle}_deg"] = float(errors.mean())
+            row[f"{angle} ±"] = float(errors.std() / np.sqrt(len(errors)))
+        rows.append({**row, "people": found.people})
     return rows
-
-
-def _most_likely(track: Track) -> Track:
-    assert track.body_likelihood is not None and track.head_likelihood is not None
-    angles = [
-        PoseClasses.circle(found.shape[1]).pan[found.argmax(axis=1)]
-        for found in (track.body_likelihood, track.head_likelihood)
-    ]
-    return Track(track.track_id, track.frame, track.t, track.position, body=angles[0], head=angles[1])
-
-
-def _errors(estimate: Track, truth: Track) -> tuple[FloatArray, FloatArray]:
-    """Absolute errors (n,) in radians of body and head, at the frames of the estimate."""
-    assert estimate.body is not None and estimate.head is not None
-    assert truth.true_body is not None and truth.true_head is not None
-    rows = np.searchsorted(truth.frame, estimate.frame)
-    return (
-        np.abs(difference(estimate.body, truth.true_body[rows])),
-        np.abs(difference(estimate.head, truth.true_head[rows])),
-    )

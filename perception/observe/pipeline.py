@@ -20,7 +20,8 @@ from perception.images.pixels import Image, checked_box, crop
 from perception.observe.journal import FrameJournal
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import Classifier
-from perception.pose.heads import HeadCandidates, HeadLocaliser, select_along_track
+from perception.pose.head_path import select_along_track, select_so_far
+from perception.pose.heads import HeadCandidates, HeadLocaliser
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
 
@@ -117,7 +118,7 @@ class SeenTracks:
 
 
 def observe_frame(
-    image: Image, frame: int, boxes: Iterable[PersonBox], models: Models, refuse: Callable[[str], None]
+    image: Image, frame: int, boxes: Iterable[PersonBox], models: Models, refuse: Callable[[str], object]
 ) -> list[SeenPerson]:
     """What the models say of the people of one frame; ``refuse`` is told of boxes that hold nothing."""
     seen: list[SeenPerson] = []
@@ -132,7 +133,7 @@ def observe_frame(
 
 
 def _usable(
-    image: Image, frame: int, boxes: Iterable[PersonBox], refuse: Callable[[str], None]
+    image: Image, frame: int, boxes: Iterable[PersonBox], refuse: Callable[[str], object]
 ) -> Iterator[PersonBox]:
     """The boxes that can be cut out of the image of a frame; ``refuse`` is told of the others."""
     for item in boxes:
@@ -221,7 +222,12 @@ def seen_in(journal: FrameJournal[SeenFrame]) -> list[SeenPerson]:
 
 
 def to_tracks(
-    seen: list[SeenPerson], head_classes: PoseClasses, camera: GroundCamera | None, fps: float
+    seen: list[SeenPerson],
+    head_classes: PoseClasses,
+    camera: GroundCamera | None,
+    fps: float,
+    *,
+    causal: bool = False,
 ) -> SeenTracks:
     """Tracks with positions in metres and class likelihoods in the world frame.
 
@@ -232,6 +238,8 @@ def to_tracks(
     seen : of all frames, each person once a frame
     head_classes : pan classes of ``SeenPerson.pan``
     camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
+    causal : whether rows are made of what was seen up to their frame alone: the heads are those that
+        `select_so_far` gives, and the scale that of the first frame. Else they are chosen along whole tracks.
 
     Raises
     ------
@@ -241,32 +249,16 @@ def to_tracks(
     if not seen:
         raise InputError("a video without people", "at least one person")
     if camera is None:
-        camera = GroundCamera.from_scale(PERSON_HEIGHT / float(np.median([item.height for item in seen])))
-    pans = head_classes.pans
+        first = min(item.frame for item in seen)
+        camera = scaled_camera(item for item in seen if not causal or item.frame == first)
     tracks, rows, heads = [], {}, {}
-    for track_id, items in _by_track(seen).items():
-        pixel = np.array([foot_point(item.box) for item in items])
-        position = camera.image_to_ground(pixel)
-        ahead = np.asarray(np.isfinite(position).all(axis=1))  # not beyond the horizon
-        items = [item for item, keep in zip(items, ahead.tolist(), strict=True) if keep]
-        if not items:
-            continue
-        pixel, position = pixel[ahead], position[ahead]
-        frame = np.array([item.frame for item in items])
-        rows[track_id], heads[track_id] = items, _chosen_heads(items)
-        head = np.array([item.pan[k] for item, k in zip(items, heads[track_id], strict=True)])
-        body = np.array([item.body for item in items])
-        tracks.append(
-            Track(
-                track_id=track_id,
-                frame=frame,
-                t=frame / fps,
-                position=position,
-                pixel=pixel,
-                body_likelihood=world_likelihood(body, _BODY, _BODY, camera, position),
-                head_likelihood=world_likelihood(head, pans, _HEAD, camera, position),
-            )
-        )
+    for track_id, items in by_track(seen).items():
+        items = [item for item in items if is_on_ground(item, camera)]
+        if items:
+            scaled = [in_heights(item) for item in items]
+            rows[track_id] = items
+            heads[track_id] = select_so_far(scaled) if causal else select_along_track(scaled)
+            tracks.append(to_track(items, heads[track_id], head_classes, camera, fps))
     if not tracks:
         raise InputError("people beyond the horizon only", "a homography that fits the pictures")
     beyond = len(seen) - sum(len(track) for track in tracks)
@@ -275,7 +267,57 @@ def to_tracks(
     return SeenTracks(found, rows, heads)
 
 
-def _by_track(seen: Iterable[SeenPerson]) -> dict[int, list[SeenPerson]]:
+def scaled_camera(seen: Iterable[SeenPerson]) -> GroundCamera:
+    """A view from above in which the median box of these is as high as a person."""
+    return GroundCamera.from_scale(PERSON_HEIGHT / float(np.median([item.height for item in seen])))
+
+
+def is_on_ground(item: SeenPerson, camera: GroundCamera) -> bool:
+    """Whether the feet are on this side of the horizon."""
+    return bool(np.isfinite(camera.image_to_ground(foot_point(item.box))).all())
+
+
+def to_track(
+    items: Sequence[SeenPerson],
+    heads: NDArray[np.int64],
+    head_classes: PoseClasses,
+    camera: GroundCamera,
+    fps: float,
+    *,
+    in_image: bool = False,
+) -> Track:
+    """One person's track, with class likelihoods in the world frame.
+
+    Parameters
+    ----------
+    items : what was seen in n frames, on this side of the horizon
+    heads : (n,) which candidate is the head
+    head_classes, camera, fps : as for `to_tracks`
+    in_image : whether the likelihoods are left in the image frame, for filters that judge them there (002
+        eq. 13–14)
+    """
+    pixel = np.array([foot_point(item.box) for item in items])
+    position = camera.image_to_ground(pixel)
+    frame = np.array([item.frame for item in items])
+    head = np.array([item.pan[k] for item, k in zip(items, heads.tolist(), strict=True)])
+    body = np.array([item.body for item in items])
+    channels = [(body, _BODY, _BODY), (head, head_classes.pans, _HEAD)]
+    if in_image:
+        of_body, of_head = (image_likelihood(*channel) for channel in channels)
+    else:
+        of_body, of_head = (world_likelihood(*channel, camera, position) for channel in channels)
+    return Track(
+        track_id=items[0].track_id,
+        frame=frame,
+        t=frame / fps,
+        position=position,
+        pixel=pixel,
+        body_likelihood=of_body,
+        head_likelihood=of_head,
+    )
+
+
+def by_track(seen: Iterable[SeenPerson]) -> dict[int, list[SeenPerson]]:
     """What was seen of each person, by id and then by frame."""
     groups: dict[int, list[SeenPerson]] = {}
     for item in sorted(seen, key=lambda item: (item.track_id, item.frame)):
@@ -283,12 +325,9 @@ def _by_track(seen: Iterable[SeenPerson]) -> dict[int, list[SeenPerson]]:
     return groups
 
 
-def _chosen_heads(items: Sequence[SeenPerson]) -> NDArray[np.int64]:
-    """Which candidate (n,) is the head of a person in each of the frames (n) of their track."""
-    # Relative to the person's height, so that a person who comes nearer does not jump.
-    return select_along_track(
-        [HeadCandidates(item.heads.boxes / item.height, item.heads.scores) for item in items]
-    )
+def in_heights(item: SeenPerson) -> HeadCandidates:
+    """The head's candidates relative to the person's height: who comes nearer does not jump."""
+    return HeadCandidates(item.heads.boxes / item.height, item.heads.scores)
 
 
 def head_in_image(item: SeenPerson, candidate: int) -> FloatArray:
@@ -312,6 +351,16 @@ def world_likelihood(
     p = np.exp(np.asarray(log_likelihood, float))
     at = np.stack([camera.image_angle(np.full(len(p), pan), position) for pan in wanted.pan], axis=1)
     found = interpolated(p, classes, at)
+    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
+
+
+def image_likelihood(log_likelihood: ArrayLike, classes: PoseClasses, wanted: PoseClasses) -> FloatArray:
+    """Likelihoods (n, n_wanted) of other classes of the image than those (n, n_pan) that are known.
+
+    They are interpolated linearly between the centres. Rows sum to 1.
+    """
+    p = np.exp(np.asarray(log_likelihood, float))
+    found = interpolated(p, classes, np.broadcast_to(wanted.pan, (len(p), wanted.n_pan)))
     return np.asarray(found / found.sum(axis=1, keepdims=True), float)
 
 

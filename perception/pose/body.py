@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, grey_stack
 from perception.pose.classes import PoseClasses
@@ -17,21 +18,26 @@ from perception.pose.features.linear import fisher_projection, sparse_weights
 
 _WIDTH, _HEIGHT = 64, 128
 _LEVELS = ((4, 2), (8, 4))
-_FLOOR = 0.02
-"""Share of the weights that every class gets, so that none is impossible."""
+_LEAST = 1e-9
+"""A share below every other, whose logarithm is finite."""
+
+Projection = Literal["fisher", "none"]
 
 
 class BodyPose(FeatureClassifier):
     """p(z|k) ∝ the weights of the samples of class k in the sparse, non-negative representation of z.
 
-    The samples are projected (Fisher) before; measured on rendered people, the mean error is 22° then, and
-    29° after a projection on principal components.
+    By default the samples are projected (Fisher) before; measured on rendered people, the mean error is 22°
+    then, and 29° after a projection on principal components. `as_published` is the paper's form.
 
     Parameters
     ----------
     classes : by default 8 directions
     samples : of each class in the dictionary
     penalty : of the sum of the weights, for samples of unit length
+    projection : of the features, "fisher" or "none" (002 represents the HoG itself)
+    floor : share of the weights that every class gets, so that none is impossible; 0 in 002
+    calibrated : as in `FeatureClassifier`
     """
 
     kind: ClassVar[str] = "body_pose"
@@ -43,16 +49,35 @@ class BodyPose(FeatureClassifier):
         seed: int = 0,
         samples: int = 100,
         penalty: float = 0.15,
+        projection: Projection = "fisher",
+        floor: float = 0.02,
+        calibrated: bool = True,
     ) -> None:
-        super().__init__(classes or PoseClasses.circle(8), seed=seed)
+        super().__init__(classes or PoseClasses.circle(8), seed=seed, calibrated=calibrated)
+        if projection not in ("fisher", "none"):
+            raise InputError(f"projection {projection!r}", "'fisher' or 'none'")
+        if not 0.0 <= floor < 1.0:
+            raise InputError(f"floor {floor}", "a share from 0 to below 1")
         self.samples, self.penalty = samples, penalty
+        self.projection, self.floor = projection, floor
         self._mean = np.empty(0)
         self._projection = self._dictionary = np.empty((0, 0))
         self._label = np.empty(0, np.int64)
 
+    @classmethod
+    def as_published(cls, *, seed: int = 0) -> Self:
+        """002 §2.1 as printed: the normalised weights of the classes, of the HoG itself, and nothing else."""
+        return cls(seed=seed, projection="none", floor=0.0, calibrated=False)
+
     def settings(self) -> dict[str, Any]:
-        """Size of the dictionary and penalty."""
-        return {"samples": self.samples, "penalty": self.penalty}
+        """Arguments of the constructor."""
+        return {
+            "samples": self.samples,
+            "penalty": self.penalty,
+            "projection": self.projection,
+            "floor": self.floor,
+            "calibrated": self.calibrated,
+        }
 
     def features(self, images: Sequence[Image]) -> FloatArray:
         """HoG of 4 × 2 and 8 × 4 blocks (n, 1440)."""
@@ -61,7 +86,8 @@ class BodyPose(FeatureClassifier):
     def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
         """Projection, and a dictionary of as many samples of each class."""
         self._mean = features.mean(axis=0)
-        self._projection = fisher_projection(features, labels)
+        if self.projection == "fisher":
+            self._projection = fisher_projection(features, labels)
         chosen = [
             rng.permutation(np.flatnonzero(labels == k))[: self.samples] for k in range(len(self.classes))
         ]
@@ -69,7 +95,7 @@ class BodyPose(FeatureClassifier):
         self._dictionary, self._label = self._projected(features[index]), labels[index]
 
     def _projected(self, features: FloatArray) -> FloatArray:
-        seen = (features - self._mean) @ self._projection
+        seen = (features - self._mean) @ self._projection if self.projection == "fisher" else features
         return np.asarray(seen / np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-9), float)
 
     def scores(self, features: FloatArray) -> FloatArray:
@@ -78,7 +104,7 @@ class BodyPose(FeatureClassifier):
         member = self._label[:, None] == np.arange(len(self.classes))
         of_class = weights @ member
         share = of_class / np.maximum(of_class.sum(axis=1, keepdims=True), 1e-9)
-        return np.asarray(np.log(share + _FLOOR), float)
+        return np.asarray(np.log(np.maximum(share + self.floor, _LEAST)), float)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Mean, projection and dictionary with its labels."""

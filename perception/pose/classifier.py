@@ -64,10 +64,11 @@ class FeatureClassifier(Stored):
     ----------
     classes : the classes of the labels
     seed : of everything random in the fit
+    calibrated : whether the fit chooses temperature and share; the papers' likelihoods have neither
     """
 
-    def __init__(self, classes: PoseClasses, *, seed: int = 0) -> None:
-        self.classes, self.seed = classes, seed
+    def __init__(self, classes: PoseClasses, *, seed: int = 0, calibrated: bool = True) -> None:
+        self.classes, self.seed, self.calibrated = classes, seed, calibrated
         self.temperature, self.neighbour_share = 1.0, 0.0
         self.card = ModelCard(self.kind)
 
@@ -138,6 +139,8 @@ class FeatureClassifier(Stored):
         return self._calibrated(self._all_scores(images))
 
     def _fit_calibration(self, scores: FloatArray, pan: NDArray[np.int64]) -> None:
+        if not self.calibrated:
+            return
         groups = self.classes.n_tilt
         if self.classes.all_around:
             self.temperature, self.neighbour_share = fit_temperature_and_share(scores, pan, groups=groups)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import cv2
@@ -27,7 +26,7 @@ _HEAD_HEIGHTS = (14.0, 17.0, 20.0, 24.0)
 _ASPECTS = (0.68, 0.85)
 _STEP = 2.5
 _LOWEST = 0.30
-"""Centres of heads lie in this upper share of the box."""
+"""Centres of heads lie in this upper share of the box, unless the localiser is plain."""
 _AROUND = 1.3
 """A window is this much larger than the head, so that it holds the outline."""
 _OVERLAP = 0.2
@@ -59,12 +58,17 @@ class HeadLocaliser(Stored):
     weak : "differential" (eq. 1) or "fisher" (the comparison in 002's Table 1)
     rounds : of AdaBoost
     seed : of the choice of training windows
+    plain : 002 §2.2 as printed: windows all over the box, each judged by all weak classifiers alone, and the
+        best one of a heap is its head. By default heads lie in the upper part, their place costs, the first
+        30 classifiers choose the 250 windows that the others judge, and those about the best are averaged.
     """
 
     kind: ClassVar[str] = "head_localiser"
 
-    def __init__(self, weak: Weak = "differential", *, rounds: int = 500, seed: int = 0) -> None:
-        self.weak, self.rounds, self.seed = weak, rounds, seed
+    def __init__(
+        self, weak: Weak = "differential", *, rounds: int = 500, seed: int = 0, plain: bool = False
+    ) -> None:
+        self.weak, self.rounds, self.seed, self.plain = weak, rounds, seed, plain
         self.threshold = 0.0
         self.card = ModelCard(self.kind)
         self._detector: BoostedBlocks | None = None
@@ -92,7 +96,7 @@ class HeadLocaliser(Stored):
             integral, factor = _prepared(image)
             true = box * (*factor, *factor)
             near = true + rng.normal(0.0, 0.03, (2, 4)) * true[[2, 3, 2, 3]]
-            windows = candidate_windows(round(image.shape[1] * factor[0]))
+            windows = self._windows(round(image.shape[1] * factor[0]))
             overlap = intersection_over_union(windows, true)
             far = rng.permutation(np.flatnonzero(overlap < _NEGATIVE_OVERLAP))[: negatives - 1]
             edge = rng.permutation(np.flatnonzero((overlap > 0.05) & (overlap < _NEGATIVE_OVERLAP)))[:2]
@@ -107,7 +111,7 @@ class HeadLocaliser(Stored):
         self.threshold = _ANYTHING
         rest = np.flatnonzero(held_out).tolist()
         best = -1.0
-        for weight in _PLACE_WEIGHTS:
+        for weight in _PLACE_WEIGHTS[:1] if self.plain else _PLACE_WEIGHTS:
             self._place_weight, before = weight, self._place_weight
             found = [self.locate(images[k]) for k in rest]
             mean = np.mean(
@@ -127,23 +131,32 @@ class HeadLocaliser(Stored):
         if self._detector is None:
             raise InputError("a head localiser that was not fitted", "fit or load first")
         integral, factor = _prepared(image)
-        windows = candidate_windows(integral.shape[1] - 1)
+        windows, scores = self._judged(integral)
+        kept = non_maximum_suppression(windows, scores, _OVERLAP)
+        kept = [k for k in kept if k == kept[0] or scores[k] >= self.threshold]
+        boxes = windows[kept] if self.plain else np.array([_refined(windows, scores, k) for k in kept])
+        return HeadCandidates(boxes / (*factor, *factor), scores[kept])
+
+    def _windows(self, width: int) -> FloatArray:
+        return candidate_windows(width, 1.0 if self.plain else _LOWEST)
+
+    def _judged(self, integral: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+        """Windows (n, 4) and their scores (n,); the less promising ones are left out, unless plain."""
+        assert self._detector is not None
+        windows = self._windows(integral.shape[1] - 1)
         surrounded = enlarged(windows, _AROUND)
+        if self.plain:
+            return windows, self._detector.scores(integral, surrounded)
         # The first weak classifiers tell most windows apart from heads; the others judge what is left.
         away = np.square((_places(windows, integral.shape[1] - 1) - self._place[0]) / self._place[1])
         cost = 0.5 * self._place_weight * away.sum(axis=1)
         first = self._detector.scores(integral, surrounded, rounds=_FIRST_ROUNDS) - cost
         promising = np.argsort(-first, kind="stable")[:_KEPT]
-        scores = self._detector.scores(integral, surrounded[promising]) - cost[promising]
-        windows = windows[promising]
-        kept = non_maximum_suppression(windows, scores, _OVERLAP)
-        kept = [k for k in kept if k == kept[0] or scores[k] >= self.threshold]
-        boxes = np.array([_refined(windows, scores, k) for k in kept])
-        return HeadCandidates(boxes / (*factor, *factor), scores[kept])
+        return windows[promising], self._detector.scores(integral, surrounded[promising]) - cost[promising]
 
     def parameters(self) -> dict[str, Any]:
         """Arguments of the constructor, threshold and weight of the place."""
-        settings = {"weak": self.weak, "rounds": self.rounds, "seed": self.seed}
+        settings = {"weak": self.weak, "rounds": self.rounds, "seed": self.seed, "plain": self.plain}
         return {"settings": settings, "threshold": self.threshold, "place_weight": self._place_weight}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -171,14 +184,14 @@ def _places(windows: FloatArray, width: int) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def candidate_windows(width: int) -> FloatArray:
-    """Head boxes (n, 4) to try in a crop of 128 rows and ``width`` columns."""
+def candidate_windows(width: int, lowest: float = _LOWEST) -> FloatArray:
+    """Head boxes (n, 4) to try in a crop of 128 rows and ``width`` columns, centred above a share of it."""
     found = []
     for height in _HEAD_HEIGHTS:
         for aspect in _ASPECTS:
             w = height * aspect
             left = np.arange(0.1 * width - w / 2.0, 0.9 * width - w / 2.0 + 1e-9, _STEP)
-            top = np.arange(-3.0, _LOWEST * _HEIGHT - height / 2.0, _STEP)
+            top = np.arange(-3.0, lowest * _HEIGHT - height / 2.0, _STEP)
             x, y = np.meshgrid(left, top)
             found.append(np.column_stack([x.ravel(), y.ravel(), np.full(x.size, w), np.full(x.size, height)]))
     windows = np.concatenate(found)
@@ -195,32 +208,6 @@ def non_maximum_suppression(boxes: FloatArray, scores: FloatArray, overlap: floa
         kept.append(best)
         left = left[intersection_over_union(boxes[left], boxes[best]) <= overlap]
     return kept
-
-
-def select_along_track(candidates: Sequence[HeadCandidates], *, smoothness: float = 2.0) -> NDArray[np.int64]:
-    """Which candidate (n,) of each frame of a track: the path of highest score that moves and grows least.
-
-    Parameters
-    ----------
-    candidates : of each frame, in coordinates in which the person stands still (those of the crop)
-    smoothness : score that a step of one head height costs
-
-    Notes
-    -----
-    Dynamic programming over the candidates (Viterbi); the cost of a step is the distance of the boxes' four
-    numbers over the head's height.
-    """
-    best = candidates[0].scores
-    back: list[NDArray[np.int64]] = []
-    for before, after in pairwise(candidates):
-        step = np.linalg.norm(after.boxes[:, None, :] - before.boxes[None, :, :], axis=2)
-        total = best[None, :] - smoothness * step / np.maximum(after.boxes[:, 3], 1e-9)[:, None]
-        back.append(total.argmax(axis=1))
-        best = total.max(axis=1) + after.scores
-    path = [int(best.argmax())]
-    for pointers in reversed(back):
-        path.append(int(pointers[path[-1]]))
-    return np.array(path[::-1])
 
 
 def _prepared(image: Image) -> tuple[NDArray[np.float32], tuple[float, float]]:

@@ -40,6 +40,9 @@ COUNTS = {
 }
 """Rendered images that the models of the package are trained on."""
 
+PUBLISHED = (BodyPose.kind, Templates.kind, HeadLocaliser.kind)
+"""Models of 002, which are there as it has printed them, too."""
+
 FOUND = HeadVariation(size=(10, 32), offset=0.07, scale=0.12, tilt_deviation=0.45)
 """Heads as the localiser boxes them (its errors were measured), small ones too."""
 
@@ -78,6 +81,7 @@ def train_on_rendered(
     images: int | None = None,
     test_images: int = 1000,
     seed: int = 0,
+    as_published: bool = False,
     advance: Callable[[int], None] = lambda count: None,
 ) -> Trained:
     """Train a model by name on rendered crops; its card tells of ``test_images`` other ones.
@@ -85,6 +89,7 @@ def train_on_rendered(
     Parameters
     ----------
     images : how many to train on; by default as many as for the package's model
+    as_published : the form that 002 has printed, of the models of `PUBLISHED`
     advance : is told how many more images to train on are rendered
 
     Raises
@@ -94,18 +99,19 @@ def train_on_rendered(
     """
     if name not in NAMES:
         raise InputError(f"model {name!r}", f"one of {', '.join(NAMES)}")
+    check_published(name, as_published)
     if name == DeepBelief.kind:
         DeepBelief.check_trainable()
     count = images or COUNTS[name]
     rng, other = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
     if name == HeadLocaliser.kind:
-        return _localiser(
-            make_pedestrians(count, rng, advance=advance), make_pedestrians(test_images, other), seed
-        )
+        people, judged = make_pedestrians(count, rng, advance=advance), make_pedestrians(test_images, other)
+        return _localiser(people, judged, HeadLocaliser(seed=seed, plain=as_published))
     if name == BodyPose.kind:
         people = make_pedestrians(count - count // 3, rng, advance=advance)
         people += make_pedestrians(count // 3, rng, FAR, advance=advance)
-        return _body_pose(people, make_pedestrians(test_images, other), seed)
+        body = BodyPose.as_published(seed=seed) if as_published else BodyPose(seed=seed)
+        return _body_pose(people, make_pedestrians(test_images, other), body)
     if name not in CLASSIFIERS:
         return train_head_exemplars(
             people=max(2, count // len(PoseClasses.circle(16, 3))), seed=seed, advance=advance
@@ -114,23 +120,41 @@ def train_on_rendered(
     found = count // 2 if name == DeepBelief.kind else 0
     heads = make_heads(count - found, rng, _EXACT, advance=advance)
     heads += make_heads(found, rng, FOUND, advance=advance)
-    model = _head_pose(name, heads, seed)
+    model = _head_pose(name, heads, seed, as_published)
     calibrate_for_use(model, seed)
     figures = head_pose_figures(model, test_images, other)
     _complete_card(model, _HEADS + (_FOUND_TOO if found else ""), figures)
     return model
 
 
-def _head_pose(name: str, heads: HeadSet, seed: int) -> FeatureClassifier:
+def check_published(name: str, as_published: bool) -> None:
+    """Refuse 002's form of a model that is not 002's.
+
+    Raises
+    ------
+    InputError
+        As said.
+    """
+    if as_published and name not in PUBLISHED:
+        raise InputError(f"{name} as published", f"one of {', '.join(PUBLISHED)}")
+
+
+def _head_pose(name: str, heads: HeadSet, seed: int, as_published: bool) -> FeatureClassifier:
     model: FeatureClassifier
     if name == Templates.kind:
         skin = SkinColours.fit(heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES])
-        model = Templates(seed=seed, skin=skin, metric="fisher")
+        model = _templates(seed, skin, as_published)
     elif name == Exemplars.kind:
         model = Exemplars(seed=seed, exemplars=40, weigh_filters=True)
     else:
         model = DeepBelief(seed=seed)
     return model.fit(heads.images, model.classes.index(heads.pan, heads.tilt))
+
+
+def _templates(seed: int, skin: SkinColours | None, as_published: bool) -> Templates:
+    if as_published:
+        return Templates.as_published(seed=seed, skin=skin)
+    return Templates(seed=seed, skin=skin, metric="fisher")
 
 
 def calibrate_for_use(model: FeatureClassifier, seed: int) -> None:
@@ -153,7 +177,9 @@ def head_pose_figures(model: FeatureClassifier, count: int, rng: np.random.Gener
     return figures | {f"{name}_found": value for name, value in of_found.items()}
 
 
-def train_on_files(name: str, folder: str | Path, labels: str | Path, *, seed: int = 0) -> Trained:
+def train_on_files(
+    name: str, folder: str | Path, labels: str | Path, *, seed: int = 0, as_published: bool = False
+) -> Trained:
     """Train a model by name on a user's images.
 
     The CSV has the columns ``image`` and: ``pan_deg`` and ``tilt_deg`` for head pose, ``body_deg`` for body
@@ -169,13 +195,14 @@ def train_on_files(name: str, folder: str | Path, labels: str | Path, *, seed: i
     known = [known for known in NAMES if known != HeadExemplars.kind]
     if name not in known:
         raise InputError(f"model {name!r}", f"one of {', '.join(known)}")
+    check_published(name, as_published)
     model: FeatureClassifier | HeadLocaliser
     if name == HeadLocaliser.kind:
         given = read_labelled(folder, labels, ("left", "top", "width", "height"))
-        model = HeadLocaliser(seed=seed).fit(given.images, given.values)
+        model = HeadLocaliser(seed=seed, plain=as_published).fit(given.images, given.values)
     elif name == BodyPose.kind:
         given = read_labelled(folder, labels, ("body_deg",))
-        model = BodyPose(seed=seed)
+        model = BodyPose.as_published(seed=seed) if as_published else BodyPose(seed=seed)
         model.fit(given.images, model.classes.index(np.deg2rad(given.values[:, 0])))
     else:
         given = read_labelled(folder, labels, ("pan_deg", "tilt_deg"))
@@ -183,23 +210,22 @@ def train_on_files(name: str, folder: str | Path, labels: str | Path, *, seed: i
         if name == Templates.kind:
             # Skin is a matter of masks, which these labels lack: the colours of the package's model serve.
             shipped = Templates.load(model_path(Templates.kind))
-            model = Templates(seed=seed, skin=shipped.skin, metric="fisher")
+            model = _templates(seed, shipped.skin, as_published)
         model.fit(given.images, model.classes.index(*np.deg2rad(given.values).T))
     model.card = replace(model.card, trained_on=f"the images that {Path(labels).name} names")
     return model
 
 
-def _body_pose(people: PedestrianSet, judged: PedestrianSet, seed: int) -> BodyPose:
-    model = BodyPose(seed=seed)
+def _body_pose(people: PedestrianSet, judged: PedestrianSet, model: BodyPose) -> BodyPose:
     model.fit(people.images, model.classes.index(people.body))
-    near = make_pedestrians(_CALIBRATION_IMAGES // 2, np.random.default_rng([seed, 2]))
+    near = make_pedestrians(_CALIBRATION_IMAGES // 2, np.random.default_rng([model.seed, 2]))
     model.calibrate(near.images, near.body)
     _complete_card(model, _PEOPLE + _FAR_TOO, evaluate(model, judged.images, judged.body).figures())
     return model
 
 
-def _localiser(people: PedestrianSet, judged: PedestrianSet, seed: int) -> HeadLocaliser:
-    model = HeadLocaliser(seed=seed).fit(people.images, people.head_box)
+def _localiser(people: PedestrianSet, judged: PedestrianSet, model: HeadLocaliser) -> HeadLocaliser:
+    model.fit(people.images, people.head_box)
     _complete_card(model, _PEOPLE, localisation_figures(model, judged))
     return model
 

@@ -10,8 +10,9 @@ from sklearn.decomposition import sparse_encode
 
 from perception.evaluation.measures import evaluate
 from perception.pose.body import BodyPose
+from perception.pose.classes import PoseClasses
 from perception.pose.features.linear import fisher_projection, sparse_weights
-from perception.synthetic import PedestrianVariation, make_pedestrians
+from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedestrians
 
 EASY = PedestrianVariation(size=(64, 80), occluded=0.0, elevation=(0.0, 0.1), offset=0.01, scale=0.02)
 
@@ -41,8 +42,13 @@ def test_the_projection_finds_what_separates_and_makes_the_rest_unit() -> None:
 
 
 @pytest.fixture(scope="module")
-def fitted() -> BodyPose:
-    people = make_pedestrians(160, np.random.default_rng(1), EASY)
+def learned_from() -> PedestrianSet:
+    return make_pedestrians(160, np.random.default_rng(1), EASY)
+
+
+@pytest.fixture(scope="module")
+def fitted(learned_from: PedestrianSet) -> BodyPose:
+    people = learned_from
     model = BodyPose(samples=15)
     return model.fit(people.images, model.classes.index(people.body))
 
@@ -61,3 +67,38 @@ def test_a_saved_model_says_the_same(fitted: BodyPose, tmp_path: Path) -> None:
     again = BodyPose.load(tmp_path / "body.npz")
     before = fitted.log_likelihoods(people.images)
     np.testing.assert_allclose(again.log_likelihoods(people.images), before, atol=0.05)
+
+
+def test_as_published_it_is_the_normalised_weight_of_the_classes_of_the_hog_itself(
+    learned_from: PedestrianSet,
+) -> None:
+    people = learned_from
+    model = BodyPose.as_published()
+    model.samples = 15
+    model.fit(people.images, model.classes.index(people.body))
+    assert (model.temperature, model.neighbour_share) == (1.0, 0.0)
+    model.calibrate(people.images, people.body)
+    assert (model.temperature, model.neighbour_share) == (1.0, 0.0)
+    image = people.images[0]
+    hog = model.features([image])
+    hog /= np.linalg.norm(hog)
+    dictionary, label = model.arrays()["dictionary"].astype(float), model.arrays()["label"]
+    assert dictionary.shape == (len(label), hog.shape[1])
+    weights = sparse_encode(
+        hog, dictionary, algorithm="lasso_cd", alpha=model.penalty, positive=True, max_iter=5000
+    )[0]
+    of_class = np.array([weights[label == k].sum() for k in range(8)])
+    found = np.exp(model.log_likelihood(image))
+    np.testing.assert_allclose(found, of_class / of_class.sum(), atol=0.02)
+    assert found.min() < 1e-6  # there is no floor
+
+
+def test_a_model_as_published_is_one_after_it_was_saved(learned_from: PedestrianSet, tmp_path: Path) -> None:
+    people = learned_from
+    model = BodyPose.as_published().fit(people.images, PoseClasses.circle(8).index(people.body))
+    model.save(tmp_path / "body.npz")
+    again = BodyPose.load(tmp_path / "body.npz")
+    assert again.settings() == model.settings() and not again.calibrated
+    np.testing.assert_allclose(
+        again.log_likelihoods(people.images[:4]), model.log_likelihoods(people.images[:4]), atol=0.05
+    )

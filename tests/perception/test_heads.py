@@ -14,7 +14,13 @@ from perception.models import load_head_localiser
 from perception.pose.boosting import Quantised, reweighted
 from perception.pose.features.blocks import block_corners, block_histograms, corner_sums, integral_histogram
 from perception.pose.head_detector import BoostedBlocks, Weak
-from perception.pose.heads import HeadCandidates, HeadLocaliser, non_maximum_suppression, select_along_track
+from perception.pose.head_path import select_along_track, select_so_far
+from perception.pose.heads import (
+    HeadCandidates,
+    HeadLocaliser,
+    candidate_windows,
+    non_maximum_suppression,
+)
 from perception.synthetic import PedestrianSet, PedestrianVariation, make_pedestrians
 
 People = tuple[PedestrianSet, PedestrianSet]
@@ -138,12 +144,17 @@ def test_suppression_keeps_the_best_of_each_heap() -> None:
     assert non_maximum_suppression(boxes, np.array([0.5, 0.9, 0.8, 0.7]), 0.3) == [1, 2]
 
 
-def test_selection_along_a_track_is_the_best_of_all_paths() -> None:
+def drawn_candidates(count: int) -> list[HeadCandidates]:
+    """Three candidates in each of some frames."""
     rng = np.random.default_rng(0)
-    frames = [
+    return [
         HeadCandidates(rng.uniform((0, 0, 10, 10), (20, 20, 30, 30), (3, 4)), np.sort(rng.random(3))[::-1])
-        for _ in range(4)
+        for _ in range(count)
     ]
+
+
+def test_selection_along_a_track_is_the_best_of_all_paths() -> None:
+    frames = drawn_candidates(4)
 
     def value(path: tuple[int, ...]) -> float:
         boxes = [f.boxes[k] for f, k in zip(frames, path, strict=True)]
@@ -152,3 +163,25 @@ def test_selection_along_a_track_is_the_best_of_all_paths() -> None:
 
     best = max(np.ndindex(3, 3, 3, 3), key=value)
     assert tuple(select_along_track(frames, smoothness=0.3)) == best
+
+
+def test_the_causal_selection_is_the_end_of_the_best_path_up_to_each_frame() -> None:
+    frames = drawn_candidates(40)
+    found = select_so_far(frames, smoothness=0.3)
+    ends = [select_along_track(frames[: k + 1], smoothness=0.3)[-1] for k in range(len(frames))]
+    np.testing.assert_array_equal(found, ends)
+    # The whole track knows better: this is what causality costs, and why the two are told apart.
+    assert (found != select_along_track(frames, smoothness=0.3)).any()
+
+
+def test_plain_the_detector_alone_judges_windows_all_over_the_box(people: People) -> None:
+    plain = HeadLocaliser(rounds=60, plain=True).fit(people[0].images, people[0].head_box)
+    image = people[1].images[0]
+    found = plain.locate(image)
+    factor = 128.0 / image.shape[0]
+    windows = candidate_windows(128 * image.shape[1] // image.shape[0], 1.0)
+    assert (windows[:, 1] + windows[:, 3] / 2.0).max() > 100.0  # feet are windows too
+    # The best candidate is a window itself, not a mean of some.
+    away = np.abs(found.boxes[0] * factor - windows).max(axis=1)
+    assert away.min() < 1.5
+    assert mean_overlap(plain, people[1]) > 0.2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import StringIO
 from pathlib import Path
 
 import cv2
@@ -14,8 +15,9 @@ from graphtrack import io
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
 from perception.detection.people import PeopleDetector
 from perception.images.frames import FrameSource
-from perception.observe.pipeline import SeenPerson, observe_frame
+from perception.observe.pipeline import SeenPerson, observe_frame, to_tracks
 from perception.pose.classes import PoseClasses
+from perception.pose.heads import HeadCandidates
 from perception.synthetic import Camera, Person, Scene, render_frame
 from perception.synthetic.appearance import random_appearance
 from perception.synthetic.person import Posture
@@ -274,3 +276,78 @@ def test_a_folder_without_people_is_one_line(tmp_path: Path, monkeypatch: pytest
     assert done.returncode == 2 and decoded == ["0001"]
     assert done.stderr.strip().splitlines()[-1].startswith("error: found a video without people")
     assert not (tmp_path / "out.csv").exists()
+
+
+@pytest.fixture(scope="module")
+def long_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rendered street of 12 frames, whose people have several candidates of the head."""
+    folder = tmp_path_factory.mktemp("street") / "clip"
+    done = run("simulate", "-o", folder, "--frames", 12, "--seed", 12, "--images")
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def rows_of(clip: Path, frames: Path, out: Path, *options: object) -> pd.DataFrame:
+    given = ["--homography", clip / "homography.txt", "--fps", 5]
+    done = run("observe", frames, *given, *options, "-o", out)
+    assert done.returncode == 0, done.stderr
+    table = pd.read_json(StringIO(done.stdout), lines=True) if str(out) == "-" else pd.read_csv(out)
+    return table.sort_values(["track_id", "frame"], ignore_index=True)
+
+
+def cut(clip: Path, folder: Path, count: int) -> Path:
+    """The first frames alone."""
+    folder.mkdir()
+    for path in sorted((clip / "images").glob("*.png"))[:count]:
+        (folder / path.name).write_bytes(path.read_bytes())
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("boxes_given", "count"), [(True, 5), (True, 9), pytest.param(False, 7, marks=pytest.mark.slow)]
+)
+def test_causal_rows_do_not_change_when_later_frames_are_cut_off(
+    long_clip: Path, tmp_path: Path, boxes_given: bool, count: int
+) -> None:
+    options = ["--causal", *(["--boxes", long_clip / "boxes.txt"] if boxes_given else [])]
+    whole = rows_of(long_clip, long_clip / "images", tmp_path / "whole.csv", *options)
+    first = rows_of(long_clip, cut(long_clip, tmp_path / "cut", count), tmp_path / "cut.csv", *options)
+    assert len(first) > 3 and first["frame"].max() < count <= whole["frame"].max()
+    expected = whole[whole["frame"] < count].reset_index(drop=True)
+    # To rounding: sums over fewer rows are added up in another order.
+    pd.testing.assert_frame_equal(first, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_the_scale_without_a_camera_is_that_of_the_first_frame_when_causal(tmp_path: Path) -> None:
+    flat = np.log(np.full(8, 1.0 / 8.0))
+    heads = HeadCandidates(np.array([[5.0, 2.0, 10.0, 14.0]]), np.array([0.4]))
+    near = [
+        SeenPerson(k, 1, (10.0, 10.0, 30.0, 80.0 + 40.0 * k), flat, heads, np.log(np.full((1, 12), 1 / 12)))
+        for k in range(3)
+    ]
+    classes = PoseClasses.circle(12)
+    alone, after = (to_tracks(near[:n], classes, None, 5.0, causal=True).tracks[1] for n in (1, 3))
+    np.testing.assert_array_equal(alone.position[0], after.position[0])
+    whole = to_tracks(near, classes, None, 5.0).tracks[1]
+    assert not np.allclose(whole.position[0], after.position[0])
+
+
+@pytest.mark.parametrize("boxes_given", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_streamed_rows_are_those_of_a_causal_file(long_clip: Path, tmp_path: Path, boxes_given: bool) -> None:
+    options = ["--boxes", long_clip / "boxes.txt"] if boxes_given else []
+    streamed = rows_of(long_clip, long_clip / "images", Path("-"), *options)
+    written = rows_of(long_clip, long_clip / "images", tmp_path / "o.csv", "--causal", *options)
+    pd.testing.assert_frame_equal(streamed[written.columns], written, rtol=1e-4, atol=1e-3, check_dtype=False)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--whole-track"], "--whole-track"),
+        (["--render", "seen.mp4"], "--render"),
+        (["--write-boxes", "b.txt"], "--write-boxes"),
+    ],
+)
+def test_what_needs_all_frames_is_refused_with_a_stream(clip: Path, options: list[str], told: str) -> None:
+    done = run("observe", clip / "frames", *options, "-o", "-")
+    assert done.returncode == 2 and f"{told} with -o -" in done.stderr and not done.stdout

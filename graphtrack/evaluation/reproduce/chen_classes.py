@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
+from graphtrack.evaluation.reproduce import chen_image
 from graphtrack.evaluation.reproduce.chen_joint import (
     ANGLES,
     POSITION_STD,
@@ -16,28 +19,26 @@ from graphtrack.evaluation.reproduce.chen_joint import (
     Scores,
     beside,
 )
+from graphtrack.evaluation.reproduce.chen_tables import WITH_FULL, detail, draw_errors, most_likely_error
 from graphtrack.evaluation.reproduce.experiment import (
     ASKANCE,
     MOCAP,
     TURNING,
     WALKING,
-    Cell,
     Experiment,
     Progress,
     Reproduction,
     Settings,
-    Table,
     evenly,
     quietly,
 )
-from graphtrack.evaluation.reproduce.resampling import bootstrap
-from graphtrack.geometry.angles import class_centres, difference, mean_absolute_error
+from graphtrack.geometry.angles import mean_absolute_error
 from graphtrack.inference import smooth, track_online
 from graphtrack.model import Model
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.simulation.sampling import simulate
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, TrackSet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,8 +51,6 @@ FLIPPED, AT_RANDOM = 0.2, 0.1
 
 BESIDE = "Paper / ours: mean error in degrees (002's classifiers on CHIL, ours as the notes say)"
 
-WITH_FULL = (*PRESETS, "full")
-
 METHODS: Mapping[str, tuple[str, Estimator]] = {
     "particle": ("online", lambda track, model: particle_filter(track, model).track),
     "particle, closest class": (
@@ -63,6 +62,8 @@ METHODS: Mapping[str, tuple[str, Estimator]] = {
     "smoother": ("offline", lambda track, model: smooth(TrackSet((track,)), model).tracks[0]),
 }
 """Method → group and estimator."""
+
+GROUPS = {method: group for method, (group, _) in METHODS.items()}
 
 SLOW = ("graph, isam2",)
 """Methods that see the first of the people only."""
@@ -86,14 +87,21 @@ def people(settings: Settings) -> dict[str, TrackSet]:
             "joint", n_tracks=count, n_steps=120, rng=settings.rng(1)
         )
     return {
-        name: add_class_likelihoods(
-            add_noise(tracks, position_std=POSITION_STD, rng=settings.rng(2, i)),
-            body=confusion_matrix(BODY_CLASSES, flipped=FLIPPED, at_random=AT_RANDOM),
-            head=confusion_matrix(HEAD_CLASSES, flipped=FLIPPED, at_random=AT_RANDOM),
-            rng=settings.rng(3, i),
+        name: classified(
+            add_noise(tracks, position_std=POSITION_STD, rng=settings.rng(2, i)), settings.rng(3, i)
         )
         for i, (name, tracks) in enumerate(found.items())
     }
+
+
+def classified(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
+    """The tracks as the experiment's classifiers see them."""
+    return add_class_likelihoods(
+        tracks,
+        body=confusion_matrix(BODY_CLASSES, flipped=FLIPPED, at_random=AT_RANDOM),
+        head=confusion_matrix(HEAD_CLASSES, flipped=FLIPPED, at_random=AT_RANDOM),
+        rng=rng,
+    )
 
 
 def _seen(settings: Settings, method: str, tracks: TrackSet) -> TrackSet:
@@ -105,7 +113,7 @@ def scores(data: str, tracks: TrackSet, settings: Settings, progress: Progress) 
     found: dict[tuple[str, str, str], list[float]] = {}
     for track in tracks:
         for angle in ANGLES:
-            found.setdefault(("observation", "", angle), []).append(_most_likely(track, angle))
+            found.setdefault(("observation", "", angle), []).append(most_likely_error(track, track, angle))
     for preset in WITH_FULL:
         model = Model(preset)
         for method, (_, estimator) in METHODS.items():
@@ -120,18 +128,15 @@ def scores(data: str, tracks: TrackSet, settings: Settings, progress: Progress) 
     return Scores(data, len(tracks), {key: np.array(values) for key, values in found.items()})
 
 
-def _most_likely(track: Track, angle: str) -> float:
-    """Mean error (degrees) of the most likely class of each frame."""
-    likelihood, truth = getattr(track, f"{angle}_likelihood"), getattr(track, f"true_{angle}")
-    centres = class_centres(likelihood.shape[1])
-    known = np.isfinite(likelihood).all(axis=1)
-    answer = centres[likelihood[known].argmax(axis=1)]
-    return float(np.degrees(np.abs(difference(answer, truth[known])).mean()))
-
-
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment."""
-    found = [scores(name, tracks, settings, progress) for name, tracks in people(settings).items()]
+    everyone = people(settings)
+    found = [scores(name, tracks, settings, progress) for name, tracks in everyone.items()]
+    pictured = []
+    for i, (name, tracks) in enumerate(everyone.items()):
+        few = tracks[:1] if settings.quick else _seen(settings, SLOW[0], tracks)
+        pictured.append(chen_image.image_scores(name, few, partial(classified, rng=settings.rng(4, i))))
+        progress(1)
     rng = settings.rng(99)
     notes = (
         f"Positions with {POSITION_STD} m of noise; in each frame a class of the body (8) and one of the "
@@ -143,74 +148,28 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         f"{LAG:g} s open.",
         "closest class: eq. 13–14, the score of the class that is closest to a particle; particle is their "
         "smooth mixture, which the graph has. joint-body is what 002 calls separate (κ₂ = 0).",
-        f"{', '.join(SLOW)}: the first people only.",
+        f"{', '.join(SLOW)}, and the table of answers in the image: the first people only.",
+        "Answers in the image: classes of the angles at which a camera 3 m above the ground sees them, "
+        "judged there at each particle's position (eq. 13–14 as printed), or turned to the world once, where "
+        "the position was observed.",
+    )
+    in_image = replace(
+        detail(pictured, chen_image.GROUPS, rng), title="Answers in the image of a camera (eq. 13–14)"
     )
     return Reproduction(
-        "chen-classes", (_detail(found, rng), beside(found, METHODS, BESIDE)), _figure(found, rng), notes
+        "chen-classes",
+        (detail(found, GROUPS, rng), in_image, beside(found, GROUPS, BESIDE)),
+        _figure(found, rng),
+        notes,
     )
-
-
-def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Table:
-    records: list[dict[str, Cell]] = []
-    for one in found:
-        for angle in ANGLES:
-            for method, (group, _) in METHODS.items():
-                for preset in WITH_FULL:
-                    errors = one.errors.get((preset, method, angle))
-                    if errors is None:
-                        continue
-                    interval = bootstrap(lambda v: np.mean(v, axis=-1), errors, rng=rng)
-                    records.append(
-                        {
-                            "data": one.data,
-                            "people": len(errors),
-                            "angle": angle,
-                            "group": group,
-                            "method": method,
-                            "model": preset,
-                            "most likely class (°)": float(one.errors["observation", "", angle].mean()),
-                            "error (°)": interval.value,
-                            "low": interval.low,
-                            "high": interval.high,
-                        }
-                    )
-    return Table.of("Body and head from class likelihoods", records)
 
 
 def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
-    from graphtrack.evaluation.reproduce.style import COLOURS
-    from graphtrack.report.style import new_figure, tidy
+    from graphtrack.report.style import new_figure
 
     figure = new_figure(4.2 * len(found) + 1.0, 7.2)
     grid = figure.subplots(2, len(found), sharex=True, sharey="row", squeeze=False)
-    colours = {
-        "particle": COLOURS["particle"],
-        "particle, closest class": COLOURS["particle joint-intentional"],
-        "graph, chain": COLOURS["graph"],
-        "graph, isam2": COLOURS["graph joint-intentional"],
-        "smoother": COLOURS["printed"],
-    }
-    for row, angle in enumerate(ANGLES):
-        for column, one in enumerate(found):
-            axes = grid[row, column]
-            for k, method in enumerate(METHODS):
-                known = [p for p in WITH_FULL if (p, method, angle) in one.errors]
-                drawn = [
-                    bootstrap(lambda v: np.mean(v, axis=-1), one.errors[p, method, angle], rng=rng)
-                    for p in known
-                ]
-                value = np.array([interval.value for interval in drawn])
-                spread = [value - [i.low for i in drawn], [i.high for i in drawn] - value]
-                x = np.arange(len(known)) + 0.09 * (k - 2)
-                label = f"{method} ({METHODS[method][0]})"
-                axes.errorbar(x, value, spread, fmt="o", color=colours[method], markersize=4, label=label)
-            tidy(axes, grid="y")
-            axes.set_xticks(range(len(WITH_FULL)), WITH_FULL)
-            if row == 0:
-                axes.set_title(f"{one.data} ({one.people} people)", fontsize=10)
-        top = max(axes.dataLim.y1 for axes in grid[row])
-        grid[row, 0].set_ylim(0.0, 1.05 * top)
-        grid[row, 0].set_ylabel(f"{angle}: mean error (°)")
+    draw_errors(grid, found, GROUPS, rng)
     grid[0, 0].legend(frameon=False, fontsize=8)
     return figure
 
@@ -219,6 +178,7 @@ def work(settings: Settings) -> int:
     """Estimates."""
     total = 0
     for tracks in people(settings).values():
+        total += 1  # answers in the image
         for method in METHODS:
             presets = len(PRESETS) + (method in WITH_MODES)
             total += presets * len(_seen(settings, method, tracks))

@@ -61,6 +61,8 @@ METHODS: Mapping[str, tuple[str, Estimator]] = {
 }
 """Method → group and estimator. The first two are 002's filter and the graph, then their smoothers."""
 
+GROUPS = {method: group for method, (group, _) in METHODS.items()}
+
 WITH_MODES = ("graph", "smoother")
 """Methods that know the preset ``full`` as well, `joint` that is told whether people face where they go."""
 
@@ -163,7 +165,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         notes.append("No recordings were found: only people drawn from the model.")
     return Reproduction(
         "chen-joint",
-        (_detail(found, rng), _modes(found, rng), beside(found, METHODS, BESIDE)),
+        (_detail(found, rng), _modes(found, rng), beside(found, GROUPS, BESIDE)),
         _figure(found, rng),
         tuple(notes),
     )
@@ -220,12 +222,12 @@ def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Table:
     return Table.of("Beyond 002: the graph, told whether people face where they go (full)", records)
 
 
-def beside(found: Sequence[Scores], methods: Mapping[str, tuple[str, Estimator]], title: str) -> Table:
-    """002's Table 2 beside the errors of some methods."""
+def beside(found: Sequence[Scores], groups: Mapping[str, str], title: str) -> Table:
+    """002's Table 2 beside the errors of some methods, of which ``groups`` says whether they are online."""
     records: list[dict[str, Cell]] = []
     for i, angle in enumerate(ANGLES):
         for one in found:
-            for method, (group, _) in methods.items():
+            for method, group in groups.items():
                 records.append(
                     {
                         "angle": angle,

@@ -120,6 +120,21 @@ def read_boxes(source: Source) -> Rows:
     return _rows(source, observations, {"box": np.hstack([centre - size / 2.0, size])})
 
 
+def read_heads(source: Source) -> Rows:
+    """The labelled heads in the order of the file, without the objects whose head is not labelled.
+
+    The channel is ``head`` (n, 2): the pixel of the head's middle.
+
+    Raises
+    ------
+    InputError
+        As `read`.
+    """
+    observations = _Reader(source).observations()
+    rows = _rows(source, observations, {"head": np.array([o.head for o in observations])})
+    return rows.keep(~np.isnan(rows.channels["head"][:, 0]), "without a head")
+
+
 def _rows(source: Source, observations: list[_Observation], channels: dict[str, FloatArray]) -> Rows:
     """Observations with their channels, without those whose box is empty."""
     rows = Rows(

@@ -108,11 +108,15 @@ class DeepBelief(FeatureClassifier):
 
     def scores(self, features: FloatArray) -> FloatArray:
         """Inputs of the softmax (n, n_classes)."""
+        weight, bias = self._layers[-1]
+        return np.asarray(self.hidden(features) @ weight + bias, float)
+
+    def hidden(self, features: FloatArray) -> NDArray[np.float32]:
+        """What the last hidden layer's units (n, units) answer to equalised pixels (n, 1024)."""
         values = np.asarray(features, np.float32)
         for weight, bias in self._layers[:-1]:
-            values = np.maximum(values @ weight + bias, 0.0)
-        weight, bias = self._layers[-1]
-        return np.asarray(values @ weight + bias, float)
+            values = np.maximum(values @ weight + bias, np.float32(0.0))
+        return values
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Weights as whole numbers of a step for each unit (which costs no accuracy), steps and biases."""

@@ -7,7 +7,7 @@ distances, 18.7° with distances after a Fisher projection of the same features.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ class Templates(FeatureClassifier):
     classes : by default 12 pans × 3 tilts
     skin : colours of skin; without them only texture counts
     metric : "euclidean" (the paper's distances) or "fisher"
+    calibrated : as in `FeatureClassifier`
     """
 
     kind: ClassVar[str] = "templates"
@@ -56,8 +57,9 @@ class Templates(FeatureClassifier):
         seed: int = 0,
         skin: SkinColours | None = None,
         metric: Metric = "euclidean",
+        calibrated: bool = True,
     ) -> None:
-        super().__init__(classes or PoseClasses.circle(12, 3), seed=seed)
+        super().__init__(classes or PoseClasses.circle(12, 3), seed=seed, calibrated=calibrated)
         if metric not in ("euclidean", "fisher"):
             raise InputError(f"metric {metric!r}", "'euclidean' or 'fisher'")
         self.skin, self.metric = skin, metric
@@ -65,9 +67,14 @@ class Templates(FeatureClassifier):
         self._projection = np.empty((_TEXTURE + MASK_SIDE**2, 0))
         self._weights = np.zeros(2)
 
+    @classmethod
+    def as_published(cls, *, seed: int = 0, skin: SkinColours | None = None) -> Self:
+        """002 §2.3 as printed: eq. 3–4 with L2 and L1 distances, uncalibrated."""
+        return cls(seed=seed, skin=skin, metric="euclidean", calibrated=False)
+
     def settings(self) -> dict[str, Any]:
-        """The metric."""
-        return {"metric": self.metric}
+        """The metric, and whether there is a calibration."""
+        return {"metric": self.metric, "calibrated": self.calibrated}
 
     @property
     def weights(self) -> FloatArray:

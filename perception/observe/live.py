@@ -1,0 +1,102 @@
+"""Rows of observations frame by frame, each made of what was seen up to its frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.table.columns import to_columns
+from graphtrack.tracks import TrackSet
+from perception.detection.boxes import PersonBox
+from perception.detection.people import Detections, PeopleDetector, PeopleTracker
+from perception.images.frames import Frame
+from perception.images.pixels import Image
+from perception.observe.pipeline import (
+    Models,
+    SeenPerson,
+    in_heights,
+    is_on_ground,
+    observe_frame,
+    scaled_camera,
+    to_track,
+)
+from perception.pose.head_path import HeadPath
+
+Finder = Callable[[int, Image], list[PersonBox]]
+"""The boxes of the people of a frame, by its number and image."""
+
+
+class LiveObserver:
+    """Says of each frame at once what `to_tracks` with ``causal`` says of it in the end.
+
+    Parameters
+    ----------
+    models : what looks at people
+    camera : the ground plane; without it a scale, by which the median box of the first frame with people is
+        as high as a person
+    fps : frames a second
+    """
+
+    def __init__(self, models: Models, camera: GroundCamera | None, fps: float) -> None:
+        self.models, self.camera, self.fps = models, camera, fps
+        self._paths: dict[int, HeadPath] = {}
+
+    def rows(
+        self, image: Image, frame: int, boxes: Iterable[PersonBox], refuse: Callable[[str], object]
+    ) -> list[dict[str, Any]]:
+        """A row of the native table for each person of a frame, after all earlier frames, by id.
+
+        ``refuse`` is told of boxes that hold nothing and of feet beyond the horizon.
+        """
+        seen = observe_frame(image, frame, boxes, self.models, refuse)
+        if self.camera is None and seen:
+            self.camera = scaled_camera(seen)
+        return [
+            row
+            for item in sorted(seen, key=lambda item: item.track_id)
+            if (row := self._row(item, refuse)) is not None
+        ]
+
+    def _row(self, item: SeenPerson, refuse: Callable[[str], object]) -> dict[str, Any] | None:
+        assert self.camera is not None
+        if not is_on_ground(item, self.camera):
+            refuse(f"frame {item.frame}, track {item.track_id}: feet beyond the horizon")
+            return None
+        path = self._paths.setdefault(item.track_id, HeadPath())
+        head = np.array([path.update(in_heights(item))])
+        track = to_track([item], head, self.models.head_pose.classes, self.camera, self.fps)
+        return {name: values[0].item() for name, values in to_columns(TrackSet((track,))).items()}
+
+
+def observe_live(
+    frames: Iterable[Frame], find: Finder, observer: LiveObserver, refuse: Callable[[str], object]
+) -> Iterator[dict[str, Any]]:
+    """The rows of all frames as they come."""
+    for frame in frames:
+        if frame.image is None:
+            refuse(frame.reason)
+        else:
+            boxes = find(frame.number, frame.image)
+            yield from observer.rows(frame.image, frame.number, boxes, refuse)
+
+
+def given_boxes(boxes: Iterable[PersonBox]) -> Finder:
+    """Boxes that are known."""
+    by_frame: dict[int, list[PersonBox]] = {}
+    for item in boxes:
+        by_frame.setdefault(item.frame, []).append(item)
+    return lambda frame, image: by_frame.get(frame, [])
+
+
+def detected_boxes(camera: GroundCamera | None) -> Finder:
+    """Boxes that are detected and joined to tracks as the frames come."""
+    detector, tracker = PeopleDetector(), PeopleTracker(camera)
+
+    def find(frame: int, image: Image) -> list[PersonBox]:
+        tracker.update(frame, Detections.of(image, *detector.detect(image)))
+        return tracker.confirmed(frame)
+
+    return find

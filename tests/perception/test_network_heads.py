@@ -1,0 +1,116 @@
+"""Splits of the network's last layer, and heads cut out of CAVIAR's frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sklearn.linear_model import LogisticRegression
+
+from graphtrack.evaluation.reproduce import Settings
+from graphtrack.io.readers.caviar import LOBBY_HEIGHT, lobby_camera
+from perception.evaluation.last_layer import softmax_layer, split_scores
+from perception.models import load_classifier
+from perception.pose.head_pose import DeepBelief
+from perception.reproduce.baxter_network import EXPERIMENT, network_heads, rates
+from perception.reproduce.caviar_heads import PersonWithHeads, head_size, people_with_heads, upright_head
+from perception.synthetic import make_heads
+
+
+def network() -> DeepBelief:
+    model = load_classifier("deep_belief")
+    assert isinstance(model, DeepBelief)
+    return model
+
+
+def test_the_last_layer_is_that_of_logistic_regression() -> None:
+    rng = np.random.default_rng(0)
+    labels = rng.integers(0, 3, 200)
+    inputs = rng.normal(size=(200, 4)) + np.eye(3, 4)[labels]
+    weight, bias = softmax_layer(inputs, labels, 3, penalty=0.01)
+    scaled = (inputs - inputs.mean(axis=0)) / (inputs.std(axis=0) + 1e-6)
+    expected = LogisticRegression(C=1.0 / (0.01 * 200), max_iter=2000, tol=1e-8).fit(scaled, labels)
+    ours = np.exp(inputs @ weight + bias)
+    np.testing.assert_allclose(
+        ours / ours.sum(axis=1, keepdims=True), expected.predict_proba(scaled), atol=2e-3
+    )
+
+
+def test_the_hidden_layer_gives_what_the_scores_are_made_of() -> None:
+    model, heads = network(), make_heads(3, np.random.default_rng(0))
+    features = model.features(heads.images)
+    weight, bias = model._layers[-1]
+    np.testing.assert_allclose(model.scores(features), model.hidden(features) @ weight + bias, rtol=1e-5)
+
+
+def test_no_person_is_learned_from_and_judged() -> None:
+    heads = make_heads(48, np.random.default_rng(0))
+    # Everybody has a direction of their own, and no two are reflections: nobody tells of the others.
+    who = np.repeat(np.arange(4), 12)
+    pan = np.deg2rad(45.0) * who
+    options = {"share": 0.5, "repetitions": 2}
+    apart = split_scores(network(), heads.images, pan, rng=np.random.default_rng(1), groups=who, **options)
+    assert apart.rates.max() == 0.0 and apart.confusion.sum() == 2 * 24
+    judged = split_scores(network(), heads.images, heads.pan, rng=np.random.default_rng(1), **options)
+    assert judged.rates.mean() > 0.25  # by chance: 0.125
+    hits, false_alarms = rates(judged.confusion)
+    assert np.nanmin(hits) >= 0.0 and np.nanmax(false_alarms) < 0.5
+
+
+def test_a_head_is_as_large_as_the_camera_has_it() -> None:
+    camera = lobby_camera()
+    centre = np.asarray(camera.optical_centre_on_ground)
+    factor = LOBBY_HEIGHT / (LOBBY_HEIGHT - 1.6)
+    for pixel in ([87.0, 111.0], [70.0, 210.0], [200.0, 150.0]):
+        # A horizontal span of 27 cm across the ray at 1.6 m: on the ground it is enlarged about the camera.
+        behind = camera.image_to_ground(pixel)
+        away = behind - centre
+        across = np.array([-away[1], away[0]]) / np.linalg.norm(away)
+        ends = [behind + factor * side * 0.135 * across for side in (-1.0, 1.0)]
+        span = np.linalg.norm(np.subtract(*(camera.ground_to_image(end) for end in ends)))
+        assert head_size(np.array(pixel), camera) == pytest.approx(span, rel=0.2)
+
+
+def test_an_upright_head_has_the_feet_below() -> None:
+    image = np.zeros((288, 384, 3), np.uint8)
+    head, foot = np.array([180.0, 150.0]), np.array([230.0, 190.0])
+    toward = (foot - head) / np.linalg.norm(foot - head)
+    side = head_size(head, lobby_camera())
+    for share in np.linspace(0.15, 0.6, 10):  # bright from the head towards the feet
+        u, v = np.round(head + share * side * toward).astype(int)
+        image[v, u] = 255
+    shown = upright_head(image, head, foot, lobby_camera())[:, :, 0].astype(float)
+    rows, columns = np.nonzero(shown > 60)
+    assert rows.mean() > 18.0 and abs(columns.mean() - 16.0) < 3.0
+
+
+@pytest.fixture(scope="module")
+def people(data_dir) -> list[PersonWithHeads]:
+    found = people_with_heads(data_dir / "caviar")
+    if not found:
+        pytest.skip("no frames of CAVIAR")
+    return found
+
+
+def test_heads_of_caviar_stand_for_the_labelled_ones(people: list[PersonWithHeads]) -> None:
+    for person in people:
+        assert len(person.images) == len(person.track) == len(person.pan) >= 20
+        assert 3.0 < person.size.min() <= person.size.max() < 12.0
+        assert all(image.shape == (32, 32, 3) for image in person.images)
+        said = network_heads(network(), person)
+        assert np.isfinite(said.head).all() and not np.allclose(said.head, person.track.head)
+        np.testing.assert_array_equal(said.position, person.track.position)
+
+
+@pytest.mark.slow
+def test_the_experiment_without_recordings_has_the_splits_alone() -> None:
+    found = EXPERIMENT.run(Settings(quick=True), lambda count: None)
+    assert [row["split"] for row in found.tables[0].records()] == ["80:20", "50:50"]
+    assert any("not there" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_the_experiment_has_the_papers_gain_beside_ours(data_dir, people: list[PersonWithHeads]) -> None:
+    found = EXPERIMENT.run(Settings(quick=True, data=data_dir), lambda count: None)
+    rows = found.tables[-1].records()
+    assert {row["heads"] for row in rows} == {"labelled", "network"}
+    assert [row["paper: CLL gain"] for row in rows if row["detection %"] == 100].count(1.158) == 2
