@@ -65,9 +65,6 @@ METHODS: Mapping[str, tuple[str, Estimator]] = {
 
 GROUPS = {method: group for method, (group, _) in METHODS.items()}
 
-SLOW = ("graph, isam2",)
-"""Methods that see the first of the people only."""
-
 WITH_MODES = ("graph, chain", "graph, isam2", "smoother")
 """Methods that know the preset ``full`` too."""
 
@@ -104,11 +101,7 @@ def classified(tracks: TrackSet, rng: np.random.Generator) -> TrackSet:
     )
 
 
-def _seen(settings: Settings, method: str, tracks: TrackSet) -> TrackSet:
-    return tracks[: 2 if settings.quick else 12] if method in SLOW else tracks
-
-
-def scores(data: str, tracks: TrackSet, settings: Settings, progress: Progress) -> Scores:
+def scores(data: str, tracks: TrackSet, progress: Progress) -> Scores:
     """Every method on every person, with each of the presets that it knows."""
     found: dict[tuple[str, str, str], list[float]] = {}
     for track in tracks:
@@ -119,7 +112,7 @@ def scores(data: str, tracks: TrackSet, settings: Settings, progress: Progress) 
         for method, (_, estimator) in METHODS.items():
             if preset == "full" and method not in WITH_MODES:
                 continue
-            for track in _seen(settings, method, tracks):
+            for track in tracks:
                 estimate = estimator(track, model)
                 for angle in ANGLES:
                     error = mean_absolute_error(getattr(estimate, angle), getattr(track, f"true_{angle}"))
@@ -131,10 +124,10 @@ def scores(data: str, tracks: TrackSet, settings: Settings, progress: Progress) 
 def run(settings: Settings, progress: Progress) -> Reproduction:
     """The experiment."""
     everyone = people(settings)
-    found = [scores(name, tracks, settings, progress) for name, tracks in everyone.items()]
+    found = [scores(name, tracks, progress) for name, tracks in everyone.items()]
     pictured = []
     for i, (name, tracks) in enumerate(everyone.items()):
-        few = tracks[:1] if settings.quick else _seen(settings, SLOW[0], tracks)
+        few = tracks[: 1 if settings.quick else 12]
         pictured.append(chen_image.image_scores(name, few, partial(classified, rng=settings.rng(4, i))))
         progress(1)
     rng = settings.rng(99)
@@ -148,10 +141,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         f"{LAG:g} s open.",
         "closest class: eq. 13–14, the score of the class that is closest to a particle; particle is their "
         "smooth mixture, which the graph has. joint-body is what 002 calls separate (κ₂ = 0).",
-        f"{', '.join(SLOW)}, and the table of answers in the image: the first people only.",
         "Answers in the image: classes of the angles at which a camera 3 m above the ground sees them, "
         "judged there at each particle's position (eq. 13–14 as printed), or turned to the world once, where "
-        "the position was observed.",
+        "the position was observed; of the first people only.",
     )
     in_image = replace(
         detail(pictured, chen_image.GROUPS, rng), title="Answers in the image of a camera (eq. 13–14)"
@@ -181,7 +173,7 @@ def work(settings: Settings) -> int:
         total += 1  # answers in the image
         for method in METHODS:
             presets = len(PRESETS) + (method in WITH_MODES)
-            total += presets * len(_seen(settings, method, tracks))
+            total += presets * len(tracks)
     return total
 
 

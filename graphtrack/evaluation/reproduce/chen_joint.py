@@ -12,6 +12,7 @@ from scipy import integrate, optimize
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
 from graphtrack.evaluation.reproduce.experiment import (
     ASKANCE,
+    ISAM2,
     LAG,
     MOCAP,
     SALSA,
@@ -55,15 +56,17 @@ Estimator = Callable[[Track, Model], Track]
 
 METHODS: Mapping[str, tuple[str, Estimator]] = {
     "particle": ("online", lambda track, model: particle_filter(track, model).track),
-    "graph": ("online", lambda track, model: track_online(track, model, lag=LAG)),
+    "graph": ("online", lambda track, model: track_online(track, model, engine="chain", lag=LAG)),
+    f"graph{ISAM2}": ("online", lambda track, model: track_online(track, model, engine="isam2", lag=LAG)),
     "ffbs": ("offline", lambda track, model: particle_smoother(track, model, options=PATHS).track),
     "smoother": ("offline", lambda track, model: smooth(TrackSet((track,)), model).tracks[0]),
 }
-"""Method → group and estimator. The first two are 002's filter and the graph, then their smoothers."""
+"""Method → group and estimator: 002's filter and the graph, then their smoothers."""
 
 GROUPS = {method: group for method, (group, _) in METHODS.items()}
+DRAWN = {method: group for method, group in GROUPS.items() if not method.endswith(ISAM2)}
 
-WITH_MODES = ("graph", "smoother")
+WITH_MODES = ("graph", f"graph{ISAM2}", "smoother")
 """Methods that know the preset ``full`` as well, `joint` that is told whether people face where they go."""
 
 
@@ -260,7 +263,7 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
                 axes.plot((0, 2, 3), values, "o-", color=NEUTRAL_COLOUR, label="002, particle filter")
             else:
                 one = found[column - 1]
-                for k, (method, (group, _)) in enumerate(METHODS.items()):
+                for k, (method, group) in enumerate(DRAWN.items()):
                     own = stages if method in WITH_MODES else stages[:-1]
                     keys = [(s, "" if s == "observation" else method, angle) for s in own]
                     drawn = [
@@ -285,7 +288,7 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
     grid[0, 0].legend(frameon=False, fontsize=8)
     handles = [
         Line2D([], [], color=COLOURS[method], linestyle="-" if group == "online" else "--", label=method)
-        for method, (group, _) in METHODS.items()
+        for method, group in DRAWN.items()
     ]
     grid[0, 1].legend(handles=handles, frameon=False, fontsize=8)
     return figure
