@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from claim import Claim, Results, Shown, numbers
 from documents import ROOT
+from stated import CLAIMS
 
-from claims import CLAIMS
 from graphtrack.evaluation.reproduce import EXPERIMENTS
 
 PAGE = """

@@ -11,8 +11,7 @@ import sys
 from pathlib import Path
 
 from claim import Results
-
-from claims import CLAIMS
+from stated import CLAIMS
 
 ROOT = Path(__file__).resolve().parents[2]
 
