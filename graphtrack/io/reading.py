@@ -62,7 +62,18 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
     source = Source.open(path)
     chosen = detect(source) if format is None else format_named(format)
-    return with_speeds_checked(TrackSet.from_rows(chosen.read(source, options)), source.path)
+    rows = chosen.read(source, options)
+    if not rows.has_identity and options.associate == "never":
+        raise InputError(
+            "rows without identities",
+            "a track_id for each, or associate='auto' (--associate auto) to find out who is who",
+            path=rows.path,
+        )
+    if rows.has_identity and options.associate != "always":
+        return with_speeds_checked(TrackSet.from_rows(rows), source.path)
+    from graphtrack.association.rows import with_every_frame, with_identities
+
+    return with_every_frame(TrackSet.from_rows(with_identities(rows)))
 
 
 def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:

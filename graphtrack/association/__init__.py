@@ -1,0 +1,7 @@
+"""Who is who: detections without identities become tracks."""
+
+from graphtrack.association.detections import Detections
+from graphtrack.association.offline import Association, associate_detections
+from graphtrack.association.scene import SceneParameters
+
+__all__ = ["Association", "Detections", "SceneParameters", "associate_detections"]
