@@ -29,7 +29,7 @@ from graphtrack.io.pairs import paired_files
 from graphtrack.io.reading import read_boxes
 
 if TYPE_CHECKING:
-    from graphtrack.io.given import Scene
+    from graphtrack.io.given import Given
 
 METRES = 1.0
 """Within which positions can be the same person's where nothing else is said, as in MOTChallenge 3D."""
@@ -39,7 +39,7 @@ Pair = tuple[str, Detections, Detections]
 
 
 def score(
-    estimates: Scene, truth: Scene, *, metres: float | None = None, iou: float | None = None
+    estimates: Given, truth: Given, *, metres: float | None = None, iou: float | None = None
 ) -> TrackingScore:
     """How well tracks and identities are kept: HOTA, IDF1, MOTA and what they are made of.
 
@@ -58,11 +58,10 @@ def score(
         which nobody is anywhere, or that has no frame in common with the estimates.
     """
     threshold = threshold_of(metres, iou)
-    if _are_files(estimates) and _are_files(truth):
-        files = paired_files(_paths(estimates), _paths(truth))
-        pairs: Iterable[tuple[str, Scene, Scene]] = ((name, *both) for name, both in files.items())
-    else:
-        pairs = [("", estimates, truth)]
+    files, true_files = _paths(estimates), _paths(truth)
+    pairs: Iterable[tuple[str, Given, Given]] = [("", estimates, truth)]
+    if files and true_files:
+        pairs = [(name, *pair) for name, pair in paired_files(files, true_files).items()]
     detect = _boxes_of if threshold.measure == "iou" else _positions_of
     return judge((detect(*pair) for pair in pairs), threshold)
 
@@ -112,21 +111,18 @@ def _similarity(threshold: Threshold) -> Similarity:
     return partial(ground_similarity, zero_distance=2.0 * threshold.value)
 
 
-def _are_files(given: Scene) -> bool:
-    if isinstance(given, list | tuple):
-        return bool(given) and all(isinstance(one, str | Path) for one in given)
-    return isinstance(given, str | Path)
+def _paths(given: Given) -> list[Path] | None:
+    """The paths, where that is what is given."""
+    several = given if isinstance(given, list | tuple) else [given]
+    found = [Path(one) for one in several if isinstance(one, str | Path)]
+    return found if found and len(found) == len(several) else None
 
 
-def _paths(given: Scene) -> list[Path]:
-    return [Path(given)] if isinstance(given, str | Path) else [Path(one) for one in given]  # type: ignore[arg-type]
-
-
-def _positions_of(name: str, estimates: Scene, truth: Scene) -> Pair:
+def _positions_of(name: str, estimates: Given, truth: Given) -> Pair:
     return name, estimated_detections(tracks_of(estimates)), true_detections(tracks_of(truth))
 
 
-def _boxes_of(name: str, estimates: Scene, truth: Scene) -> Pair:
+def _boxes_of(name: str, estimates: Given, truth: Given) -> Pair:
     for given in (estimates, truth):
         if not isinstance(given, str | Path):
             raise InputError(f"a {type(given).__name__}, which has no boxes", "with iou the path of a file")

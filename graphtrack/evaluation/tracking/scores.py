@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from graphtrack.display import counted, html_table
+from graphtrack.display import LONGEST, MOST, counted, html_table
 from graphtrack.evaluation.tracking.clear import ClearCounts, clear_counts
 from graphtrack.evaluation.tracking.hota import ALPHAS, HotaCounts, hota_counts
 from graphtrack.evaluation.tracking.identity import IdentityCounts, identity_counts
@@ -40,6 +40,8 @@ HEADINGS = {
 
 SHARES, COUNTS = tuple(HEADINGS)[:11], tuple(HEADINGS)[11:]
 """The figures of which 1 is best, and those that are numbers of rows, events and people."""
+
+IN_SHORT = ("hota", "det_a", "ass_a", "idf1", "mota", "precision", "recall", "switches", "fragmentations")
 
 
 @dataclass(frozen=True)
@@ -147,9 +149,13 @@ class TrackingScore:
         return f"TrackingScore({figures}; {counted(len(self.sequences), 'sequence')}, {self.threshold})"
 
     def _repr_html_(self) -> str:
-        header = ("", *HEADINGS.values())
-        rows = [(one.name, *(_cell(value) for value in one.shown().values())) for one in self.lines()]
-        return html_table(repr(self), header, rows)
+        lines = self.sequences if len(self.sequences) == 1 else (self.together, *self.sequences)
+        rows = [
+            (one.name[:LONGEST], *(_cell(value) for value in one.shown(IN_SHORT).values()))
+            for one in lines[: MOST + 1]
+        ]
+        header = ("", *(HEADINGS[name] for name in IN_SHORT))
+        return html_table(repr(self), header, rows, max(0, len(lines) - MOST - 1))
 
     def lines(self) -> tuple[SequenceScore, ...]:
         """The lines of a table: the sequences and, of several, all together."""
