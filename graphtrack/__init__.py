@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
+    from graphtrack.evaluation.tracking import SequenceScore, TrackingScore, score
     from graphtrack.inference import (
         Estimate,
         Failure,
@@ -40,16 +41,19 @@ __all__ = [
     "Parameters",
     "ReadOptions",
     "ReadSummary",
+    "SequenceScore",
     "Solution",
     "SolveError",
     "SolverOptions",
     "Term",
     "Track",
     "TrackSet",
+    "TrackingScore",
     "add_noise",
     "compare",
     "presets",
     "read",
+    "score",
     "simulate",
     "smooth",
     "solve",
@@ -62,6 +66,7 @@ _HOMES = {
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
     "evaluation.compare": ("Comparison", "compare"),
+    "evaluation.tracking": ("SequenceScore", "TrackingScore", "score"),
     "inference": (
         "Estimate",
         "Failure",

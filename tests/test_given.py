@@ -56,6 +56,8 @@ def test_whatever_holds_tracks_is_smoothed_as_they_are(form, path) -> None:
 def test_every_entry_takes_the_same(path) -> None:
     assert [s.track.track_id for s in gt.solve(str(path), "position")] == [0, 1, 2]
     assert gt.compare(path, ["kf"], model="position").rows
+    scores = [gt.score(*pair) for pair in ((path, str(path)), (TABLE, PEOPLE), ([path], COLUMNS))]
+    assert scores[0].together == scores[1].together == scores[2].together
     assert len(gt.add_noise(path, position_std=0.1, rng=np.random.default_rng(0))) == 3
     online = gt.track_online(path, "position")
     np.testing.assert_allclose(online[1].position, gt.track_online(PERSON, "position").position, atol=1e-9)

@@ -44,7 +44,9 @@ def test_public_functions_stay_functions_whatever_was_imported_first():
     assert "gtsam" in modules_after(code)
 
 
-@pytest.mark.parametrize("arguments", [("--version",), ("--help",), ("smooth", "--help"), ("formats",)])
+@pytest.mark.parametrize(
+    "arguments", [("--version",), ("--help",), ("smooth", "--help"), ("score", "--help"), ("formats",)]
+)
 def test_commands_that_need_no_solver_load_none(arguments):
     assert modules_after("from graphtrack.cli import main; main()", *arguments) == []
 

@@ -19,7 +19,7 @@ from graphtrack.display import counted
 from graphtrack.errors import InputWarning
 
 if TYPE_CHECKING:
-    from graphtrack.tracks import TrackSet
+    from graphtrack.tracks import ReadSummary, TrackSet
 
 _CONTROL = re.compile(r"(?:\x1b\[|\x9b)[0-?]*[ -/]*[@-~]|[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Escape sequences such as colours and movements (CSI), and every control character but the line feed."""
@@ -129,10 +129,14 @@ def input_warnings_as_notes() -> Iterator[None]:
 
 def print_summary(tracks: TrackSet, name: str) -> None:
     """What was read: rows read, used and refused, tracks, and the reader's notes."""
-    summary = tracks.summary
+    print_reading(tracks.summary, len(tracks), name)
+
+
+def print_reading(summary: ReadSummary, tracks: int, name: str) -> None:
+    """What was read of ``name``, and how many tracks it made."""
     console.print(
         f"{printable(name, one_line=True)}: {summary.format}, rows read {summary.rows_read}, "
-        f"used {summary.rows_used}, refused {summary.rows_refused}; {counted(len(tracks), 'track')}",
+        f"used {summary.rows_used}, refused {summary.rows_refused}; {counted(tracks, 'track')}",
         markup=False,
     )
     for reason, count in summary.refused.items():

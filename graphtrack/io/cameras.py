@@ -17,6 +17,9 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.table.rows import Rows, no_camera
 
+NO_CAMERA = "NO CAMERA IS KNOWN"
+"""How the note begins that says so: distances are rough then, and differ from file to file."""
+
 PERSON_HEIGHT = 1.7
 """Metres; the scale of views without a camera is chosen so that the median person has this size."""
 
@@ -86,7 +89,7 @@ def camera_or_scale(
         raise InputError(f"no {size_is} above 0", "one to take the scale from, or a camera")
     scale = PERSON_HEIGHT / float(np.median(size))
     return GroundCamera.from_scale(scale, nadir=options.nadir), (
-        f"NO CAMERA IS KNOWN: positions are pixels times {scale:.4g} m, so that the median {size_is} is "
+        f"{NO_CAMERA}: positions are pixels times {scale:.4g} m, so that the median {size_is} is "
         f"{PERSON_HEIGHT} m, with no regard to perspective; give homography, point_pairs or metres_per_pixel",
     )
 

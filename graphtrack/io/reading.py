@@ -17,6 +17,7 @@ from graphtrack.io.cameras import read_homography
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
+from graphtrack.table.rows import Rows, check_rows
 from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
 
@@ -74,6 +75,31 @@ def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> Tra
     from graphtrack.association.rows import with_every_frame, with_identities
 
     return with_every_frame(TrackSet.from_rows(with_identities(rows)))
+
+
+def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions = ReadOptions()) -> Rows:
+    """Read the boxes of a file, in its order, where its format holds any.
+
+    Returns
+    -------
+    Rows
+        With the channel ``box`` (n, 4), left, top, width and height in the file's pixels, NaN where a row has
+        none.
+
+    Raises
+    ------
+    InputError
+        With path, line and column, what was found there and what was expected.
+    """
+    source = Source.open(path)
+    chosen = detect(source) if format is None else format_named(format)
+    if chosen.read_boxes is None:
+        names = ", ".join(one.name for one in formats() if one.read_boxes is not None)
+        found = f"the format {chosen.name}, of which no boxes are read"
+        raise InputError(found, f"a format with boxes: {names}", path=source.path)
+    rows = chosen.read_boxes(source, options)
+    check_rows(rows)
+    return rows
 
 
 def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:

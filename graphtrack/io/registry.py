@@ -44,6 +44,8 @@ class Format:
     read : (source, options) → rows, whose cells are checked
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
     beside : path → the places beside it where the reader looks for more by itself
+    read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
+        pixels, NaN where a row has none; for formats that hold boxes
     """
 
     name: str
@@ -53,6 +55,7 @@ class Format:
     read: Callable[[Source, ReadOptions], Rows]
     write: Callable[[TrackSet, Path], None] | None = None
     beside: Callable[[Path], tuple[Path, ...]] = lambda path: ()
+    read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
 
 
 @cache

@@ -43,6 +43,8 @@ WRONG = {
     "a window longer than the track": "compare tracks.csv --methods kf --position-noise 0.1 --occlude 100",
     "JSON in no folder": "compare tracks.csv --methods kf --position-noise 0.1 --json missing/found.json",
     "figures in a file": "compare tracks.csv --methods kf --position-noise 0.1 --figures tracks.csv/figures",
+    "no truth to score by": "score tracks.csv",
+    "two demands on a match": "score tracks.csv --truth tracks.csv --metres 1 --iou 0.5",
     "a negative seed": "simulate -o out.csv --seed -1",
     "nobody to simulate": "simulate -o out.csv --tracks 0",
     "a rate below zero": "simulate -o out.csv --fps -5",

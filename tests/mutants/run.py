@@ -25,6 +25,7 @@ NO_END = "no end"
 
 MODEL = ("tests/model", "tests/inference")
 READERS = ("tests/io",)
+TRACKING = ("tests/evaluation/tracking",)
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,25 @@ MUTANTS = (
         "bad = (np.abs(values) > highest) | (values != np.floor(values))",
         "bad = values != np.floor(values)",
         READERS,
+    ),
+    # Scores of tracks and identities.
+    Mutant(
+        "mota-pairs-are-not-kept",
+        "KEEPING * kept + similarity",
+        "similarity",
+        TRACKING,
+    ),
+    Mutant(
+        "hota-matching-without-the-whole-sequence",
+        "alike[np.ix_(truth, estimates)] * similarity",
+        "similarity",
+        TRACKING,
+    ),
+    Mutant(
+        "hota-rows-count-twice",
+        "of_person + of_track - rows",
+        "of_person + of_track",
+        TRACKING,
     ),
 )
 

@@ -235,4 +235,5 @@ FORMAT = Format(
     read=read,
     write=write,
     beside=beside,
+    read_boxes=read_boxes,
 )

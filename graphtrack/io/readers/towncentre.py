@@ -48,19 +48,26 @@ def read(source: Source, options: ReadOptions) -> Rows:
     InputError
         With line and column of the first cell that cannot be used.
     """
-    table = read_numbers(source, delimiter=",", widths=(6,), names=_NAMES)
-    left, top, width, height = table.pixels(2), table.pixels(3), table.sizes(4), table.sizes(5)
+    rows = read_boxes(source)
+    left, top, width, height = rows.channels["box"].T
     pixel = np.column_stack([left + width / 2.0, top + height])
     camera, notes = _camera(source, options, pixel, height)
-    rows = Rows(
-        source.path,
-        "towncentre",
-        table.integers(1, bounds.LARGEST_ID),
-        table.integers(0),
-        {"pixel": pixel},
-        table.line_of,
-    )
+    rows = rows.with_channels(pixel=pixel).without("box")
     return on_ground(rows, camera, notes).with_times(options.fps or FPS)
+
+
+def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
+    """Rows with the channel ``box`` (n, 4), left, top, width and height in the file's own pixels.
+
+    Raises
+    ------
+    InputError
+        With line and column of the first cell that cannot be used.
+    """
+    table = read_numbers(source, delimiter=",", widths=(6,), names=_NAMES)
+    box = np.column_stack([table.pixels(2), table.pixels(3), table.sizes(4), table.sizes(5)])
+    track_id, frame = table.integers(1, bounds.LARGEST_ID), table.integers(0)
+    return Rows(source.path, "towncentre", track_id, frame, {"box": box}, table.line_of)
 
 
 def _camera(
@@ -100,4 +107,5 @@ FORMAT = Format(
     looks_like=looks_like,
     read=read,
     beside=beside,
+    read_boxes=read_boxes,
 )

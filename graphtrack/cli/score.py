@@ -1,0 +1,122 @@
+"""`graphtrack score`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import console, print_reading, print_table
+from graphtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from graphtrack.evaluation.tracking.judge import Pair
+    from graphtrack.evaluation.tracking.scores import SequenceScore, Threshold, TrackingScore
+    from graphtrack.table.rows import Rows
+
+
+def score(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Files with estimated tracks, one a sequence, or a folder of them.",
+            metavar="ESTIMATES...",
+            show_default=False,
+        ),
+    ],
+    reading: options.CameraReading,
+    truth: Annotated[
+        list[Path],
+        typer.Option(
+            "--truth",
+            help="File with the true tracks, or a folder of files named as the estimates are; repeat for "
+            "more files.",
+            show_default=False,
+        ),
+    ],
+    metres: Annotated[
+        float | None,
+        typer.Option(
+            "--metres",
+            help="How far apart on the ground a match may be; 1 by default.",
+            show_default=False,
+        ),
+    ] = None,
+    iou: Annotated[
+        float | None,
+        typer.Option(
+            "--iou",
+            help="Match boxes in the image instead, that overlap so much (intersection over union, such as "
+            "0.5).",
+            show_default=False,
+        ),
+    ] = None,
+    json_path: options.Json = None,
+) -> None:
+    """Judge tracks against the truth: HOTA, IDF1, MOTA, identity switches.
+
+    The names of files, without their endings, are those of the sequences.
+    """
+    from graphtrack.evaluation.tracking.judge import judge, threshold_of
+    from graphtrack.io import atomic_path
+    from graphtrack.io.pairs import paired_files
+
+    threshold = threshold_of(metres, iou)
+    options.check_outputs({"--json": json_path}, reading.inputs([*inputs, *truth]))
+    pairs = paired_files(inputs, truth)
+    found = judge(_read(pairs, reading, threshold), threshold)
+    print_score(found)
+    if json_path is not None:
+        with atomic_path(json_path) as temporary:
+            temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
+        console.print(f"wrote {json_path}", markup=False)
+
+
+def _read(
+    pairs: dict[str, tuple[Path, Path]], reading: options.CameraReading, threshold: Threshold
+) -> Iterator[Pair]:
+    """What is compared of each pair of files, as they are read."""
+    from graphtrack.evaluation.tracking.detections import boxes, estimated_detections, true_detections
+
+    if threshold.measure == "iou" and reading.select:
+        raise InputError("--select and --iou", "one of them: boxes are compared as the files have them")
+    for name, (estimates, truth) in pairs.items():
+        if threshold.measure == "iou":
+            yield name, boxes(_boxes(estimates, reading)), boxes(_boxes(truth, reading))
+        else:
+            estimated = estimated_detections(reading.tracks([estimates]))
+            yield name, estimated, true_detections(reading.tracks([truth]))
+
+
+def _boxes(path: Path, reading: options.CameraReading) -> Rows:
+    """Read boxes, and say what was read."""
+    import numpy as np
+
+    from graphtrack.io.reading import read_boxes
+    from graphtrack.tracks import ReadSummary
+
+    rows = read_boxes(path, reading.format, reading.options())
+    summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
+    print_reading(summary, len(np.unique(rows.track_id)), str(path))
+    return rows
+
+
+def print_score(found: TrackingScore) -> None:
+    """The figures as two tables on standard output: shares, and counts."""
+    from graphtrack.evaluation.tracking.scores import COUNTS, SHARES
+
+    def rows(names: tuple[str, ...]) -> list[dict[str, object]]:
+        return [{"": _named(line)} | line.shown(names) for line in found.lines()]
+
+    print_table(f"Tracks and identities, {found.threshold}", rows(SHARES))
+    print_table("Counted", rows(COUNTS))
+    for note in found.notes:
+        console.print(f"  note: {note}", markup=False)
+
+
+def _named(line: SequenceScore) -> str:
+    return line.name or "–"

@@ -1,0 +1,117 @@
+"""How alike two detections are, from 0 to 1, and the frames in which truth and estimates are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.evaluation.tracking.detections import Detections, IntArray
+from graphtrack.geometry.angles import FloatArray
+
+Similarity = Callable[[FloatArray, FloatArray], FloatArray]
+"""Places (n, k) and (m, k) → similarities (n, m)."""
+
+EPSILON = float(np.finfo(float).eps)
+"""What a similarity may fall short of a threshold, and a sum may exceed zero, by rounding."""
+
+
+def ground_similarity(truth: FloatArray, estimates: FloatArray, zero_distance: float) -> FloatArray:
+    """max(0, 1 − d / zero_distance) of positions (n, 2) and (m, 2) in metres: (n, m).
+
+    That of MOTChallenge 3D, where it is zero from 2 m on, so that 0.5 stands for 1 m.
+    """
+    distance = np.linalg.norm(truth[:, None] - estimates[None], axis=2)
+    return np.maximum(0.0, 1.0 - distance / zero_distance)
+
+
+def box_similarity(truth: FloatArray, estimates: FloatArray) -> FloatArray:
+    """Intersection over union of boxes (n, 4) and (m, 4), left, top, width and height in pixels: (n, m)."""
+    first, second = _corners(truth)[:, None], _corners(estimates)[None]
+    low = np.maximum(first[..., :2], second[..., :2])
+    high = np.minimum(first[..., 2:], second[..., 2:])
+    intersection = np.prod(np.maximum(high - low, 0.0), axis=2)
+    union = _area(first) + _area(second) - intersection
+    return np.divide(intersection, union, out=np.zeros_like(union), where=union > EPSILON)
+
+
+def _corners(box: FloatArray) -> FloatArray:
+    """Left, top, right and lower edge (n, 4)."""
+    return np.column_stack([box[:, :2], box[:, :2] + box[:, 2:]])
+
+
+def _area(corners: FloatArray) -> FloatArray:
+    return np.prod(corners[..., 2:] - corners[..., :2], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedFrames:
+    """Truth and estimates side by side in every frame in which one of them has anybody, in order.
+
+    People of either side are numbered from 0, in the order of their ids.
+
+    Attributes
+    ----------
+    truth, estimates : for each frame who is there, (n,) and (m,)
+    similarity : for each frame (n, m)
+    truth_rows, estimate_rows : of each person, the number of frames
+    """
+
+    truth: tuple[IntArray, ...]
+    estimates: tuple[IntArray, ...]
+    similarity: tuple[FloatArray, ...]
+    truth_rows: IntArray
+    estimate_rows: IntArray
+
+    def __len__(self) -> int:
+        return len(self.similarity)
+
+
+def share_frames(
+    truth: Detections, estimates: Detections, similarity: Similarity, name: str = ""
+) -> SharedFrames:
+    """Put truth and estimates side by side, by the numbers of the frames.
+
+    Parameters
+    ----------
+    name : of the sequence, for the error
+
+    Raises
+    ------
+    InputError
+        If there are estimates, and none in a frame of the truth.
+    """
+    if len(estimates) and not np.isin(estimates.frame, truth.frame).any():
+        raise InputError(
+            f"no frame in common: estimates in {_span(estimates)}, the truth in {_span(truth)}",
+            "the same numbers for the same frames",
+            path=name or None,
+        )
+    frames = np.unique(np.concatenate([truth.frame, estimates.frame]))
+    (truth_ids, true_person), (estimate_ids, estimated_person) = _numbered(truth), _numbered(estimates)
+    here = list(zip(_slices(truth, frames), _slices(estimates, frames), strict=True))
+    return SharedFrames(
+        truth=tuple(true_person[of_truth] for of_truth, _ in here),
+        estimates=tuple(estimated_person[of_estimates] for _, of_estimates in here),
+        similarity=tuple(similarity(truth.place[one], estimates.place[other]) for one, other in here),
+        truth_rows=np.bincount(true_person, minlength=len(truth_ids)),
+        estimate_rows=np.bincount(estimated_person, minlength=len(estimate_ids)),
+    )
+
+
+def _span(detections: Detections) -> str:
+    return f"frames {detections.frame[0]} to {detections.frame[-1]}"
+
+
+def _numbered(detections: Detections) -> tuple[IntArray, IntArray]:
+    ids, person = np.unique(detections.track_id, return_inverse=True)
+    return ids, person
+
+
+def _slices(detections: Detections, frames: IntArray) -> list[slice]:
+    """The rows of each of the frames."""
+    begin = np.searchsorted(detections.frame, frames, side="left")
+    end = np.searchsorted(detections.frame, frames, side="right")
+    return [slice(*ends) for ends in zip(begin.tolist(), end.tolist(), strict=True)]

@@ -1,0 +1,215 @@
+"""What has to hold of the figures whatever the scene, and what `score` takes and says."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tracking_scenes import as_tracks, random_scene
+
+import graphtrack as gt
+from graphtrack.errors import InputError
+from graphtrack.evaluation.tracking.detections import known_detections
+from graphtrack.evaluation.tracking.judge import judge, threshold_of
+from graphtrack.tracks import Track, TrackSet
+
+SEEDS = st.integers(0, 10**6)
+N = 40
+
+
+def walkers(count=4, apart=5.0):
+    """People side by side, too far apart to be taken for one another."""
+    frame = np.arange(N)
+    return TrackSet(
+        tuple(
+            Track(k, frame, frame / 10.0, np.column_stack([0.13 * frame, np.full(N, apart * k)]))
+            for k in range(count)
+        )
+    )
+
+
+def together(estimates, truth, **demand):
+    return gt.score(estimates, truth, **demand).together
+
+
+def figures(estimates, truth):
+    found = asdict(judge([("", estimates, truth)], threshold_of(metres=0.5)).together)
+    return found | found.pop("curves")
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=SEEDS, boxes=st.booleans())
+def test_the_truth_itself_is_perfect(seed, boxes):
+    _, truth = random_scene(seed, boxes=boxes)
+    threshold = threshold_of(iou=0.5) if boxes else threshold_of(metres=0.5)
+    found = judge([("", truth, truth)], threshold).together
+    ones = ("hota", "det_a", "ass_a", "loc_a", "idf1", "idp", "idr", "mota", "motp", "precision", "recall")
+    assert [getattr(found, name) for name in ones] == pytest.approx([1.0] * len(ones))
+    assert found.misses == found.false_positives == found.switches == 0
+    assert found.mostly_tracked == found.people == found.tracks
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=SEEDS)
+def test_names_of_identities_do_not_count(seed):
+    estimates, truth = random_scene(seed)
+    rng = np.random.default_rng(seed)
+
+    def renamed(of):
+        ids = np.unique(of.track_id)
+        named = rng.permutation(1000)[: len(ids)][np.searchsorted(ids, of.track_id)]
+        return known_detections(named, of.frame, of.place)
+
+    expected = figures(estimates, truth)
+    assert figures(renamed(estimates), renamed(truth)) == {
+        name: pytest.approx(value, abs=1e-12) if not isinstance(value, str) else value
+        for name, value in expected.items()
+    }
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=SEEDS, by=st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0)))
+def test_the_origin_does_not_count(seed, by):
+    estimates, truth = (replace(of, place=of.place + by) for of in random_scene(seed))
+    at_first = figures(*random_scene(seed))
+    moved = figures(estimates, truth)
+    assert [moved[name] for name in ("hota", "idf1", "mota")] == pytest.approx(
+        [at_first[name] for name in ("hota", "idf1", "mota")], abs=1e-9
+    )
+
+
+def test_two_that_swap_halfway_lose_identities_and_no_detections():
+    truth = walkers(4)
+    first, second, *rest = truth
+    half = N // 2
+    swapped = [
+        replace(one, position=np.concatenate([one.position[:half], other.position[half:]]))
+        for one, other in ((first, second), (second, first))
+    ]
+    perfect, found = together(truth, truth), together(TrackSet((*swapped, *rest)), truth)
+    assert found.det_a == perfect.det_a == 1.0 and found.recall == found.precision == 1.0
+    assert found.switches == 2 and found.fragmentations == 0
+    assert found.mota == pytest.approx(1.0 - 2 / (4 * N))
+    assert found.idf1 == pytest.approx(3 / 4)  # of the two who swapped, half of the rows
+    # A(c) of the two is ½ / (½ + ½ + ½) in all of their frames.
+    assert found.ass_a == pytest.approx((2 + 2 / 3) / 4)
+    assert found.hota == pytest.approx(found.ass_a**0.5)
+
+
+def test_a_track_that_is_missing_lowers_the_recall_alone():
+    truth = walkers(4)
+    found = together(truth[:3], truth)
+    assert (found.recall, found.precision, found.det_a) == pytest.approx((0.75, 1.0, 0.75))
+    assert (found.idr, found.idp, found.ass_a) == pytest.approx((0.75, 1.0, 1.0))
+    assert (found.misses, found.mostly_tracked, found.mostly_lost) == (N, 3, 1)
+
+
+def test_a_track_of_nobody_lowers_the_precision_alone():
+    truth = walkers(4)
+    found = together(truth, truth[:3])
+    assert (found.recall, found.precision, found.mota) == pytest.approx((1.0, 0.75, 1.0 - 1 / 3))
+    assert found.false_positives == N
+
+
+def test_a_gap_is_a_fragmentation_and_a_new_identity_a_switch_too():
+    truth = walkers(1)
+    (walker,) = truth
+    with_gap = walker[np.r_[0:10, 15:N]]
+    # A companion keeps frames alive: of frames without any estimate nobody knows whether they were looked at.
+    both = walkers(2)
+    found = together(TrackSet((with_gap, both[1])), both)
+    assert (found.switches, found.fragmentations, found.misses) == (0, 1, 5)
+    again = replace(walker[15:], track_id=77)
+    found = together(TrackSet((walker[:10], again, both[1])), both)
+    assert (found.switches, found.fragmentations) == (1, 1)
+    assert found.idr == pytest.approx((N + 25) / (2 * N))
+
+
+def test_the_distance_decides():
+    truth = walkers(2)
+    off = truth.map(lambda track: replace(track, position=track.position + np.array([0.0, 0.6])))
+    found = together(off, truth)
+    assert found.recall == 1.0 and found.mean_distance == pytest.approx(0.6)
+    assert found.motp == pytest.approx(1.0 - 0.6 / 2.0)
+    closer = together(off, truth, metres=0.5)
+    assert closer.recall == 0.0 and closer.mean_distance is None and closer.mota == -1.0
+    # HOTA asks for more and less: 0.4 of one metre, which is zero, is enough up to α = 0.4.
+    assert closer.hota == pytest.approx(8 / 19)
+
+
+def test_true_positions_of_the_truth_are_compared_where_there_are_any():
+    exact = walkers(2)
+    noisy = exact.map(
+        lambda track: replace(
+            track, position=track.position + np.array([0.0, 3.0]), true_position=track.position
+        )
+    )
+    assert together(exact, noisy).hota == 1.0
+    assert together(noisy, exact).recall == 0.0
+
+
+def test_missing_positions_are_no_detections_and_it_is_said():
+    truth = walkers(2)
+    position = truth[0].position.copy()
+    position[3:5] = np.nan
+    score = gt.score(TrackSet((replace(truth[0], position=position), truth[1])), truth)
+    assert score.together.misses == 2 and score.together.false_positives == 0
+    assert score.notes == ("2 rows of the estimates without a place: left out",)
+
+
+def test_nobody_found_is_a_score_of_zero():
+    found = together(TrackSet(()), walkers(3))
+    assert (found.hota, found.idf1, found.mota, found.recall) == (0.0, 0.0, 0.0, 0.0)
+    assert found.misses == 3 * N and found.mostly_lost == 3
+
+
+def test_estimates_beside_the_frames_of_the_truth_are_false_positives():
+    longer = walkers(1)
+    found = together(longer, longer.map(lambda track: track[:10]))
+    assert (found.matches, found.false_positives, found.frames) == (10, N - 10, N)
+
+
+def test_what_is_said_of_a_score():
+    truth = walkers(2)
+    score = gt.score(truth, truth)
+    assert isinstance(score, gt.TrackingScore)
+    assert repr(score) == "TrackingScore(HOTA 1.000, IDF1 1.000, MOTA 1.000; 1 sequence, within 1 m)"
+    page = score._repr_html_()
+    assert "<th>IDF1</th>" in page and "<td>1.000</td>" in page
+    plain = score.to_dict()
+    assert plain["measure"] == "metres" and plain["threshold"] == 1.0
+    assert plain["together"]["curves"]["alpha"] == pytest.approx(np.arange(1, 20) / 20.0)
+    assert plain["together"]["curves"]["HOTA"] == [1.0] * 19
+
+
+@pytest.mark.parametrize(
+    ("estimates", "demand", "said"),
+    [
+        (walkers(1), {"metres": 1.0, "iou": 0.5}, "metres and iou"),
+        (walkers(1), {"metres": 0.0}, "metres = 0"),
+        (walkers(1), {"metres": float("nan")}, "metres = nan"),
+        (walkers(1), {"iou": 1.5}, "iou = 1.5"),
+        (walkers(1), {"iou": 0.5}, "a TrackSet, which has no boxes"),
+        (walkers(1).map(lambda track: replace(track, frame=track.frame + 1000)), {}, "no frame in common"),
+        (7, {}, "a int"),
+    ],
+)
+def test_wrong_input_is_told(estimates, demand, said):
+    with pytest.raises(InputError, match=said):
+        gt.score(estimates, walkers(1), **demand)
+
+
+def test_a_truth_without_anybody_is_told():
+    (walker,) = walkers(1)
+    nowhere = TrackSet((replace(walker, position=np.full((N, 2), np.nan)),))
+    for truth in (nowhere, TrackSet(())):
+        with pytest.raises(InputError, match="no position in the truth"):
+            gt.score(walkers(1), truth)
+
+
+def test_scenes_of_the_tests_are_tracks_too():
+    estimates, truth = random_scene(3)
+    assert gt.score(as_tracks(estimates), as_tracks(truth), metres=0.5).together.idf1 == pytest.approx(
+        figures(estimates, truth)["idf1"]
+    )

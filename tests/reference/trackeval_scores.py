@@ -1,0 +1,124 @@
+"""TrackEval's figures for the scenes of the tests.
+
+``python tests/reference/trackeval_scores.py`` writes ``trackeval_scores.json`` beside this file; it needs
+``pip install trackeval==1.3.0``, best in an environment of its own. TrackEval is no dependency of the tests:
+it brings opencv-python, which takes the place of the opencv-python-headless that the package needs.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from graphtrack.evaluation.tracking.detections import Detections
+
+STORED = Path(__file__).with_suffix(".json")
+SEEDS = range(12)
+GROUND, IMAGE = {"metres": 0.5}, {"iou": 0.3}
+SCENES = {"ground": GROUND, "image": IMAGE}
+
+COUNTS = {
+    "matches": "CLR_TP",
+    "misses": "CLR_FN",
+    "false_positives": "CLR_FP",
+    "switches": "IDSW",
+    "fragmentations": "Frag",
+    "mostly_tracked": "MT",
+    "partly_tracked": "PT",
+    "mostly_lost": "ML",
+}
+SHARES = {
+    "mota": "MOTA",
+    "motp": "MOTP",
+    "precision": "CLR_Pr",
+    "recall": "CLR_Re",
+    "idf1": "IDF1",
+    "idp": "IDP",
+    "idr": "IDR",
+}
+MEANS = {"hota": "HOTA", "det_a": "DetA", "ass_a": "AssA", "loc_a": "LocA"}
+CURVES = ("HOTA", "DetA", "AssA", "DetRe", "DetPr", "AssRe", "AssPr", "LocA")
+"""Ours → theirs; curves have one name."""
+
+Pair = tuple[Detections, Detections]
+"""Estimates and truth."""
+
+
+def oracle(pairs: Sequence[Pair], *, metres: float | None = None, iou: float | None = None) -> dict[str, Any]:
+    """What TrackEval says of all pairs together, by our names."""
+    from trackeval.metrics import CLEAR, HOTA, Identity
+
+    config = {"THRESHOLD": 0.5 if iou is None else iou, "PRINT_CONFIG": False}
+    data = {f"{k:03d}": _data(estimates, truth, metres) for k, (estimates, truth) in enumerate(pairs)}
+    said: dict[str, Any] = {}
+    for metric in (HOTA(), CLEAR(config), Identity(config)):
+        of_each = {name: metric.eval_sequence(one) for name, one in data.items()}
+        said |= metric.combine_sequences(of_each) if len(data) > 1 else next(iter(of_each.values()))
+    found: dict[str, Any] = {name: int(said[theirs]) for name, theirs in COUNTS.items()}
+    found |= {name: float(said[theirs]) for name, theirs in SHARES.items()}
+    found |= {name: float(np.mean(said[theirs])) for name, theirs in MEANS.items()}
+    return found | {"curves": {name: said[name].tolist() for name in CURVES}}
+
+
+def _data(estimates: Detections, truth: Detections, metres: float | None) -> dict[str, Any]:
+    """One sequence as TrackEval's metrics take it."""
+    from trackeval.datasets._base_dataset import _BaseDataset
+
+    true_ids, true_person = np.unique(truth.track_id, return_inverse=True)
+    ids, person = np.unique(estimates.track_id, return_inverse=True)
+    frames = np.unique(np.concatenate([truth.frame, estimates.frame]))
+    similarity = []
+    for frame in frames:
+        both = truth.place[truth.frame == frame], estimates.place[estimates.frame == frame]
+        similarity.append(
+            _BaseDataset._calculate_box_ious(*both)
+            if metres is None
+            else _BaseDataset._calculate_euclidean_similarity(*both, zero_distance=2.0 * metres)
+        )
+    return {
+        "num_timesteps": len(frames),
+        "num_gt_ids": len(true_ids),
+        "num_tracker_ids": len(ids),
+        "num_gt_dets": len(truth),
+        "num_tracker_dets": len(estimates),
+        "gt_ids": [true_person[truth.frame == frame] for frame in frames],
+        "tracker_ids": [person[estimates.frame == frame] for frame in frames],
+        "similarity_scores": similarity,
+    }
+
+
+def rounded(value: Any) -> Any:
+    """Figures as they are stored, to twelve digits."""
+    if isinstance(value, dict):
+        return {name: rounded(one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [rounded(one) for one in value]
+    return round(value, 12) if isinstance(value, float) else value
+
+
+def without_curves(figures: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in figures.items() if name != "curves"}
+
+
+def main() -> None:
+    """Store the figures of every scene, and of all together with their curves."""
+    from tracking_scenes import random_scene
+
+    stored = {}
+    for kind, demand in SCENES.items():
+        pairs = [random_scene(seed, boxes=kind == "image") for seed in SEEDS]
+        stored[kind] = {
+            "sequences": [rounded(without_curves(oracle([pair], **demand))) for pair in pairs],
+            "together": rounded(oracle(pairs, **demand)),
+        }
+    STORED.write_text(json.dumps(stored, separators=(",", ":")) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "support"))
+    main()
