@@ -56,22 +56,17 @@ class Detections:
     def of(cls, tracks: TrackSet) -> Detections:
         """All observed positions of some tracks, without their identities."""
         seen = [np.isfinite(track.position).all(axis=1) for track in tracks]
-        names = ("position_std", "body", "body_kappa", "head", "head_kappa")
+        pairs = list(zip(tracks, seen, strict=True))
         channels = {}
-        for name in names:
+        for name in ("position_std", "body", "body_kappa", "head", "head_kappa"):
             if any(getattr(track, name) is not None for track in tracks):
-                channels[name] = np.concatenate(
-                    [
-                        np.full(mask.sum(), np.nan)
-                        if getattr(track, name) is None
-                        else getattr(track, name)[mask]
-                        for track, mask in zip(tracks, seen, strict=True)
-                    ]
-                )
+                parts = [
+                    np.full(mask.sum(), np.nan) if (v := getattr(track, name)) is None else v[mask]
+                    for track, mask in pairs
+                ]
+                channels[name] = np.concatenate(parts)
         joined = {
-            name: np.concatenate(
-                [getattr(track, name)[mask] for track, mask in zip(tracks, seen, strict=True)]
-            )
+            name: np.concatenate([getattr(track, name)[mask] for track, mask in pairs])
             for name in ("frame", "t", "position")
         }
         return cls(**joined, channels=channels)

@@ -1,4 +1,4 @@
-"""Evidence that detections are one person's, compiled: filters of white-noise acceleration along chains of detections.
+"""Evidence that detections are one person's, compiled: filters of white-noise acceleration along chains.
 
 A track is a chain: each detection knows the one after it (−1: none). Its evidence is the log density of its
 detections, of how it was missed between them, and of its birth, over that of false detections.
@@ -122,7 +122,7 @@ def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
 
 @compiled
 def ending(chains: Chains, k: int, scene: Scene) -> float:
-    """Log probability that a track's last detection is k: it left, or is not seen until the recording ends."""
+    """Log probability that a track's last detection is k: it left, or is not seen until the very end."""
     left = chains.frame[-1] - chains.frame[k]
     if left <= 0:
         return 0.0
@@ -131,7 +131,7 @@ def ending(chains: Chains, k: int, scene: Scene) -> float:
 
 @compiled
 def born(chains: Chains, k: int, scene: Scene) -> float:
-    """Evidence of the track from detection k on, as of somebody new; 0 if that is less than false detections."""
+    """Evidence of the track from detection k on, as of somebody new; 0 if false ones are more probable."""
     state = np.empty(7)
     value = begin(chains, k, scene, state)
     return max(0.0, value + run_on(chains, state, k, scene))

@@ -27,7 +27,7 @@ def with_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
     rows : on the ground, with times; their own identities do not matter
     scene : its parameters; None: they are learned
     """
-    rows = rows.keep(np.isfinite(rows.channels["position"]).all(axis=1), NOWHERE)
+    rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
     found = _associated(rows, scene)
     identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
     order = np.lexsort((np.arange(len(rows)), rows.channels["t"]))
@@ -46,7 +46,7 @@ def _associated(rows: Rows, scene: SceneParameters | None) -> Association:
 
 
 def with_every_frame(tracks: TrackSet) -> TrackSet:
-    """Tracks with a row for each frame of the recording between their first and last, empty where not seen."""
+    """Tracks with a row for each frame of the recording from their first to their last; empty: not seen."""
     frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)
     t = np.concatenate([track.t for track in tracks])[first]
     return tracks.map(lambda track: _filled(track, frames, t))

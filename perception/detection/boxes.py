@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from graphtrack.errors import InputError
 from graphtrack.io import atomic_path
 from graphtrack.io.readers import caviar, mot
 from graphtrack.io.source import Source

@@ -101,7 +101,8 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
         raise table.fail(
             int(np.argmax(unknown)),
             1,
-            f"an id from 0, or -1 in all rows: {unknown.sum()} of {len(unknown)} are detections without identity",
+            f"an id from 0, or -1 in all rows: {unknown.sum()} of {len(unknown)} are detections without "
+            "identity",
         )
     channels = {"box": _boxes_of(table), "confidence": table.values[:, 6]}
     world = _world(table)
