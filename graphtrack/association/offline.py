@@ -9,13 +9,13 @@ only rises; a few sweeps over the recording suffice.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.association import learning
+from graphtrack.association import duplicates, learning
 from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import (
     Chains,
@@ -68,15 +68,14 @@ def associate_detections(
     progress : called with sweeps done and sweeps in all
     """
     search = _Search(detections, learning.first_guess(detections) if scene is None else scene)
-    rounds = 1 if scene is not None else ROUNDS
-    for k in range(rounds):
+    for k in range(ROUNDS):
         if k:
-            search.adopt(search.learned())
+            search.adopt(search.learned() if scene is None else scene)
         for sweep in range(SWEEPS):
-            progress(k * SWEEPS + sweep, rounds * SWEEPS)
+            progress(k * SWEEPS + sweep, ROUNDS * SWEEPS)
             if not search.sweep():
                 break
-    progress(rounds * SWEEPS, rounds * SWEEPS)
+    progress(ROUNDS * SWEEPS, ROUNDS * SWEEPS)
     identity = search.identities()
     return Association(identity, search.probabilities(), search.scene, search.evidence())
 
@@ -104,20 +103,29 @@ class _Search:
         )
         _, self._first = np.unique(self.chains.frame, return_index=True)
         self._end = np.append(self._first[1:], n)
-        self._probability = np.ones(n)
+        self._probability, self._duplicates = np.ones(n), np.zeros(n)
+        self._packed = Scene(*scene.packed(detections.frame_seconds))
         self.adopt(scene)
 
     def adopt(self, scene: SceneParameters) -> None:
-        """Go on with other parameters."""
+        """Go on with other parameters, and with who is near whom as it is known by now."""
         self.scene = scene
+        identity = self.identities()
+        if (identity >= 0).any():
+            detections = self.detections
+            self._duplicates = duplicates.density(detections.frame, detections.position, identity, scene)
         self._packed = Scene(*scene.packed(self.detections.frame_seconds))
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
-        self.chains.gain[:] = np.log(scene.detection_probability) - np.log(scene.clutter_density)
+        false = scene.clutter_density + self._duplicates
+        self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
         refresh(self.chains, 0, len(self.chains.t), self._packed)
 
     def learned(self) -> SceneParameters:
         """The parameters that the tracks of now speak for."""
-        return learning.learned(self.chains, self.identities(), self.scene, self._std)
+        identity, seen = self.identities(), self.detections
+        rate, spread = duplicates.learned(seen.frame, seen.position, identity, self.scene)
+        scene = replace(self.scene, duplicate_rate=rate, duplicate_spread=spread)
+        return learning.learned(self.chains, identity, scene, self._std)
 
     def sweep(self) -> int:
         """Every move once, from the first frame to the last; the number of links that changed."""

@@ -26,6 +26,8 @@ class SceneParameters:
     occlusion_probability : that a frame is the last one before somebody is hidden
     occlusion_seconds : that one is hidden for, on average
     clutter_density : false detections a frame and square metre
+    duplicate_rate : further detections of somebody who was detected, a frame
+    duplicate_spread : standard deviation of their places about the first one, on each axis, m
     birth_density : people who come into view, a second and square metre
     death_rate : 1/s at which people leave
     longest_gap : seconds after which nobody is found again
@@ -39,6 +41,8 @@ class SceneParameters:
     occlusion_probability: float = _number(0.01, 1e-6, 0.5)
     occlusion_seconds: float = _number(2.0, 0.05, 60.0, "s")
     clutter_density: float = _number(1e-3, 1e-9, 100.0, "1/m²")
+    duplicate_rate: float = _number(0.02, 0.0, 10.0)
+    duplicate_spread: float = _number(0.5, 1e-3, 10.0, "m")
     birth_density: float = _number(1e-3, 1e-9, 100.0, "1/(m² s)")
     death_rate: float = _number(0.05, 1e-6, 10.0, "1/s")
     longest_gap: float = _number(6.0, 0.05, 60.0, "s")
