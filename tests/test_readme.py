@@ -44,7 +44,7 @@ def names(tmp_path_factory):
 def test_the_python_blocks_run_and_do_what_they_say(names):
     assert names["written"] == {"smoothed.csv", "model.toml"}
     assert names["model_file"].parameters == names["parameters"]
-    assert names["solution"].converged and names["solution"].engine == "chain"
+    assert names["solution"].converged and names["solution"].engine == "gtsam"
     assert names["ahead"].covariance[0, 0] > names["estimate"].covariance[0, 0]
 
 

@@ -173,6 +173,21 @@ def chen_joint(results: Results) -> Measured:
     return found
 
 
+HEADS_SAID = (
+    "the head's error from {}° to {}° with the particle filter and from {}° to {}° with the graph online"
+)
+
+
+def chen_heads(results: Results) -> Measured:
+    """What the README says of heads."""
+    columns, found = ("joint-body (°)", "joint (°)"), []
+    for method in ("particle", "graph"):
+        where = {"data": "mocap, walking", "angle": "head", "method": method}
+        row = results.row("Body and head: observation", **where)
+        found += [row[column] for column in columns]
+    return {HEADS_SAID: found}
+
+
 def chen_classes(results: Results) -> Measured:
     """Mean errors of body and head on people who walk, by model and method, with their intervals."""
     methods = {
@@ -204,5 +219,6 @@ CLAIMS: Sequence[Claim] = (
     Claim("docs/baselines.md", "baxter-occlusion", occlusion_offline, "| offline | corpus,"),
     Claim("README.md", "baxter-occlusion", occlusion_said, labels=(OCCLUSION_SAID,)),
     Claim("README.md", "chen-joint", chen_joint, "| body | observed |"),
+    Claim("README.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
     Claim("docs/engine.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
 )

@@ -81,7 +81,9 @@ class Killed(BaseException):
     """Stands in for a kill: what the file holds at that moment is what the next run finds."""
 
 
-@pytest.mark.parametrize(("engine", "n_frames"), [("chain", 150), ("isam2", 8)])
+@pytest.mark.parametrize(
+    ("engine", "n_frames"), [("chain", 150), pytest.param("isam2", 12, marks=pytest.mark.slow)]
+)
 def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path, engine, n_frames):
     lines, state, rng = scene(n_frames, people=2), tmp_path / "state", np.random.default_rng(1)
     answers, left, kills, resumed = [], 0, 0, False

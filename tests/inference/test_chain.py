@@ -88,7 +88,7 @@ def compare_with_gtsam(seeds: range, presets_each: int, monkeypatch: pytest.Monk
 
 
 def test_the_optimum_is_that_of_gtsams_graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    compare_with_gtsam(range(12), 2, monkeypatch)
+    compare_with_gtsam(range(8), 2, monkeypatch)
 
 
 @pytest.mark.slow

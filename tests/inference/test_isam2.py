@@ -130,7 +130,7 @@ def test_only_isam2_has_no_lag(engine: Any) -> None:
 
 
 @BOTH_MODES
-@pytest.mark.parametrize("seen", ["angles", "classes"])
+@pytest.mark.parametrize("seen", others_slow(["angles", "classes"], ["angles"]))
 def test_kernels_and_factors_lead_to_the_same_estimates(
     lag: float | None, seen: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

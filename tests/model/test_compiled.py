@@ -99,6 +99,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return ended
 
 
+@pytest.mark.slow
 def test_a_script_keeps_its_machine_code_until_what_it_inlines_changes(run):
     assert run("program.py") == "5.0 True 0"
     assert run("-m", "program") == "5.0 True 1"

@@ -83,7 +83,7 @@ def told(track: Track, move: float = 0.4) -> Track:
     return replace(track, inputs={"window": window})
 
 
-# An engine of its own takes a minute to compile: the README's term goes through one in every run.
+# An engine of its own takes a minute to compile.
 
 
 @pytest.mark.slow

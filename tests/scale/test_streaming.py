@@ -287,6 +287,7 @@ print(pyarrow.default_memory_pool().max_memory() / 2**20)
 """
 
 
+@pytest.mark.slow
 def test_a_row_group_is_not_held_whole(tmp_path):
     n = 1_000_000
     rng = np.random.default_rng(0)
