@@ -3,5 +3,6 @@
 from graphtrack.association.detections import Detections
 from graphtrack.association.offline import Association, associate_detections
 from graphtrack.association.scene import SceneParameters
+from graphtrack.association.tracks import associate
 
-__all__ = ["Association", "Detections", "SceneParameters", "associate_detections"]
+__all__ = ["Association", "Detections", "SceneParameters", "associate", "associate_detections"]

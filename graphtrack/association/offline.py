@@ -1,9 +1,9 @@
 """The most probable explanation of a whole recording, by assigning anew at every cut and in every frame.
 
 At each time all tracks are cut: what came before (heads) and what comes after (tails) are matched anew, a
-link being worth the evidence of the joined track over that of both alone. In each frame its detections are matched
-anew to the tracks that span it, everything else staying. Each is the best of its block, so that the evidence
-only rises; a few sweeps over the recording suffice.
+link being worth the evidence of the joined track over that of both alone. In each frame its detections are
+matched anew to the tracks that span it, everything else staying. Each is the best of its block, so that the
+evidence only rises; a few sweeps over the recording suffice.
 """
 
 from __future__ import annotations
