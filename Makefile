@@ -19,9 +19,9 @@ $(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) --editable .
 	@touch $@
 
-$(VENV)/installed-test: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/installed-test: $(VENV)/installed
 	$(PIP) --editable '.[test]'
-	@touch $(VENV)/installed $@
+	@touch $@
 
 demo: $(VENV)/installed
 	$(BIN)/graphtrack demo --out demo
@@ -31,11 +31,14 @@ lint: $(VENV)/installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# What the tests run is compiled beside the type checker, once for all of their workers.
-compiled-solver compiled-others: compiled-%: $(VENV)/installed-test
+# What the tests run is compiled once for all of their workers, beside what else takes long: the solver while
+# the tests' own packages are installed, the others beside the type checker.
+compiled-solver: $(VENV)/installed
+compiled-others: $(VENV)/installed-test
+compiled-solver compiled-others: compiled-%:
 	$(BIN)/python tests/support/compile_first.py $*
 
-checked: $(VENV)/installed-test
+checked: $(VENV)/installed
 	$(MAKE) --jobs=2 --output-sync=target compiled-solver lint compiled-others
 
 test: checked

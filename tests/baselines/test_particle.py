@@ -448,6 +448,7 @@ def test_backward_simulation_is_rauch_tung_striebel_on_the_linear_model() -> Non
     np.testing.assert_allclose(variance, exact.covariance[:, 0, 0], rtol=0.5)
 
 
+@pytest.mark.slow
 def test_after_a_gap_in_small_steps_it_takes_many_particles_to_be_rauch_tung_striebel() -> None:
     track = without(walk(40, noise=0.1, dt=0.1), "position", slice(15, 30))
     exact = rauch_tung_striebel(track, PARAMETERS).position

@@ -131,6 +131,7 @@ def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path, engi
     assert answers == whole
 
 
+@pytest.mark.slow
 def test_a_program_that_is_killed_or_loses_its_reader_goes_on(tmp_path):
     lines, state = scene(40), tmp_path / "state"
     (tmp_path / "rows").write_bytes(b"".join(lines))

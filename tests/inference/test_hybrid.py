@@ -88,6 +88,7 @@ def test_modes_offsets_and_states_are_those_of_all_hypotheses(offset: float) -> 
     assert probability < 0.2 and degrees < 15.0 and body < 10.0 and position < 0.02
 
 
+@pytest.mark.slow
 def test_a_head_that_is_seen_tells_of_the_body_in_both() -> None:
     # The engine weighs what the head says of the body; all hypotheses together say how much that is.
     track = person(0.0, 1, 5)
@@ -98,6 +99,7 @@ def test_a_head_that_is_seen_tells_of_the_body_in_both() -> None:
 
 
 @pytest.mark.parametrize("offset", [0.0, 1.2])
+@pytest.mark.slow
 def test_gtsam_eliminates_to_what_the_hypotheses_say_one_by_one(offset: float) -> None:
     track, model = person(offset, 0, 3), model_of()
     one_by_one, eliminated = smooth_by_hypotheses(track, model, max_changes=2), smooth_by_gtsam(track, model)

@@ -94,6 +94,7 @@ def test_a_step_touches_no_more_of_a_long_track(lag: float | None, monkeypatch: 
 
 @BOTH_MODES
 @pytest.mark.parametrize("turn", others_slow([2.0, 3.1], [3.1]))
+@pytest.mark.slow
 def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) -> None:
     """Orientations that turn out to be far from where they began must not be mistaken for others."""
     track = walk(60, seed=3, noise=0.05, angle_kappa=20.0)

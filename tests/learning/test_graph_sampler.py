@@ -15,6 +15,7 @@ TRUE = Parameters(MotionParameters(0.4, 1.2, 1.0), OrientationParameters(0.3, 0.
 T = 0.1 * np.arange(12)
 
 
+@pytest.mark.slow
 def test_the_slope_of_the_mass_is_the_mean_of_the_coupling() -> None:
     # d log Z/dκ₂ = −E[Σ w·(1 − cos)], with Z from the filter and the mean from the draws.
     rng = np.random.default_rng(0)
@@ -27,6 +28,7 @@ def test_the_slope_of_the_mass_is_the_mean_of_the_coupling() -> None:
     assert sides[0] - sides[1] == pytest.approx(np.mean(costs), abs=4.0 * error)
 
 
+@pytest.mark.slow
 def test_without_couplings_it_is_the_plain_model() -> None:
     free = replace(TRUE, coupling=replace(COUPLED, motion_body_kappa=0.0, head_body_kappa=0.0))
     rng = np.random.default_rng(1)

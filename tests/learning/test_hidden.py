@@ -99,6 +99,7 @@ def test_couplings_of_the_right_size_foretell_better_than_none_or_far_stronger_o
     assert here > score(head_body_kappa=0.0, motion_body_kappa=0.0)
 
 
+@pytest.mark.slow
 def test_without_a_truth_couplings_are_learned_by_prediction() -> None:
     start = replace(BRISK, coupling=CouplingParameters(1.0, 0.2, 0.4, 0.3))
     people = unknown("joint", 12, 10, 16).map(

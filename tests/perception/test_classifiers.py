@@ -204,6 +204,7 @@ def test_a_split_takes_its_share_of_every_class() -> None:
     assert np.bincount(labels[second]).tolist() == [20, 2, 1]
 
 
+@pytest.mark.slow
 def test_recognition_of_004_on_a_few_people() -> None:
     rows, confusion = recognition_table(16, [1], np.random.default_rng(0))
     assert [(row.exemplars, row.density) for row in rows] == [(1, "gaussian"), (1, "saturated")]

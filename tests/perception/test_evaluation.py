@@ -131,6 +131,7 @@ def test_the_experiment_on_pixels_has_the_papers_numbers_and_ours() -> None:
     assert len(found.figure.subfigs) == 2
 
 
+@pytest.mark.slow
 def test_the_pose_table_and_its_picture(tmp_path: Path) -> None:
     done = run("evaluate", "pose", "--count", 50, "--plot", tmp_path / "p.png")
     assert done.returncode == 0, done.stderr

@@ -197,6 +197,7 @@ def test_survival_counts_from_the_reappearance_on() -> None:
         survives(boxes, true, np.where(np.arange(60) < 55, 1.0, 0.0))
 
 
+@pytest.mark.slow
 def test_guided_the_colour_tracker_finds_a_head_again_behind_a_wall() -> None:
     clip = head_clip(
         np.random.default_rng(3),

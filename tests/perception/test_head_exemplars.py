@@ -174,6 +174,7 @@ def test_people_share_exemplars_with_themselves(exemplars: HeadExemplars) -> Non
     assert (shared <= np.diag(shared)[:, None]).all()
 
 
+@pytest.mark.slow
 def test_training_on_few_people_gives_a_model_that_knows_its_heads() -> None:
     told: list[int] = []
     model = train_head_exemplars(people=3, scenes=20, exemplars=2, background=4, seed=3, advance=told.append)

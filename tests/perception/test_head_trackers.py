@@ -124,6 +124,7 @@ def test_summed_labels_are_the_forward_algorithm_of_a_hidden_markov_chain(clip: 
         np.testing.assert_allclose(item.box, box, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_sampled_labels_tend_to_the_summed_ones(clip: HeadClip) -> None:
     box = tuple(clip.boxes[0])
     pans = {}
@@ -201,6 +202,7 @@ def test_what_cannot_be_used_is_refused(name: str, clip: HeadClip) -> None:
         MAKE[name](particles=1)
 
 
+@pytest.mark.slow
 def test_a_wall_hides_the_head_and_the_tracker_says_so() -> None:
     parameters = HeadClipParameters(frames=34, clutter=0.0, occlusion=(12, 10))
     hidden = head_clip(np.random.default_rng(11), parameters)

@@ -99,6 +99,7 @@ def test_who_moves_is_followed_from_a_box_and_found_without() -> None:
         assert box is not None or not any(estimate.found for estimate in estimates[:first])
 
 
+@pytest.mark.slow
 def test_what_rests_is_absorbed_by_the_motion_cue_and_held_by_the_others() -> None:
     images = [shown(path(min(k, 30)), k) for k in range(160)]
     estimates = follow(SigmaPiTracker(seed=1), images, box_at(path(0)))
@@ -108,6 +109,7 @@ def test_what_rests_is_absorbed_by_the_motion_cue_and_held_by_the_others() -> No
     assert not follow(motion_alone, images, box_at(path(0)))[-1].found
 
 
+@pytest.mark.slow
 def test_whoever_leaves_is_lost_and_found_again_by_what_was_learned() -> None:
     """Motion is switched off: only memories that nothing else was written into can find the person."""
     parameters = SigmaPiParameters(cues=("colour", "shape"))

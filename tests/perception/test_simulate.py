@@ -48,6 +48,7 @@ def test_a_street_has_frames_boxes_cameras_and_truth_that_agree(street: Path) ->
     np.testing.assert_allclose(calibrated.optical_centre_on_ground, (0.0, -11.0), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_again_and_images_in_place_of_the_video(street: Path, tmp_path: Path) -> None:
     again = tmp_path / "again"
     assert simulate("street", again, "--seed", 2, "--fps", 4, "--images").returncode == 0

@@ -83,6 +83,7 @@ def test_a_page_of_three_people_is_light(full):
     assert len(full.encode()) < 2_000_000
 
 
+@pytest.mark.slow
 def test_a_page_of_300_people_over_minutes_stays_below_8_megabytes():
     rng = np.random.default_rng(0)
     n = 40
