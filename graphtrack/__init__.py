@@ -6,7 +6,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from graphtrack.association import SceneParameters, associate
+    from graphtrack.association.scene import SceneParameters
+    from graphtrack.association.tracks import associate
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.evaluation.tracking import SequenceScore, TrackingScore, score
@@ -66,7 +67,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "association": ("SceneParameters", "associate"),
+    "association.scene": ("SceneParameters",),
+    "association.tracks": ("associate",),
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
     "evaluation.compare": ("Comparison", "compare"),

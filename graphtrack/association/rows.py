@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -49,12 +50,16 @@ def with_every_frame(tracks: TrackSet) -> TrackSet:
     """Tracks with a row for each frame of the recording from their first to their last; empty: not seen."""
     frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)
     t = np.concatenate([track.t for track in tracks])[first]
-    return tracks.map(lambda track: _filled(track, frames, t))
+    steps, counts = np.unique(np.diff(frames), return_counts=True)
+    step = int(steps[counts.argmax()]) if len(steps) else 1
+    return tracks.map(lambda track: _filled(track, frames, t, step))
 
 
-def _filled(track: Track, frames: np.ndarray, t: FloatArray) -> Track:
-    inside = (frames >= track.frame[0]) & (frames <= track.frame[-1])
-    frame = frames[inside]
+def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int) -> Track:
+    # Frames in which nobody at all was seen are none of the recording's: they lie a step apart.
+    between = [np.arange(a, b, step) for a, b in pairwise(track.frame.tolist())]
+    inside = frames[(frames >= track.frame[0]) & (frames <= track.frame[-1])]
+    frame = np.unique(np.concatenate([inside, *between]))
     if len(frame) == len(track):
         return track
     place = np.searchsorted(frame, track.frame)
@@ -63,7 +68,7 @@ def _filled(track: Track, frames: np.ndarray, t: FloatArray) -> Track:
         if isinstance(values, np.ndarray) and name != "frame":
             channels[name] = np.full((len(frame), *values.shape[1:]), np.nan)
             channels[name][place] = values
-    channels["t"] = t[inside].copy()
+    channels["t"] = np.interp(frame, frames, t)
     channels["t"][place] = track.t
     observed = np.zeros(len(frame))
     observed[place] = 1.0

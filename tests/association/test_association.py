@@ -10,9 +10,10 @@ import pandas as pd
 import pytest
 
 import graphtrack as gt
-from graphtrack.association import Detections, SceneParameters, associate_detections
+from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import GATE, Scene, missed
-from graphtrack.association.offline import match
+from graphtrack.association.offline import associate_detections, match
+from graphtrack.association.scene import SceneParameters
 
 
 def street(
