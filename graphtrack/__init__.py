@@ -6,6 +6,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from graphtrack.association.scene import SceneParameters
+    from graphtrack.association.tracks import associate
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.evaluation.tracking import SequenceScore, TrackingScore, score
@@ -41,6 +43,7 @@ __all__ = [
     "Parameters",
     "ReadOptions",
     "ReadSummary",
+    "SceneParameters",
     "SequenceScore",
     "Solution",
     "SolveError",
@@ -50,6 +53,7 @@ __all__ = [
     "TrackSet",
     "TrackingScore",
     "add_noise",
+    "associate",
     "compare",
     "presets",
     "read",
@@ -63,6 +67,8 @@ __all__ = [
 ]
 
 _HOMES = {
+    "association.scene": ("SceneParameters",),
+    "association.tracks": ("associate",),
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
     "evaluation.compare": ("Comparison", "compare"),

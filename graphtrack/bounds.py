@@ -77,6 +77,8 @@ FIELDS: Mapping[str, Bounds] = {
     "head_likelihood": LIKELIHOOD,
     "velocity": METRES,
     "covariance": FINITE,
+    "identity_p": Bounds(0.0, 1.0),
+    "observed": Bounds(0.0, 1.0),
     "aligned_p": FINITE,
     "gait_offset": RADIANS,
     "true_position": METRES,

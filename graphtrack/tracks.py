@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet"]
 
-_KEPT = ("t", "true_position", "true_body", "true_head")
+_KEPT = ("t", "identity_p", "observed", "true_position", "true_body", "true_head")
 """What estimates leave of a track that was observed."""
 _ABSENT = dict.fromkeys(SHAPES)
 
@@ -62,6 +62,9 @@ class Track:
     body_kappa, head_kappa : (n,) von Mises concentration of ``body`` and ``head``; NaN: the model's default
     body_likelihood : (n, 8), head_likelihood : (n, 12)
         Class likelihoods; class k is centred on 360·k/n degrees. A row is all finite or all NaN.
+    identity_p : (n,) probability that this is whom the track had before, where identities were associated;
+        NaN: not observed
+    observed : (n,) 1 where the frame was observed, 0 where association left a gap
     velocity : (n, 2) metres a second (estimates)
     covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated
     aligned_p : (n,) probability that the body faces where the motion goes (estimates)
@@ -84,6 +87,8 @@ class Track:
     head_kappa: FloatArray | None = None
     body_likelihood: FloatArray | None = None
     head_likelihood: FloatArray | None = None
+    identity_p: FloatArray | None = None
+    observed: FloatArray | None = None
     velocity: FloatArray | None = None
     covariance: FloatArray | None = None
     aligned_p: FloatArray | None = None
@@ -356,7 +361,10 @@ class TrackSet:
         InputError
             Naming the row (from 1) and column that cannot be used.
         """
-        return with_speeds_checked(cls.from_rows(rows_of_table(table, fps)), Path("table"))
+        rows = rows_of_table(table, fps)
+        if not rows.has_identity:
+            raise InputError("rows without identities", "a column track_id; graphtrack.associate finds it")
+        return with_speeds_checked(cls.from_rows(rows), Path("table"))
 
     @classmethod
     def from_rows(cls, rows: Rows) -> TrackSet:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def info(
     inputs: options.Inputs,
-    reading: options.CameraReading,
+    reading: options.SceneReading,
     json_path: options.Json = None,
 ) -> None:
     """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows."""

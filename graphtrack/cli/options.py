@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hints
 
 import typer
 
@@ -118,6 +118,14 @@ Classes = Annotated[
         rich_help_panel=_READING,
     ),
 ]
+Associate = Annotated[
+    Literal["auto", "never", "always"],
+    typer.Option(
+        "--associate",
+        help="Who is who: auto, where the file has no identities; always, forgetting those it has; never.",
+        rich_help_panel=_READING,
+    ),
+]
 Select = Annotated[
     list[str] | None,
     typer.Option(
@@ -134,6 +142,8 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random num
 @dataclass(frozen=True)
 class Reading:
     """What can be said of an input that is already in metres; see `expanded`."""
+
+    _associate: ClassVar[Literal["auto", "never"]] = "never"
 
     fps: Fps = None
     format: FormatName = None
@@ -163,7 +173,8 @@ class Reading:
         """What a reader is told."""
         from graphtrack.io.options import ReadOptions
 
-        return ReadOptions(**{name: value for name, value in self.given().items() if name not in _NOT_TOLD})
+        told = {name: value for name, value in self.given().items() if name not in _NOT_TOLD}
+        return ReadOptions(**{"associate": self._associate, **told})
 
     def tracks(self, paths: list[Path]) -> TrackSet:
         """Read and select tracks, and print the summary.
@@ -204,6 +215,15 @@ class CameraReading(Reading):
     metres_per_pixel: MetresPerPixel = None
     image_scale: ImageScale = None
     classes: Classes = None
+
+
+@dataclass(frozen=True)
+class SceneReading(CameraReading):
+    """What can be said of an input in which people may be without identities; see `expanded`."""
+
+    _associate: ClassVar[Literal["auto", "never"]] = "auto"
+
+    associate: Associate = "auto"
 
 
 _NOT_TOLD = ("format", "select")

@@ -18,7 +18,7 @@ _LARGE = "Data sets larger than memory"
 def smooth(
     inputs: options.Inputs,
     output: options.Output,
-    reading: options.CameraReading,
+    reading: options.SceneReading,
     model: options.BestModelName = None,
     engine: Annotated[
         Literal["auto", "chain", "gtsam"],

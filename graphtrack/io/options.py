@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
 
 from graphtrack.bounds import check_frame_rate, check_positive
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+
+Associate = Literal["auto", "never", "always"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +32,8 @@ class ReadOptions:
     nadir : pixel (u, v) straight below a camera that looks down, where people stretch away from it
     oxts, ego_calibration : paths of KITTI's ego motion and calibration
     classes : the classes of object to read, where a file has several
+    associate : "auto": rows without identities become tracks, see `association`; "always": those with
+        identities too, which are forgotten; "never": rows without identities are an error
     """
 
     fps: float | None = None
@@ -44,6 +49,7 @@ class ReadOptions:
     oxts: str | Path | None = None
     ego_calibration: str | Path | None = None
     classes: tuple[str, ...] = ("Pedestrian",)
+    associate: Associate = "auto"
 
     def __post_init__(self) -> None:
         check_frame_rate(self.fps)
@@ -51,6 +57,8 @@ class ReadOptions:
         check_positive("image_scale", self.image_scale, 1e3)
         if self.point_pairs_unit not in ("m", "cm"):
             raise InputError(f"point_pairs_unit = {self.point_pairs_unit!r}", "'m' or 'cm'")
+        if self.associate not in get_args(Associate):
+            raise InputError(f"associate = {self.associate!r}", f"one of {', '.join(get_args(Associate))}")
         object.__setattr__(
             self, "classes", (self.classes,) if isinstance(self.classes, str) else tuple(self.classes)
         )

@@ -61,9 +61,18 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
 
 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
-    source = Source.open(path)
-    chosen = detect(source) if format is None else format_named(format)
-    return with_speeds_checked(TrackSet.from_rows(chosen.read(source, options)), source.path)
+    rows = rows_of_file(path, format, options)
+    if not rows.has_identity and options.associate == "never":
+        raise InputError(
+            "rows without identities",
+            "a track_id for each; graphtrack smooth and graphtrack.associate find out who is who",
+            path=rows.path,
+        )
+    if rows.has_identity and options.associate != "always":
+        return with_speeds_checked(TrackSet.from_rows(rows), rows.path)
+    from graphtrack.association.rows import with_every_frame, with_identities
+
+    return with_every_frame(TrackSet.from_rows(with_identities(rows)))
 
 
 def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions = ReadOptions()) -> Rows:
@@ -89,6 +98,13 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
     rows = chosen.read_boxes(source, options)
     check_rows(rows)
     return rows
+
+
+def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
+    """The rows of a file, as its reader makes them, in metres and with times."""
+    source = Source.open(path)
+    chosen = detect(source) if format is None else format_named(format)
+    return chosen.read(source, options)
 
 
 def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:

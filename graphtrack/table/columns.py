@@ -182,6 +182,9 @@ def from_columns(
             found, expected, path=path, line=None if row is None else line_of(row), column=column
         )
 
+    identified = "track_id" in columns
+    if not identified and "frame" in columns:
+        columns = {**columns, "track_id": np.full(len(columns["frame"]), -1.0)}
     check_names(columns, fps, fail)
     if not len(columns["track_id"]):
         raise fail("a header and no rows", "at least one row")
@@ -204,6 +207,7 @@ def from_columns(
         line_of,
         _labels(columns.get("label"), track_id, fail),
         notes=notes,
+        has_identity=identified and bool((track_id != -1).any()),
     )
     return _with_times(rows, fps, fail)
 

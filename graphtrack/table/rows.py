@@ -32,6 +32,7 @@ class Rows:
     camera : the camera that made the positions, if any
     refused : reason → number of rows left out so far
     notes : what was assumed or repaired, one sentence each
+    has_identity : False: the file does not say of whom a row is, and ``track_id`` is −1 throughout
     """
 
     path: Path
@@ -44,6 +45,7 @@ class Rows:
     camera: GroundCamera | None = None
     refused: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    has_identity: bool = True
 
     def __len__(self) -> int:
         return len(self.track_id)

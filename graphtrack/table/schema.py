@@ -83,6 +83,8 @@ COLUMNS: tuple[Column, ...] = (
     _spread("vy_std", "vy"),
     _spread("body_std_deg", "body"),
     _spread("head_std_deg", "head"),
+    _number("identity_p", "identity_p"),
+    _number("observed", "observed"),
     Column("aligned_p", "aligned_p", (), Bounds(0.0, 1.0)),
     _angle("gait_offset_deg", "gait_offset"),
     _number("true_x", "true_position", 0),

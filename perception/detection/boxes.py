@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from graphtrack.errors import InputError
 from graphtrack.io import atomic_path
 from graphtrack.io.readers import caviar, mot
 from graphtrack.io.source import Source
@@ -46,6 +47,8 @@ def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: 
     source = Source.open(path)
     of_caviar = caviar.looks_like(source.head, source.path)
     rows = caviar.read_boxes(source) if of_caviar else mot.read_boxes(source)
+    if not rows.has_identity:
+        raise InputError("boxes without identities", "an id from 0 for each: whose it is", path=source.path)
     rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
     check_rows(rows)
     for reason, count in rows.refused.items():

@@ -296,8 +296,9 @@ def test_ego_poses_that_do_not_reach_a_frame(tmp_path: Path) -> None:
 
 def test_detections_without_identity(tmp_path: Path) -> None:
     path = tmp_path / "det.txt"
-    path.write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
-    assert "without identity" in str(refused(path))
+    path.write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n1,4,50,20,30,40,0.9,-1,-1,-1\n")
+    error = refused(path)
+    assert "1 of 2 are detections without identity" in str(error) and error.line == 1
 
 
 def test_a_file_of_ignored_rows_only(tmp_path: Path) -> None:

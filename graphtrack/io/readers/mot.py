@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -95,18 +96,20 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     table = read_numbers(source, delimiter=",", widths=(7, 8, 9, 10), names=_NAMES)
     identity = table.integers(1, bounds.LARGEST_ID)
     unknown = identity < 0
-    if unknown.any():
+    nobodys = bool((identity == -1).all())
+    if unknown.any() and not nobodys:
         raise table.fail(
             int(np.argmax(unknown)),
             1,
-            f"an id from 0: {unknown.sum()} of {len(unknown)} rows are detections without identity, which "
-            "no one has tracked",
+            f"an id from 0, or -1 in all rows: {unknown.sum()} of {len(unknown)} are detections without "
+            "identity",
         )
     channels = {"box": _boxes_of(table), "confidence": table.values[:, 6]}
     world = _world(table)
     if world is not None:
         channels["position"] = world
     rows = Rows(source.path, "mot", identity, table.integers(0), channels, table.line_of)
+    rows = replace(rows, has_identity=not nobodys)
     if table.values.shape[1] == 9:
         rows = _of_classes(rows, table, options)
     return rows.keep(rows.channels["confidence"] != 0.0, IGNORED)

@@ -1,0 +1,1 @@
+"""Who is who: detections without identities become tracks."""

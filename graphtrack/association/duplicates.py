@@ -1,0 +1,71 @@
+"""Several detections of one person in a frame: the others are not people of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from graphtrack.association.scene import SceneParameters
+from graphtrack.geometry.angles import FloatArray
+
+_REACH = 3.0
+"""Spreads within which a detection may be a duplicate."""
+
+
+def density(
+    frame: NDArray[np.int64], position: FloatArray, identity: NDArray[np.int64], scene: SceneParameters
+) -> FloatArray:
+    """How densely duplicates of other people are expected where each detection is, (n,) 1/m².
+
+    A person counts for those who were detected less often: of two who walk in each other's place the one with
+    more detections is the person.
+
+    Parameters
+    ----------
+    frame, position : (n,) and (n, 2) of the detections
+    identity : (n,) as they are thought to be; −1: false
+    scene : rate and spread of duplicates
+    """
+    first, second, square = near(frame, position, _REACH * scene.duplicate_spread)
+    times = np.bincount(identity[identity >= 0], minlength=1)
+    strength = np.where(identity >= 0, times[np.maximum(identity, 0)], 0)
+    counts = (identity[second] >= 0) & (identity[first] != identity[second])
+    counts &= (strength[second] > strength[first]) | (
+        (strength[second] == strength[first]) & (identity[second] < identity[first])
+    )
+    first, square = first[counts], square[counts]
+    variance = scene.duplicate_spread**2
+    each = scene.duplicate_rate * np.exp(-0.5 * square / variance) / (2.0 * np.pi * variance)
+    return np.bincount(first, each, minlength=len(frame)).astype(float)
+
+
+def near(
+    frame: NDArray[np.int64], position: FloatArray, reach: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Pairs (both ways) of detections of one frame within reach (m), and their squared distances (m²)."""
+    # Frames far apart on a third axis: one tree for all.
+    apart = np.column_stack([position, frame * (10.0 * reach)])
+    pairs = cKDTree(apart).query_pairs(reach, output_type="ndarray").reshape(-1, 2)
+    first = np.concatenate([pairs[:, 0], pairs[:, 1]]).astype(np.int64)
+    second = np.concatenate([pairs[:, 1], pairs[:, 0]]).astype(np.int64)
+    return first, second, np.sum((position[first] - position[second]) ** 2, axis=1)
+
+
+def learned(
+    frame: NDArray[np.int64], position: FloatArray, identity: NDArray[np.int64], scene: SceneParameters
+) -> tuple[float, float]:
+    """Rate and spread (m) of duplicates, from the false detections around people."""
+    first, second, square = near(frame, position, 2.0)
+    counts = (identity[first] < 0) & (identity[second] >= 0)
+    first, square = first[counts], square[counts]
+    people = float((identity >= 0).sum())
+    rate, variance = scene.duplicate_rate, scene.duplicate_spread**2
+    for _ in range(20):
+        each = rate * np.exp(-0.5 * square / variance) / (2.0 * np.pi * variance)
+        around = np.bincount(first, each, minlength=len(frame))
+        share = each / (around[first] + scene.clutter_density)
+        total = float(share.sum())
+        rate = (total + 0.02) / (people + 1.0)
+        variance = float(np.clip((0.5 * (share * square).sum() + 0.25) / (total + 1.0), 0.01, 1.0))
+    return float(np.clip(rate, 0.0, 10.0)), float(np.sqrt(variance))

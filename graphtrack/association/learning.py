@@ -1,0 +1,111 @@
+"""The scene's parameters from the detections alone: expectation and maximisation around the association."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from graphtrack.association.detections import Detections
+from graphtrack.association.kernels import Chains, Scene, innovations
+from graphtrack.association.scene import SceneParameters
+from graphtrack.geometry.angles import FloatArray
+
+_PRIOR = 2.0
+"""Events that the first guess counts for."""
+
+
+def area(position: FloatArray) -> float:
+    """Square metres in which detections are, (n, 2) metres: of the box around nearly all of them."""
+    low, high = np.quantile(position, [0.005, 0.995], axis=0)
+    return float(max(np.prod(high - low), 1.0))
+
+
+def first_guess(detections: Detections) -> SceneParameters:
+    """Parameters before anything is known but how many detections there are, and where."""
+    start = SceneParameters()
+    frames = detections.frame[-1] - detections.frame[0] + 1
+    each = len(detections) / frames
+    square = area(detections.position)
+    seconds = detections.frame_seconds
+    # One in ten is false; people stay for ten seconds or so.
+    return replace(
+        start,
+        clutter_density=float(np.clip(max(0.1 * each, 0.1) / square, 1e-9, 100.0)),
+        birth_density=float(np.clip(max(each / 10.0, 0.01) / square, 1e-9, 100.0)),
+        death_rate=0.1,
+        occlusion_probability=float(np.clip(0.05 * seconds, 1e-6, 0.5)),
+    )
+
+
+def learned(
+    chains: Chains, identity: NDArray[np.int64], scene: SceneParameters, known_std: FloatArray
+) -> SceneParameters:
+    """The parameters that make the tracks found most probable, with a little of those before.
+
+    Parameters
+    ----------
+    chains : the tracks, filtered
+    identity : (n,) of each detection; −1: false
+    scene : the parameters before
+    known_std : (n,) metres that detections say themselves; NaN: they do not
+    """
+    seconds = float(np.median(np.diff(np.unique(chains.t)))) if len(np.unique(chains.t)) > 1 else 1.0
+    people = int(identity.max()) + 1
+    if people < 1:
+        return scene
+    frames, square = chains.frame[-1] + 1, area(chains.position)
+    linked = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
+    gaps = (chains.frame[linked] - chains.frame[chains.preceding[linked]] - 1).astype(float)
+    seen = float((identity >= 0).sum())
+    miss, hide, hidden = scene.detection_probability, scene.occlusion_probability, scene.occlusion_seconds
+    for _ in range(20):
+        some = gaps[gaps > 0]
+        chance = (1.0 - miss) ** some
+        occluded = hide * np.exp(-some * seconds / hidden)
+        share = occluded / (chance + occluded)
+        missed = float(((1.0 - share) * some).sum())
+        miss = float(np.clip((seen + 9.0) / (seen + missed + 10.0), 0.02, 0.995))
+        hide = float(np.clip((share.sum() + 0.01 * _PRIOR) / (seen + _PRIOR), 1e-5, 0.3))
+        hidden = float(np.clip(((share * some).sum() * seconds + 2.0) / (share.sum() + 1.0), 0.2, 20.0))
+    in_view = (seen + gaps.sum()) * seconds
+    density, std = _motion(chains, scene, seconds, known_std)
+    return replace(
+        scene,
+        acceleration_density=density,
+        position_std=std,
+        detection_probability=miss,
+        occlusion_probability=hide,
+        occlusion_seconds=hidden,
+        clutter_density=float(np.clip(((identity < 0).sum() + 0.5) / (square * frames), 1e-9, 100.0)),
+        birth_density=float(np.clip((people + 0.5) / (square * frames * seconds), 1e-9, 100.0)),
+        death_rate=float(np.clip((people + 0.5) / (in_view + 5.0), 1e-6, 10.0)),
+    )
+
+
+def _motion(
+    chains: Chains, scene: SceneParameters, seconds: float, known_std: FloatArray
+) -> tuple[float, float]:
+    """Acceleration density and noise under which the detections follow each other most probably."""
+    unknown = np.isnan(known_std)
+    start = [np.log(scene.acceleration_density), np.log(scene.position_std)]
+
+    def cost(logarithms: FloatArray) -> float:
+        density, std = np.exp(np.clip(logarithms, _LOWEST, _HIGHEST))
+        if unknown.any():
+            chains.variance[unknown] = std**2
+        packed = replace(scene, acceleration_density=float(density)).packed(seconds)
+        total, count = innovations(chains, Scene(*packed))
+        # Weak priors about the guess, so that a track or two do not decide.
+        off = logarithms - start
+        return -total / max(count, 1) + 0.5 * float(off @ off) / max(count, 1)
+
+    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 60, "xatol": 0.05, "fatol": 1e-4})
+    density, std = np.exp(np.clip(found.x, _LOWEST, _HIGHEST)).tolist()
+    return density, std if unknown.any() else scene.position_std
+
+
+_LOWEST, _HIGHEST = np.log([1e-3, 5e-3]), np.log([10.0, 3.0])
+"""Acceleration density (m²/s³) and standard deviation (m) within which people and detectors are."""

@@ -1,0 +1,80 @@
+"""Rows without identities, as readers make them, become rows of tracks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from graphtrack.association.detections import Detections
+from graphtrack.association.offline import Association, associate_detections
+from graphtrack.association.scene import SceneParameters
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.table.rows import Rows
+from graphtrack.tracks import Track, TrackSet
+
+FALSE = "taken for false detections"
+NOWHERE = "detections without a position"
+
+_ALONG = ("position_std", "body", "body_kappa", "head", "head_kappa")
+
+
+def with_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
+    """The rows of detections with the identities that are most probable; false ones are left out.
+
+    Parameters
+    ----------
+    rows : on the ground, with times; their own identities do not matter
+    scene : its parameters; None: they are learned
+    """
+    rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
+    found = _associated(rows, scene)
+    identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
+    order = np.lexsort((np.arange(len(rows)), rows.channels["t"]))
+    identity[order], probability[order] = found.identity, found.probability
+    people, false = int(identity.max()) + 1, int((identity < 0).sum())
+    rows = replace(rows, track_id=identity + 1, has_identity=True, labels={})
+    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
+    note = f"associated {len(rows)} detections: {people} people; {false} {FALSE}"
+    return rows.keep(identity >= 0, FALSE).with_notes(note)
+
+
+def _associated(rows: Rows, scene: SceneParameters | None) -> Association:
+    channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
+    detections = Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
+    return associate_detections(detections, scene)
+
+
+def with_every_frame(tracks: TrackSet) -> TrackSet:
+    """Tracks with a row for each frame of the recording from their first to their last; empty: not seen."""
+    frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)
+    t = np.concatenate([track.t for track in tracks])[first]
+    steps, counts = np.unique(np.diff(frames), return_counts=True)
+    step = int(steps[counts.argmax()]) if len(steps) else 1
+    return tracks.map(lambda track: _filled(track, frames, t, step))
+
+
+def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int) -> Track:
+    # Frames in which nobody at all was seen are none of the recording's: they lie a step apart.
+    between = [np.arange(a, b, step) for a, b in pairwise(track.frame.tolist())]
+    inside = frames[(frames >= track.frame[0]) & (frames <= track.frame[-1])]
+    frame = np.unique(np.concatenate([inside, *between]))
+    if len(frame) == len(track):
+        return track
+    place = np.searchsorted(frame, track.frame)
+    channels: dict[str, FloatArray] = {}
+    for name, values in vars(track).items():
+        if isinstance(values, np.ndarray) and name != "frame":
+            channels[name] = np.full((len(frame), *values.shape[1:]), np.nan)
+            channels[name][place] = values
+    channels["t"] = np.interp(frame, frames, t)
+    channels["t"][place] = track.t
+    observed = np.zeros(len(frame))
+    observed[place] = 1.0
+    channels["observed"] = observed
+    inputs = {}
+    for name, values in track.inputs.items():
+        inputs[name] = np.full((len(frame), *values.shape[1:]), np.nan)
+        inputs[name][place] = values
+    return Track(track.track_id, frame, label=track.label, inputs=inputs, **channels)

@@ -1,0 +1,73 @@
+"""What is assumed of a scene in which people are detected: parameters, with their units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from graphtrack.errors import InputError
+
+
+def _number(default: float, low: float, high: float, unit: str = "") -> Any:
+    return field(default=default, metadata={"range": (low, high), "unit": unit})
+
+
+@dataclass(frozen=True)
+class SceneParameters:
+    """How people come, go, are detected and are not.
+
+    Attributes
+    ----------
+    acceleration_density : q of white-noise acceleration, m²/s³
+    speed_std : of a velocity that nothing is known of, m/s on each axis
+    position_std : of detections that do not say how noisy they are, m
+    detection_probability : of a person in view, in a frame
+    occlusion_probability : that a frame is the last one before somebody is hidden
+    occlusion_seconds : that one is hidden for, on average
+    clutter_density : false detections a frame and square metre
+    duplicate_rate : further detections of somebody who was detected, a frame
+    duplicate_spread : standard deviation of their places about the first one, on each axis, m
+    birth_density : people who come into view, a second and square metre
+    death_rate : 1/s at which people leave
+    longest_gap : seconds after which nobody is found again
+    look_ahead : detections of a track after a cut that say whose they are
+    """
+
+    acceleration_density: float = _number(0.1, 1e-4, 100.0, "m²/s³")
+    speed_std: float = _number(1.0, 0.05, 30.0, "m/s")
+    position_std: float = _number(0.1, 1e-4, 100.0, "m")
+    detection_probability: float = _number(0.9, 0.01, 0.999)
+    occlusion_probability: float = _number(0.01, 1e-6, 0.5)
+    occlusion_seconds: float = _number(2.0, 0.05, 60.0, "s")
+    clutter_density: float = _number(1e-3, 1e-9, 100.0, "1/m²")
+    duplicate_rate: float = _number(0.02, 0.0, 10.0)
+    duplicate_spread: float = _number(0.5, 1e-3, 10.0, "m")
+    birth_density: float = _number(1e-3, 1e-9, 100.0, "1/(m² s)")
+    death_rate: float = _number(0.05, 1e-6, 10.0, "1/s")
+    longest_gap: float = _number(6.0, 0.05, 60.0, "s")
+    look_ahead: int = 8
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            low, high = one.metadata.get("range", (1, 100))
+            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+                unit = one.metadata.get("unit", "")
+                expected = f"a number in [{low:g}, {high:g}] {unit}".rstrip()
+                raise InputError(f"{one.name} = {value!r}", expected)
+
+    def packed(self, frame_seconds: float) -> tuple[float, ...]:
+        """What the kernels read, in the order of `kernels.Scene`, for frames so many seconds apart."""
+        return (
+            self.acceleration_density,
+            self.speed_std**2,
+            math.log1p(-self.detection_probability),
+            math.log(self.occlusion_probability),
+            self.occlusion_seconds,
+            math.log(self.birth_density * frame_seconds),
+            math.log(-math.expm1(-self.death_rate * frame_seconds)),
+            self.longest_gap,
+            frame_seconds,
+            float(self.look_ahead),
+        )

@@ -1,0 +1,55 @@
+"""`associate`: whatever holds detections becomes tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from graphtrack.association.rows import with_every_frame, with_identities
+from graphtrack.association.scene import SceneParameters
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.reading import rows_of_file
+from graphtrack.table.columns import rows_of_table, to_columns
+from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def associate(
+    detections: TrackSet | Track | str | Path | pd.DataFrame | Mapping[str, Any] | Sequence[Track],
+    scene: SceneParameters | None = None,
+    *,
+    fps: float | None = None,
+    **options: Any,
+) -> TrackSet:
+    """Find out who is who in a recording: one track a person, with a row for each frame from first to last.
+
+    Parameters
+    ----------
+    detections : a file, a table with or without ``track_id``, or tracks whose identities are forgotten
+    scene : how people come, go and are detected; None: it is learned from the detections
+    fps : frames a second, where there are no times
+    **options : for files, the other fields of `ReadOptions`
+
+    Returns
+    -------
+    TrackSet
+        Observations, to be smoothed. ``identity_p`` says how probable it is that a row is of whom the track
+        had before; ``observed`` is 0 in frames in which nobody was seen. What was taken for false is left
+        out, and counted in the summary.
+
+    Raises
+    ------
+    InputError
+        If the input cannot be read, or has no detection with a position.
+    """
+    if isinstance(detections, str | Path):
+        rows = rows_of_file(detections, None, ReadOptions(fps=fps, **options))
+    elif isinstance(detections, Mapping) or hasattr(detections, "columns"):
+        rows = rows_of_table(detections, fps)  # type: ignore[arg-type]
+    else:
+        tracks = TrackSet((detections,)) if isinstance(detections, Track) else detections
+        rows = rows_of_table(to_columns(tracks if isinstance(tracks, TrackSet) else TrackSet(tuple(tracks))))
+    return with_every_frame(TrackSet.from_rows(with_identities(rows, scene)))

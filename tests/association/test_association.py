@@ -1,0 +1,228 @@
+"""Detections without identities: who is who is found, and what is false left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import graphtrack as gt
+from graphtrack.association.detections import Detections
+from graphtrack.association.kernels import GATE, Scene, missed
+from graphtrack.association.offline import associate_detections, match
+from graphtrack.association.scene import SceneParameters
+
+
+def street(
+    rng: np.random.Generator,
+    *,
+    people: int = 12,
+    frames: int = 60,
+    noise: float = 0.1,
+    miss: float = 0.0,
+    false: float = 0.0,
+    step: float = 0.4,
+) -> tuple[Detections, np.ndarray]:
+    """People who cross a place of 16 m × 16 m, and whose each detection is; −1: nobody's."""
+    rows, owners = [], []
+    for person in range(people):
+        side = rng.integers(4)
+        start, end = rng.uniform(-8.0, 8.0, 2), rng.uniform(-8.0, 8.0, 2)
+        start[side % 2], end[side % 2] = (-8.0, 8.0) if side < 2 else (8.0, -8.0)
+        duration = int(np.hypot(*(end - start)) / (rng.uniform(1.0, 1.6) * step))
+        first = rng.integers(max(frames - duration, 1))
+        for k in range(first, min(first + duration, frames)):
+            if rng.random() >= miss:
+                place = start + (end - start) * (k - first) / duration
+                rows.append((k, *(place + rng.normal(0.0, noise, 2))))
+                owners.append(person)
+    for k in range(frames):
+        for _ in range(rng.poisson(false)):
+            rows.append((k, *rng.uniform(-8.0, 8.0, 2)))
+            owners.append(-1)
+    order = rng.permutation(len(rows))
+    table, whose = np.array(rows)[order], np.array(owners)[order]
+    frame = table[:, 0].astype(np.int64)
+    detections = Detections(frame, frame * step, table[:, 1:])
+    return detections, whose[detections.row]
+
+
+def table_of(detections: Detections) -> pd.DataFrame:
+    x, y = detections.position.T
+    return pd.DataFrame({"frame": detections.frame, "t": detections.t, "x": x, "y": y})
+
+
+def idf1(found: np.ndarray, whose: np.ndarray) -> float:
+    """F1 of the detections under the best pairing of tracks with people."""
+    from scipy.optimize import linear_sum_assignment
+
+    both = (found >= 0) & (whose >= 0)
+    counts = np.zeros((found.max() + 1, whose.max() + 1))
+    np.add.at(counts, (found[both], whose[both]), 1)
+    right = counts[linear_sum_assignment(-counts)].sum()
+    return float(2.0 * right / ((found >= 0).sum() + (whose >= 0).sum()))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_exact_positions_are_told_apart_without_a_mistake(seed: int) -> None:
+    detections, whose = street(np.random.default_rng(seed), noise=1e-3)
+    assert idf1(associate_detections(detections).identity, whose) > 0.995
+
+
+def test_noise_misses_and_false_detections_leave_most_identities() -> None:
+    scores = []
+    for seed in range(4):
+        detections, whose = street(np.random.default_rng(seed), miss=0.15, false=1.0)
+        found = associate_detections(detections)
+        scores.append(idf1(found.identity, whose))
+        assert (found.identity[whose < 0] < 0).mean() > 0.5
+    assert np.mean(scores) > 0.93
+
+
+def test_nobody_has_two_detections_in_a_frame_and_the_evidence_is_positive() -> None:
+    detections, _ = street(np.random.default_rng(5), miss=0.2, false=2.0)
+    found = associate_detections(detections)
+    known = found.identity >= 0
+    pairs = np.column_stack([found.identity[known], detections.frame[known]])
+    assert len(np.unique(pairs, axis=0)) == known.sum()
+    assert found.evidence > 0.0
+    assert ((found.probability >= 0.0) & (found.probability <= 1.0 + 1e-9)).all()
+
+
+def test_the_order_of_a_frames_detections_has_no_effect() -> None:
+    detections, _ = street(np.random.default_rng(6), miss=0.1, false=1.0)
+    shuffled = np.random.default_rng(0).permutation(len(detections))
+    again = Detections(detections.frame[shuffled], detections.t[shuffled], detections.position[shuffled])
+    first, second = associate_detections(detections).identity, associate_detections(again).identity
+    back = np.empty(len(shuffled), np.int64)
+    back[shuffled[again.row]] = second
+    for one in range(first.max() + 1):
+        assert len(set(back[first == one].tolist())) == 1
+    assert ((first < 0) == (back < 0)).all()
+
+
+def test_turning_and_moving_the_world_changes_nobody() -> None:
+    detections, _ = street(np.random.default_rng(7), miss=0.1)
+    scene = SceneParameters(clutter_density=1e-3, birth_density=1e-3)
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    moved = Detections(detections.frame, detections.t, detections.position @ turn.T + [300.0, -70.0])
+    one, other = (associate_detections(d, scene).identity for d in (detections, moved))
+    np.testing.assert_array_equal(one, other)
+
+
+def test_who_crosses_is_told_by_where_they_came_from() -> None:
+    """Two walk through each other's place and miss each other by a hand; nearest neighbours would swap."""
+    t = np.arange(20) * 0.4
+    one = np.column_stack([1.3 * t - 5.0, 0.10 * np.ones(20)])
+    other = np.column_stack([5.0 - 1.3 * t, -0.10 * np.ones(20)])
+    frame = np.repeat(np.arange(20), 2)
+    position = np.stack([one, other], axis=1).reshape(-1, 2)
+    found = associate_detections(Detections(frame, frame * 0.4, position)).identity
+    assert len(set(found[::2].tolist())) == len(set(found[1::2].tolist())) == 1
+    assert found[0] != found[1]
+
+
+def test_second_boxes_of_one_person_are_no_people() -> None:
+    rng = np.random.default_rng(8)
+    detections, whose = street(rng, people=10)
+    twice = rng.random(len(detections)) < 0.25
+    frame = np.concatenate([detections.frame, detections.frame[twice]])
+    near = detections.position[twice] + rng.normal(0.0, 0.4, (twice.sum(), 2))
+    both = Detections(frame, frame * 0.4, np.vstack([detections.position, near]))
+    found = associate_detections(both)
+    assert abs(found.identity.max() + 1 - 10) <= 2
+    assert found.scene.duplicate_rate > 0.05
+    owner = np.concatenate([whose, np.full(twice.sum(), -1)])[both.row]
+    assert idf1(found.identity, owner) > 0.85
+
+
+def test_a_gap_is_an_occlusion_rather_than_many_misses() -> None:
+    scene = Scene(*SceneParameters().packed(0.1))
+    gaps = np.array([missed(k, scene) for k in range(40)])
+    assert gaps[0] == 0.0
+    assert gaps[1] == pytest.approx(np.log(0.1 + 0.01 * np.exp(-0.1 / 2.0)))
+    # Once hidden, a further frame costs next to nothing.
+    assert gaps[39] - gaps[38] == pytest.approx(-0.05, abs=1e-3)
+    assert GATE > 3.0
+
+
+def test_the_best_match_is_that_of_all_that_can_be() -> None:
+    rng = np.random.default_rng(9)
+    from itertools import permutations
+
+    for _ in range(50):
+        gains = rng.normal(0.0, 2.0, (3, 4))
+        found = match(gains)
+        assert all(gains[i, j] > 0.0 for i, j in found)
+        sums = [np.maximum(gains[range(3), order], 0.0).sum() for order in permutations(range(4), 3)]
+        assert sum(gains[i, j] for i, j in found) == pytest.approx(max(sums))
+
+
+# Files, tables, commands.
+
+
+def test_a_table_without_identities_becomes_tracks_with_gaps_marked(tmp_path: Path) -> None:
+    detections, _ = street(np.random.default_rng(10), people=5, miss=0.2)
+    path = tmp_path / "seen.csv"
+    table_of(detections).to_csv(path, index=False)
+    tracks = gt.read(path)
+    assert 4 <= len(tracks) <= 7
+    assert any("associated" in note and "people" in note for note in tracks.summary.notes)
+    smoothed = gt.smooth(tracks, "position")
+    gaps = 0
+    for track in smoothed:
+        np.testing.assert_array_equal(np.diff(track.frame), 1)
+        assert np.isfinite(track.position).all() and set(np.unique(track.observed)) <= {0.0, 1.0}
+        assert (np.isnan(track.identity_p) == (track.observed == 0.0)).all()
+        gaps += int((track.observed == 0.0).sum())
+    assert gaps > 0
+    columns = smoothed.to_table().columns
+    assert {"identity_p", "observed"} <= set(columns)
+
+
+def test_identities_are_forgotten_on_request_alone(tmp_path: Path) -> None:
+    detections, whose = street(np.random.default_rng(11), people=4)
+    table = table_of(detections).assign(track_id=1000 + whose)
+    path = tmp_path / "tracked.csv"
+    table.to_csv(path, index=False)
+    assert {track.track_id for track in gt.read(path)} == {1000, 1001, 1002, 1003}
+    assert {track.track_id for track in gt.read(path, associate="always")} == {1, 2, 3, 4}
+    assert {track.track_id for track in gt.associate(gt.read(path))} == {1, 2, 3, 4}
+
+
+def test_a_file_of_detections_is_refused_where_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "seen.csv"
+    table_of(street(np.random.default_rng(12), people=2)[0]).to_csv(path, index=False)
+    with pytest.raises(gt.InputError, match="rows without identities"):
+        gt.read(path, associate="never")
+    with pytest.raises(gt.InputError, match="associate = 'perhaps'"):
+        gt.read(path, associate="perhaps")
+
+
+def test_mot_detections_have_minus_one_throughout_or_nowhere(tmp_path: Path) -> None:
+    lines = [f"{k},-1,{100 + 3 * k},50,20,40,0.9,-1,-1,-1" for k in range(1, 30)]
+    path = tmp_path / "det.txt"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    (track,) = gt.read(path, metres_per_pixel=0.02, fps=10.0)
+    assert len(track) == 29
+    path.write_text("\n".join([*lines, "30,4,200,50,20,40,0.9,-1,-1,-1"]), encoding="utf-8")
+    with pytest.raises(gt.InputError, match="29 of 30 are detections without identity"):
+        gt.read(path, metres_per_pixel=0.02, fps=10.0)
+
+
+@pytest.mark.parametrize("wrong", [{"clutter_density": 0.0}, {"look_ahead": 0}, {"death_rate": float("nan")}])
+def test_scenes_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(gt.InputError, match=next(iter(wrong))):
+        SceneParameters(**wrong)
+
+
+def test_the_published_trackers_are_reached_on_real_detections(data_dir: Path) -> None:
+    """Town Centre, 60 s at 2.5 Hz, positions alone; SORT has 0.445, the best published tracker 0.596."""
+    folder = data_dir / "towncentre" / "frames_001_150"
+    options = {"calibration": data_dir / "towncentre" / "calibration.ci", "fps": 2.5}
+    found = gt.smooth(gt.read(folder / "det.txt", **options), "position")
+    together = gt.score(found, gt.read(folder / "gt.txt", **options), metres=1.0).together
+    assert together.idf1 > 0.5 and together.mota > 0.25
