@@ -188,27 +188,6 @@ def chen_heads(results: Results) -> Measured:
     return {HEADS_SAID: found}
 
 
-def chen_classes(results: Results) -> Measured:
-    """Mean errors of body and head on people who walk, by model and method, with their intervals."""
-    methods = {
-        "particle filter": "particle",
-        "particle filter, closest class": "particle, closest class",
-        "chain": "graph, chain",
-        "isam2": "graph, isam2",
-        "offline": "smoother",
-    }
-    found: dict[str, list[float | None]] = {}
-    for (label, method), preset in product(methods.items(), ("joint-body", "joint", "full")):
-        line = []
-        for data, angle in product(("mocap, walking", "mocap, turning"), ("body", "head")):
-            where = {"data": data, "angle": angle, "method": method, "model": preset}
-            for row in results.rows("Body and head from class likelihoods", **where):
-                line += [row["error (°)"], row["low"], row["high"]]
-        if line:
-            found[f"{label}, {preset}"] = line
-    return found
-
-
 CLAIMS: Sequence[Claim] = (
     Claim("README.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
     Claim("README.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"),
@@ -220,5 +199,4 @@ CLAIMS: Sequence[Claim] = (
     Claim("README.md", "baxter-occlusion", occlusion_said, labels=(OCCLUSION_SAID,)),
     Claim("README.md", "chen-joint", chen_joint, "| body | observed |"),
     Claim("README.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
-    Claim("docs/engine.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
 )
