@@ -31,7 +31,7 @@ from graphtrack.display import html_of_track, html_of_tracks, line_of_track, lin
 from graphtrack.errors import InputError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.table.columns import rows_of_table, to_columns
-from graphtrack.table.rows import Rows, in_order
+from graphtrack.table.rows import Rows, check_identities, in_order
 from graphtrack.table.speeds import with_speeds_checked
 
 if TYPE_CHECKING:
@@ -362,8 +362,7 @@ class TrackSet:
             Naming the row (from 1) and column that cannot be used.
         """
         rows = rows_of_table(table, fps)
-        if not rows.has_identity:
-            raise InputError("rows without identities", "a column track_id; graphtrack.associate finds it")
+        check_identities(rows)
         return with_speeds_checked(cls.from_rows(rows), Path("table"))
 
     @classmethod

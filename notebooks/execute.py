@@ -7,22 +7,38 @@ import tempfile
 from pathlib import Path
 
 import nbformat
+from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 
 HERE = Path(__file__).parent
 
+FORGET = """%reset -f
+import os
+import matplotlib.pyplot
+os.chdir({folder!r})
+matplotlib.pyplot.close("all")
+matplotlib.rcdefaults()"""
 
-def execute(path: Path, folder: Path) -> nbformat.NotebookNode:
-    """The notebook at ``path`` with fresh outputs, run in ``folder``; the first error in a cell is raised."""
+
+def execute(path: Path, folder: Path, kernel: KernelManager | None = None) -> nbformat.NotebookNode:
+    """The notebook at ``path`` with fresh outputs, run in ``folder``; the first error in a cell is raised.
+
+    With a ``kernel`` that is running already its names are forgotten first.
+    """
     notebook = nbformat.read(path, as_version=4)
+    if kernel is not None:
+        notebook.cells.insert(0, nbformat.v4.new_code_cell(FORGET.format(folder=str(folder))))
     client = NotebookClient(
         notebook,
         timeout=600,
+        km=kernel,
         kernel_name="python3",
         record_timing=False,
         resources={"metadata": {"path": str(folder)}},
     )
     client.execute()
+    if kernel is not None:
+        del notebook.cells[0]
     # What differs between machines and says nothing to a reader.
     notebook.metadata.pop("language_info", None)
     for cell in notebook.cells:

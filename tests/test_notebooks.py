@@ -7,6 +7,7 @@ from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_client.manager import KernelManager
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -40,11 +41,21 @@ def test_what_the_first_run_on_a_machine_says_is_not_stored():
     assert [tells(output) for output in made] == [True, False, False]
 
 
+@pytest.fixture(scope="session")
+def kernel():
+    """One for all notebooks: to start it takes as long as many of their cells."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GRAPHTRACK_QUICK", "1")
+        manager = KernelManager(kernel_name="python3")
+        manager.start_kernel()
+    yield manager
+    manager.shutdown_kernel(now=True)
+
+
 @every_notebook
-def test_a_notebook_runs_without_error(path, tmp_path, monkeypatch):
-    monkeypatch.setenv("GRAPHTRACK_QUICK", "1")
+def test_a_notebook_runs_without_error(path, tmp_path, kernel):
     execute = runpy.run_path(str(FOLDER / "execute.py"))["execute"]
-    notebook = execute(path, tmp_path)  # raises for the first cell that fails
+    notebook = execute(path, tmp_path, kernel)  # raises for the first cell that fails
     outputs = [output for cell in code_cells(notebook) for output in cell.outputs]
     assert not [output for output in outputs if output.output_type == "error"]
     # A warning would be the first thing that a reader sees.

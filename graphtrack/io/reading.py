@@ -17,7 +17,7 @@ from graphtrack.io.cameras import read_homography
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
-from graphtrack.table.rows import Rows, check_rows
+from graphtrack.table.rows import Rows, check_identities, check_rows
 from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
 
@@ -62,12 +62,8 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
     rows = rows_of_file(path, format, options)
-    if not rows.has_identity and options.associate == "never":
-        raise InputError(
-            "rows without identities",
-            "a track_id for each; graphtrack smooth and graphtrack.associate find out who is who",
-            path=rows.path,
-        )
+    if options.associate == "never":
+        check_identities(rows)
     if rows.has_identity and options.associate != "always":
         return with_speeds_checked(TrackSet.from_rows(rows), rows.path)
     from graphtrack.association.rows import with_every_frame, with_identities
@@ -96,6 +92,7 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
         found = f"the format {chosen.name}, of which no boxes are read"
         raise InputError(found, f"a format with boxes: {names}", path=source.path)
     rows = chosen.read_boxes(source, options)
+    check_identities(rows)
     check_rows(rows)
     return rows
 

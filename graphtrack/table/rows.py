@@ -145,6 +145,17 @@ def no_camera(rows: Rows) -> InputError:
     return InputError("pixels u, v and no camera", expected, path=rows.path)
 
 
+def check_identities(rows: Rows) -> None:
+    """Raise InputError for rows that do not say of whom they are."""
+    if not rows.has_identity:
+        raise InputError(
+            "rows without identities",
+            "a track_id for each; graphtrack smooth and graphtrack.associate find out who is who",
+            path=rows.path,
+            line=rows.line_of(0) if len(rows) else None,
+        )
+
+
 def check_rows(rows: Rows) -> None:
     """Refuse a file of which no row is left, or of which two are of one track in one frame.
 

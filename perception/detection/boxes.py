@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack.errors import InputError
 from graphtrack.io import atomic_path
 from graphtrack.io.readers import caviar, mot
 from graphtrack.io.source import Source
-from graphtrack.table.rows import check_rows
+from graphtrack.table.rows import check_identities, check_rows
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,7 @@ def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: 
     source = Source.open(path)
     of_caviar = caviar.looks_like(source.head, source.path)
     rows = caviar.read_boxes(source) if of_caviar else mot.read_boxes(source)
-    if not rows.has_identity:
-        raise InputError("boxes without identities", "an id from 0 for each: whose it is", path=source.path)
+    check_identities(rows)
     rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
     check_rows(rows)
     for reason, count in rows.refused.items():

@@ -19,13 +19,16 @@ def solver() -> None:
 
 
 def others() -> None:
-    """The particle filter, and what looks at pictures."""
+    """GTSAM's engines, who is who, the particle filter, and what looks at pictures."""
     from documents import run_line
 
     from graphtrack.baselines.particle.filter import particle_smoother
     from graphtrack.inference.warm import TRACK
 
     particle_smoother(TRACK)
+    gt.track_online(TRACK, "joint", engine="isam2")
+    gt.smooth(TRACK, "joint", engine="gtsam")
+    gt.associate(TRACK)
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         run_line("perception simulate -o clip --people 1 --frames 2")

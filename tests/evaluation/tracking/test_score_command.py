@@ -129,7 +129,7 @@ WRONG = {
     "no frame in common": ("later.csv --truth truth.csv", "no frame in common"),
     "a truth without identities": (
         "boxes.txt --truth detections.txt --iou 0.5",
-        "detections without identity",
+        "rows without identities",
     ),
     "a row twice": ("boxes.txt --truth twice.txt --iou 0.5", "track 2 again in frame 0"),
     "a truth without boxes": ("boxes.txt --truth nowhere.txt --iou 0.5", "nowhere.txt: found no boxes"),
