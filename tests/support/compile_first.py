@@ -28,7 +28,7 @@ def others() -> None:
     particle_smoother(TRACK)
     gt.track_online(TRACK, "joint", engine="isam2")
     gt.smooth(TRACK, "joint", engine="gtsam")
-    gt.associate(TRACK)
+    gt.associate(gt.simulate("position", n_tracks=2, n_steps=40))
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         run_line("perception simulate -o clip --people 1 --frames 2")
