@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.tracks import TrackSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +22,6 @@ class Detections:
     t : (n,) seconds
     position : (n, 2) metres on the ground plane
     channels : what else of a `Track` was observed, by the name of its attribute, (n, …)
-    score : (n,) how sure the detector was; None: it does not say
     row : (n,) where each stood in the input
     """
 
@@ -31,7 +29,6 @@ class Detections:
     t: FloatArray
     position: FloatArray
     channels: Mapping[str, FloatArray] = field(default_factory=dict)
-    score: FloatArray | None = None
     row: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __post_init__(self) -> None:
@@ -46,30 +43,9 @@ class Detections:
         for name, values in known.items():
             object.__setattr__(self, name, np.asarray(values)[order])
         object.__setattr__(self, "channels", {name: v[order] for name, v in self.channels.items()})
-        if self.score is not None:
-            object.__setattr__(self, "score", self.score[order])
 
     def __len__(self) -> int:
         return len(self.t)
-
-    @classmethod
-    def of(cls, tracks: TrackSet) -> Detections:
-        """All observed positions of some tracks, without their identities."""
-        seen = [np.isfinite(track.position).all(axis=1) for track in tracks]
-        pairs = list(zip(tracks, seen, strict=True))
-        channels = {}
-        for name in ("position_std", "body", "body_kappa", "head", "head_kappa"):
-            if any(getattr(track, name) is not None for track in tracks):
-                parts = [
-                    np.full(mask.sum(), np.nan) if (v := getattr(track, name)) is None else v[mask]
-                    for track, mask in pairs
-                ]
-                channels[name] = np.concatenate(parts)
-        joined = {
-            name: np.concatenate([getattr(track, name)[mask] for track, mask in pairs])
-            for name in ("frame", "t", "position")
-        }
-        return cls(**joined, channels=channels)
 
     @property
     def frame_seconds(self) -> float:

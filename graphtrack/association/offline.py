@@ -189,9 +189,9 @@ class _Search:
 
     def _spanning(self, first: int, end: int) -> tuple[IntArray, IntArray]:
         """Head and tail of each track around a frame, without its detections; −1: none."""
-        begin, last = self._window(first)
+        heads, _ = self._ends(first)
+        _, last = self._window(first)
         following = self.chains.following
-        heads = begin + np.flatnonzero((following[begin:first] < 0) | (following[begin:first] >= first))
         tails = following[heads]
         inside = (tails >= 0) & (tails < end)
         tails = np.where(inside, following[np.where(inside, tails, 0)], tails)

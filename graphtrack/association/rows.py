@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from graphtrack.association.detections import Detections
-from graphtrack.association.offline import Association, associate_detections
+from graphtrack.association.offline import associate_detections
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.table.rows import Rows
@@ -17,7 +17,8 @@ from graphtrack.tracks import Track, TrackSet
 FALSE = "taken for false detections"
 NOWHERE = "detections without a position"
 
-_ALONG = ("position_std", "body", "body_kappa", "head", "head_kappa")
+_ALONG = ("position_std",)
+"""Channels that the evidence reads beside the position."""
 
 
 def with_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
@@ -29,21 +30,16 @@ def with_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
     scene : its parameters; None: they are learned
     """
     rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
-    found = _associated(rows, scene)
+    channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
+    detections = Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
+    found = associate_detections(detections, scene)
     identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
-    order = np.lexsort((np.arange(len(rows)), rows.channels["t"]))
-    identity[order], probability[order] = found.identity, found.probability
+    identity[detections.row], probability[detections.row] = found.identity, found.probability
     people, false = int(identity.max()) + 1, int((identity < 0).sum())
     rows = replace(rows, track_id=identity + 1, has_identity=True, labels={})
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
     note = f"associated {len(rows)} detections: {people} people; {false} {FALSE}"
     return rows.keep(identity >= 0, FALSE).with_notes(note)
-
-
-def _associated(rows: Rows, scene: SceneParameters | None) -> Association:
-    channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
-    detections = Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
-    return associate_detections(detections, scene)
 
 
 def with_every_frame(tracks: TrackSet) -> TrackSet:

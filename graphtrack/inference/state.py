@@ -101,6 +101,11 @@ class Window:
     modes: FloatArray | None = None
 
 
+def present(model: Model) -> list[int]:
+    """The places in a state of six of what a model estimates."""
+    return [0, 1, 2, 3, *([4] if model.has_body else []), *([5] if model.has_head else [])]
+
+
 class Estimating(Protocol):
     """What has an estimate of each step of its window."""
 

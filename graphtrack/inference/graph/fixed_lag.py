@@ -11,7 +11,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.graph.batch import anchors, bounded, variable_keys
 from graphtrack.inference.prior import marginal_prior
-from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, read_step
+from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, present, read_step
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
 
@@ -281,7 +281,7 @@ def _covariance_of_last(bayes_net: gtsam.GaussianBayesNet, keys: Sequence[int], 
                 break
     square_root = last.jacobian(gtsam.Ordering(keys))[0]
     root = np.linalg.inv(square_root)
-    rows = [0, 1, 2, 3, *([4] if model.has_body else []), *([5] if model.has_head else [])]
+    rows = present(model)
     covariance = np.full((6, 6), np.nan)
     covariance[np.ix_(rows, rows)] = root @ root.T
     return bounded(covariance)

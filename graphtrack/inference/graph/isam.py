@@ -21,7 +21,7 @@ from graphtrack.inference.graph.linearizers import (
 from graphtrack.inference.graph.links import Link, is_recoupled
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.solution import bounded
-from graphtrack.inference.state import Angles, Newest, Window, finite
+from graphtrack.inference.state import Angles, Newest, Window, finite, present
 from graphtrack.inference.warm import has_own_kernels
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
@@ -87,7 +87,7 @@ class Isam2:
         self._tolerance, self._max_iterations = max(relinearize_threshold, step_tolerance), max_iterations
         compiled = is_chain(model) and not has_own_kernels(model)
         self._linearizer: Linearizer = (KernelLinearizer if compiled else FactorLinearizer)(model, couplings)
-        self._present = [0, 1, 2, 3, *([4] if model.has_body else []), *([5] if model.has_head else [])]
+        self._present = present(model)
         self.steps: list[Step] = []
         self._links: list[Link] = []
         self._places: dict[int, Link] = {}

@@ -15,6 +15,7 @@ from graphtrack.inference.chain.gaussians import linearise
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.graph.batch import anchors, variable_keys
 from graphtrack.inference.graph.links import Link
+from graphtrack.inference.state import present
 from graphtrack.model import Model, Observation
 from graphtrack.model.factors.derived import COUPLED, Couplings
 from graphtrack.model.kernels.layout import PLACES, N
@@ -42,9 +43,9 @@ class Beginning:
 
     def coordinates(self, state: Sequence[float], model: Model) -> list[float]:
         """The coordinates of a state of six that a model has."""
-        has = ((4, model.has_body), (5, model.has_head))
         left, bottom = self.origin
-        return [state[0] - left, state[1] - bottom, *state[2:4], *(state[i] for i, present in has if present)]
+        counted = (state[0] - left, state[1] - bottom, *state[2:])
+        return [counted[i] for i in present(model)]
 
 
 class Linearizer(Protocol):
@@ -79,7 +80,7 @@ class KernelLinearizer:
         self._place = {name: known[1] // 8 for name, known in fields.items()}
         if couplings is not None:
             self._coupled = [self._place[name] for name in COUPLED]
-        self._present = [0, 1, 2, 3, *([4] if model.has_body else []), *([5] if model.has_head else [])]
+        self._present = present(model)
         self._columns = slice(None) if len(self._present) == N else self._present
         self._bent = [
             (term, kernel.gate, kernel.switched and model.has_modes, _first(kernel, self._present))
