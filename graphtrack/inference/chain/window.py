@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import workspace
+from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.window_modes import WindowModes
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.solution import bounded
 from graphtrack.inference.state import Angles, Newest, Window
-from graphtrack.model import Model, Observation, Step
+from graphtrack.model import Model, Step
 from graphtrack.model.kernels.layout import BODY, HEAD, N
-from graphtrack.model.kernels.packing import FramePacker
-from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import gait_of
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 
 _FACTORISATION = ("inverse", "link", "trigonometry")
 """The rows of the workspace that the next observation reads; all others are written before they are read."""
@@ -50,10 +47,7 @@ class ChainWindow:
         self._model, self._lag = model, lag
         self._tolerance, self._max_iterations = tolerance, max_iterations
         self._program = program_of(model)
-        self._packer = FramePacker(model.compiled_terms, self._program.types)
-        # Records are seen as rows of numbers: writing to their fields is slow.
-        fields: Mapping[str, Any] = self._program.types.frame.fields or {}
-        self._place = {name: known[1] // 8 for name, known in fields.items()}
+        self._frames = FrameRows(model)
         self._anchor: Angles | None = None
         self._steps: list[Step] = []
         self._has_prior = False
@@ -194,20 +188,8 @@ class ChainWindow:
         self._offsets = np.zeros(2, np.int64)
         self._prior = np.zeros((N + 2, N))
         self._memory, self._warm = workspace(n), False
-        records = np.zeros(n, self._program.types.frame)
-        self._rows = records.view(float).reshape(n, -1)
-        shared = self._packer(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
-        self._problem = Problem(
-            records,
-            shared,
-            np.zeros((n, BODY_CLASSES + 1)),
-            np.zeros((n, HEAD_CLASSES + 1)),
-            unit(class_centres(BODY_CLASSES)),
-            unit(class_centres(HEAD_CLASSES)),
-            self._origin[None],
-            self._offsets,
-            self._prior,
-        )
+        self._frames.make(n, self._origin, self._offsets, self._prior)
+        self._problem = self._frames.problem
 
     def _make_room(self) -> None:
         """Move the window to the front of the arrays, or into larger ones."""
@@ -235,23 +217,11 @@ class ChainWindow:
 
     def _put(self, row: int, step: Step, state: Sequence[float], linked: bool) -> None:
         """Write a step into a row of the arrays; ``linked`` if there is one before it in the window."""
-        seen = step.observation
-        packed, place = self._packer(seen, step.dt, step.starts, step.camera), self._place
-        record = self._rows[row]
-        record[:] = packed.records.view(float)
-        if step.camera is not None:
-            self._problem.shared[:] = packed.shared  # the camera is part of it
-        record[place["dt"]] = 0.0 if step.dt is None else step.dt
-        for name, value in self._packer.live(seen):
-            record[place[name]] = value
+        packed = self._frames.put(row, step)
         if not linked:
             for name in self._program.links:
-                record[place[name]] = 0.0
+                self._frames.rows[row, self._frames.place[name]] = 0.0
         self._ambiguous = self._ambiguous or bool(len(packed.body_heights) + len(packed.head_heights))
-        if len(packed.body_heights):
-            self._problem.body_heights[row] = packed.body_heights[0]
-        if len(packed.head_heights):
-            self._problem.head_heights[row] = packed.head_heights[0]
         left, bottom = self._origin.tolist()
         x, y, vx, vy, body, head = state
         known = (body if math.isfinite(body) else 0.0, head if math.isfinite(head) else 0.0)

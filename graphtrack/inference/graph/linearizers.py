@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import gtsam
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.gaussians import linearise
-from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.graph.batch import anchors, variable_keys
 from graphtrack.inference.graph.links import Link
 from graphtrack.inference.state import present
-from graphtrack.model import Model, Observation
+from graphtrack.model import Model
 from graphtrack.model.factors.derived import COUPLED, Couplings
 from graphtrack.model.kernels.layout import PLACES, N
-from graphtrack.model.kernels.packing import FramePacker
-from graphtrack.model.kernels.problem import Problem
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 
 ANCHOR_KAPPA = 1e-4
 """Concentration at which first orientations are held. GTSAM's Bayes tree refuses a clique whose last pivot is
@@ -72,14 +69,9 @@ class KernelLinearizer:
 
     def __init__(self, model: Model, couplings: Couplings | None) -> None:
         self._model, self._couplings = model, couplings
-        program = program_of(model)
-        self._type = program.types.frame
-        self._packer = FramePacker(model.compiled_terms, program.types)
-        # Records are seen as rows of numbers: writing to their fields is slow.
-        fields: Mapping[str, Any] = self._type.fields or {}
-        self._place = {name: known[1] // 8 for name, known in fields.items()}
+        self._frames = FrameRows(model)
         if couplings is not None:
-            self._coupled = [self._place[name] for name in COUPLED]
+            self._coupled = [self._frames.place[name] for name in COUPLED]
         self._present = present(model)
         self._columns = slice(None) if len(self._present) == N else self._present
         self._bent = [
@@ -104,23 +96,11 @@ class KernelLinearizer:
             row = len(links)
         link.terms = row
         step = link.step
-        packed = self._packer(step.observation, step.dt, step.starts, step.camera)
-        record, place = self._rows[row], self._place
-        record[:] = packed.records.view(float)
-        if step.camera is not None:
-            self._problem.shared[:] = packed.shared  # the camera is part of it
-        record[place["dt"]] = 0.0 if step.dt is None else step.dt
-        for name, value in self._packer.live(step.observation):
-            record[place[name]] = value
+        packed = self._frames.put(row, step)
+        record, place = self._frames.rows[row], self._frames.place
         if step.dt is None:
             for gate, has in (("body_anchor", self._model.has_body), ("head_anchor", self._model.has_head)):
                 record[place[gate]] = ANCHOR_KAPPA if has else record[place[gate]]
-        for heights, seen in (
-            (self._problem.body_heights, packed.body_heights),
-            (self._problem.head_heights, packed.head_heights),
-        ):
-            if len(seen):
-                heights[row] = seen[0]
         link.first = len(link.began)
         for term, gate, switched, first in self._bent:
             if (switched or record[place[gate]] > 0.0) and first < link.first and not term.is_linear(packed):
@@ -137,9 +117,9 @@ class KernelLinearizer:
             for i in places:
                 link = links[i]
                 link.coupled = self._couplings[link.step.index]
-                self._rows[link.terms, self._coupled] = link.coupled
+                self._frames.rows[link.terms, self._coupled] = link.coupled
         blocks, vectors = np.empty((len(rows), 4, N, N)), np.empty((len(rows), 3, N))
-        linearise(self._problem, rows, self._start, self._states, self._zeros, blocks, vectors)
+        linearise(self._frames.problem, rows, self._start, self._states, self._zeros, blocks, vectors)
         if len(self._present) < N:
             blocks = blocks[:, :, self._present][..., self._present]
             vectors = vectors[..., self._present]
@@ -148,34 +128,22 @@ class KernelLinearizer:
 
     def _allocate(self, n: int, origin: FloatArray) -> None:
         self._states, self._zeros = np.zeros((n, N)), np.zeros((n, N))
-        records = np.zeros(n, self._type)
-        self._rows = records.view(float).reshape(n, -1)
-        self._problem = Problem(
-            records,
-            self._packer(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared.copy(),
-            np.zeros((n, BODY_CLASSES + 1)),
-            np.zeros((n, HEAD_CLASSES + 1)),
-            unit(class_centres(BODY_CLASSES)),
-            unit(class_centres(HEAD_CLASSES)),
-            origin[None],
-            np.array([0, n]),
-            np.zeros((0, N)),
-        )
+        self._frames.make(n, origin, np.array([0, n]), np.zeros((0, N)))
 
     def _make_room(self, links: Sequence[Link]) -> None:
         """Move the links to the front of the arrays, or into larger ones."""
         rows = slice(links[0].terms, links[-1].terms + 1)
-        old, shared = self._of_frames(), self._problem.shared
+        old, problem = self._of_frames(), self._frames.problem
         if 2 * len(links) > len(self._states):
-            self._allocate(4 * len(links), self._problem.origin[0])
-            self._problem.shared[:] = shared
+            self._allocate(4 * len(links), problem.origin[0])
+            self._frames.problem.shared[:] = problem.shared
         for new, previous in zip(self._of_frames(), old, strict=True):
             new[: len(links)] = previous[rows].copy()
         for row, link in enumerate(links):
             link.terms = row
 
     def _of_frames(self) -> tuple[np.ndarray, ...]:
-        problem = self._problem
+        problem = self._frames.problem
         return problem.records, problem.body_heights, problem.head_heights
 
 
