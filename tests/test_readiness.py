@@ -27,8 +27,8 @@ def said(caplog: pytest.LogCaptureFixture, half) -> list[str]:
     caplog.clear()
     make_ready("something", Rehearsal(lambda: half(1.0), {half: 12.0}))
     assert half.signatures and not is_cold(half)
-    assert {record.name for record in caplog.records} <= {"graphtrack"}
-    return [record.getMessage() for record in caplog.records]
+    # Other packages log when garbage is collected, which may be now.
+    return [record.getMessage() for record in caplog.records if record.name == "graphtrack"]
 
 
 def test_it_is_said_once_on_a_machine(monkeypatch, tmp_path: Path, caplog) -> None:
