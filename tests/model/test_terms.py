@@ -448,9 +448,10 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
         program.add_over(
             problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"]
         )
-        quarters, turns = {name: np.zeros(4) for name in ("body", "head")}, np.zeros((4, 4))
+        rows_of_quarters = np.empty((n, 12))
+        program.set_quarters(problem, 0, local, rows_of_quarters)
         for k in range(n):
-            program.set_quarters(problem, 0, k, local[k], turns, quarters["body"], quarters["head"])
+            quarters = {"body": rows_of_quarters[k, :4], "head": rows_of_quarters[k, 4:8]}
             for name, place in (("body", BODY), ("head", HEAD)):
                 if not any(kernel.orientation == name for kernel in searched):
                     assert not found[name].any() and not quarters[name].any()

@@ -32,15 +32,21 @@ def greatest_gain(problem: Problem, track: int, states: FloatArray) -> float:
 
     Turning there and back is free, so that this is more than any such course can gain.
     """
-    body, head, gain, turns = np.empty(4), np.empty(4), np.zeros((3, 4)), np.empty((4, 4))
-    greatest, offset = 0.0, problem.offsets[track]
+    quarters, gain, greatest = np.empty((len(states), 12)), np.zeros((3, 4)), 0.0
+    set_quarters(problem, track, states, quarters)
     for k in range(len(states)):
-        frame = problem.records[offset + k]
-        body_cos, body_sin, head_cos, head_sin = set_quarters(problem, track, k, states[k], turns, body, head)
+        body, head = quarters[k, :4], quarters[k, 4:8]
+        body_cos, body_sin, head_cos, head_sin = (
+            quarters[k, 8],
+            quarters[k, 9],
+            quarters[k, 10],
+            quarters[k, 11],
+        )
         # The cosine of head minus body once the head, or the body, has turned by a quarter more.
         close = body_cos * head_cos + body_sin * head_sin
         across = head_sin * body_cos - head_cos * body_sin
-        kappa, turned, turning = frame.head_body_kappa, close, across
+        kappa = problem.records[problem.offsets[track] + k].head_body_kappa
+        turned, turning = close, across
         for q in range(1, 4):
             turned, turning = -turning, turned
             unturned = turned if q == 2 else -turned

@@ -14,20 +14,24 @@ from typing import Protocol
 from graphtrack.model.kernels.kernel import Function, Kernel, arguments_of
 from graphtrack.model.kernels.layout import DT, Field
 from graphtrack.model.kernels.program_texts import (
+    END_QUARTERS,
     HEADER,
+    NOTE_TURNS,
     OPEN_CUT,
+    OPEN_FRAME,
     OPEN_LINKS,
     OPEN_OVER,
     OPEN_OWN,
     OPEN_QUARTERS,
     OVER_FRAMES,
     QUARTERS,
-    REST,
+    QUARTERS_FRAMES,
 )
 
 _TURNS = tuple(f"{name}_{part}" for name in ("body", "head") for part in ("cos", "sin"))
 _OWN = ("gradient", "hessian")
 _LINK = ("gradient_before", "gradient", "hessian_before", "hessian", "transition")
+_NOTED = {name: f"turns[k, {i}]" for i, name in enumerate(_TURNS)}
 _WIDTH = 110
 _TAKEN = (
     "add_own",
@@ -85,7 +89,7 @@ class Program:
         self._functions: dict[Function, str] = {}
         self._imports: dict[str, set[str]] = {}
         self._check()
-        parts = [self._types(), self._own(), self._links(), REST, self._cut()]
+        parts = [self._types(), self._own(), self._links(), NOTE_TURNS, self._frame(), self._cut()]
         parts += [self._over(), self._quarters()]
         body = "\n".join(parts)
         layout = ", ".join(name for name in ("BODY", "HEAD", "N") if re.search(rf"\b{name}\b", body))
@@ -175,31 +179,37 @@ class Program:
         ]
         return "\n".join(lines)
 
-    def _own(self) -> str:
+    def _own_lines(self, turned: Mapping[str, str]) -> list[str]:
+        """The terms of a frame alone; ``turned`` says where its cosines and sines are."""
+        return self._lines(before=False, local=("state", "start", "exact", *_OWN), here=turned)
+
+    def _link_lines(self, turned: Mapping[str, str]) -> list[str]:
+        """The terms between a frame and the one before."""
+        here = {f"{name}_before": f"turns[k - 1, {i}]" for i, name in enumerate(_TURNS)}
+        return self._lines(before=True, local=("before", "state", "exact", *_LINK), here={**here, **turned})
+
+    def _lines(self, *, before: bool, local: Sequence[str], here: Mapping[str, str]) -> list[str]:
         lines = []
-        local = ("state", "start", "exact", *_OWN, *_TURNS)
         for kernel in self.kernels:
-            if not kernel.before:
-                given = self._all_given(kernel.arguments, local, {})
-                lines += [
-                    f"    {self._gate(kernel)}",
-                    _call(8, "cost += ", self._name(kernel.function), given),
-                ]
+            if bool(kernel.before) is before:
+                given = self._all_given(kernel.arguments, local, here)
+                call = _call(8, "cost += ", self._name(kernel.function), given)
+                lines += [f"    {self._gate(kernel)}", call]
+        return lines
+
+    def _own(self) -> str:
+        lines = self._own_lines(_NOTED)
         return "\n".join([OPEN_OWN, *_locals(lines), *lines, "    return cost", ""])
 
     def _links(self) -> str:
-        lines = []
-        local = ("before", "state", "exact", *_LINK)
-        here = {f"{name}_before": f"turns[k - 1, {i}]" for i, name in enumerate(_TURNS)}
-        here |= {name: f"turns[k, {i}]" for i, name in enumerate(_TURNS)}
-        for kernel in self.kernels:
-            if kernel.before:
-                given = self._all_given(kernel.arguments, local, here)
-                lines += [
-                    f"    {self._gate(kernel)}",
-                    _call(8, "cost += ", self._name(kernel.function), given),
-                ]
+        lines = self._link_lines(_NOTED)
         return "\n".join([OPEN_LINKS, *_locals(lines), *lines, "    return cost", ""])
+
+    def _frame(self) -> str:
+        """Both, spelled out once more: a problem handed on at every frame costs as much as a term."""
+        local = {name: name for name in _TURNS}
+        lines = [*self._link_lines(local), *self._own_lines(local)]
+        return "\n".join([OPEN_FRAME, *_locals(lines), *lines, "    return cost", ""])
 
     def _cut(self) -> str:
         return "\n".join([OPEN_CUT, *(f"    frame.{gate} = 0.0" for gate in self._link_gates()), ""])
@@ -236,26 +246,31 @@ class Program:
         lines = []
         for name, kernel in self._searched():
             search, row = kernel.search, 0 if name == "body" else 2
-            lines.append(f"    {self._gate(kernel)}")
+            lines.append(f"        {self._gate(kernel)}")
             if search is None:
                 turned = {f"{name}_cos": f"turns[{row}, i]", f"{name}_sin": f"turns[{row + 1}, i]"}
                 given = self._all_given(kernel.arguments, ("state", "exact", *_OWN), turned)
-                call = _call(12, f"{name}[i] += ", self._name(kernel.function), given)
-                lines += ["        for i in range(4):", call]
+                call = _call(16, f"{name}[i] += ", self._name(kernel.function), given)
+                lines += ["            for i in range(4):", call]
                 continue
             function = search.add_quarters or search.add_over
             here = {"cos": f"turns[{row}]", "sin": f"turns[{row + 1}]", "cost": name}
             if search.add_quarters is not None:
                 here |= {"cos": f"{name}_cos", "sin": f"{name}_sin"}
             given = self._all_given(_unturned(function, kernel), ("state",), here)
-            lines.append(_call(8, "", self._name(function), given))
-        quarters = [QUARTERS] if any("turns[" in line for line in lines) else []
-        end = "    return body_cos, body_sin, head_cos, head_sin"
-        return "\n".join([OPEN_QUARTERS, *quarters, *_locals(lines, _MEMORY), *lines, end, ""])
+            lines.append(_call(12, "", self._name(function), given))
+        turns = [QUARTERS] if any("turns[" in line for line in lines) else []
+        memory = _locals([*turns, *lines], _MEMORY)
+        return "\n".join([OPEN_QUARTERS, *memory, QUARTERS_FRAMES, *turns, *lines, END_QUARTERS])
 
 
 _SHARED = {"shared": "problem.shared[0]"}
-_MEMORY = _SHARED | {"exact": "False", "gradient": "np.zeros(N)", "hessian": "np.zeros((N, N))"}
+_MEMORY = _SHARED | {
+    "exact": "False",
+    "gradient": "np.zeros(N)",
+    "hessian": "np.zeros((N, N))",
+    "turns": "np.empty((4, 4))",
+}
 
 
 def _locals(lines: Iterable[str], known: Mapping[str, str] = _SHARED) -> list[str]:

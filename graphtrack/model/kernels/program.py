@@ -105,7 +105,7 @@ SWITCHED = ("motion_body_kappa", "head_body_kappa", "steer_gain")
 """Gates of what the modes of the couplings switch."""
 
 
-@inlined
+@compiled
 def add_own(
     problem: Problem,
     track: int,
@@ -120,9 +120,312 @@ def add_own(
     """Add the terms of frame k of a track alone, whose ``turns`` are noted; returns their cost."""
     place = problem.offsets[track] + k
     frame, state = problem.records[place], states[k]
-    body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
     cost = 0.0
     shared = problem.shared[0]
+    if frame.velocity_information > 0.0:
+        cost += add_first_velocity(state, frame.velocity_information, gradient, hessian)
+    if frame.position_information > 0.0 and not frame.pixel_information > 0.0:
+        cost += add_position(
+            state,
+            problem.origin[track, 0],
+            problem.origin[track, 1],
+            frame.x,
+            frame.y,
+            frame.position_information,
+            shared.robust,
+            shared.robust_threshold,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.pixel_information > 0.0:
+        cost += add_pixel(
+            state,
+            problem.origin[track, 0],
+            problem.origin[track, 1],
+            frame.u,
+            frame.v,
+            frame.pixel_information,
+            shared.to_image,
+            shared.robust,
+            shared.robust_threshold,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.body_kappa > 0.0:
+        cost += add_angle(
+            turns[k, 0],
+            turns[k, 1],
+            BODY,
+            frame.seen_body_cos,
+            frame.seen_body_sin,
+            frame.body_kappa,
+            frame.body_uniform,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.body_class_kappa > 0.0:
+        cost += add_classes(
+            turns[k, 0],
+            turns[k, 1],
+            BODY,
+            problem.body_heights[place],
+            problem.body_directions,
+            frame.body_class_kappa,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.head_kappa > 0.0:
+        cost += add_angle(
+            turns[k, 2],
+            turns[k, 3],
+            HEAD,
+            frame.seen_head_cos,
+            frame.seen_head_sin,
+            frame.head_kappa,
+            frame.head_uniform,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.head_class_kappa > 0.0:
+        cost += add_classes(
+            turns[k, 2],
+            turns[k, 3],
+            HEAD,
+            problem.head_heights[place],
+            problem.head_directions,
+            frame.head_class_kappa,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.motion_body_kappa > 0.0:
+        cost += add_body_follows_motion(
+            state,
+            turns[k, 0],
+            turns[k, 1],
+            frame.motion_body_kappa,
+            frame.motion_body_cos,
+            frame.motion_body_sin,
+            shared.speed_threshold,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.head_body_kappa > 0.0:
+        cost += add_head_follows_body(
+            turns[k, 0],
+            turns[k, 1],
+            turns[k, 2],
+            turns[k, 3],
+            frame.head_body_kappa,
+            frame.head_body_cos,
+            frame.head_body_sin,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.place_weight > 0.0:
+        cost += add_place(
+            state,
+            problem.origin[track, 0],
+            problem.origin[track, 1],
+            frame.place_weight,
+            shared.place_x,
+            shared.place_y,
+            shared.place_radius,
+            shared.place_sign,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.body_anchor > 0.0:
+        cost += add_anchor(turns[k, 0], turns[k, 1], BODY, start, frame.body_anchor, exact, gradient, hessian)
+    if frame.head_anchor > 0.0:
+        cost += add_anchor(turns[k, 2], turns[k, 3], HEAD, start, frame.head_anchor, exact, gradient, hessian)
+    return cost
+
+
+@compiled
+def add_links(
+    problem: Problem,
+    track: int,
+    k: int,
+    states: FloatArray,
+    exact: bool,
+    turns: FloatArray,
+    gradient_before: FloatArray,
+    gradient: FloatArray,
+    hessian_before: FloatArray,
+    hessian: FloatArray,
+    transition: FloatArray,
+) -> float:
+    """Add the terms between frame k of a track and the one before; returns their cost."""
+    place = problem.offsets[track] + k
+    frame, before, state = problem.records[place], states[k - 1], states[k]
+    cost = 0.0
+    if frame.motion_information > 0.0 and not frame.steer_gain > 0.0:
+        cost += add_motion(
+            before,
+            state,
+            frame.dt,
+            frame.motion_information,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.body_turn_kappa > 0.0:
+        cost += add_turn(
+            turns[k - 1, 0],
+            turns[k - 1, 1],
+            turns[k, 0],
+            turns[k, 1],
+            BODY,
+            frame.body_turn_kappa,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.head_turn_kappa > 0.0:
+        cost += add_turn(
+            turns[k - 1, 2],
+            turns[k - 1, 3],
+            turns[k, 2],
+            turns[k, 3],
+            HEAD,
+            frame.head_turn_kappa,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.steer_gain > 0.0:
+        cost += add_steered_motion(
+            before,
+            state,
+            turns[k - 1, 2],
+            turns[k - 1, 3],
+            frame.dt,
+            frame.steer_gain,
+            frame.steer_reach,
+            frame.steer_place,
+            frame.steer_cross,
+            frame.steer_spread,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    return cost
+
+
+@inlined
+def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
+    """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
+    turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
+    turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])
+
+
+@compiled
+def add_frame(
+    problem: Problem,
+    track: int,
+    k: int,
+    start: FloatArray,
+    states: FloatArray,
+    exact: bool,
+    turns: FloatArray,
+    gradient_before: FloatArray,
+    gradient: FloatArray,
+    hessian_before: FloatArray,
+    hessian: FloatArray,
+    transition: FloatArray,
+) -> float:
+    """Add all terms that arrive with frame k of a track; returns their cost.
+
+    ``turns`` (n, 4) must have been noted of the frame before, and are of frame k.
+    """
+    place = problem.offsets[track] + k
+    frame, before, state = problem.records[place], states[k - 1], states[k]
+    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
+    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+    turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = body_cos, body_sin, head_cos, head_sin
+    cost = 0.0
+    shared = problem.shared[0]
+    if frame.motion_information > 0.0 and not frame.steer_gain > 0.0:
+        cost += add_motion(
+            before,
+            state,
+            frame.dt,
+            frame.motion_information,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.body_turn_kappa > 0.0:
+        cost += add_turn(
+            turns[k - 1, 0],
+            turns[k - 1, 1],
+            body_cos,
+            body_sin,
+            BODY,
+            frame.body_turn_kappa,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.head_turn_kappa > 0.0:
+        cost += add_turn(
+            turns[k - 1, 2],
+            turns[k - 1, 3],
+            head_cos,
+            head_sin,
+            HEAD,
+            frame.head_turn_kappa,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.steer_gain > 0.0:
+        cost += add_steered_motion(
+            before,
+            state,
+            turns[k - 1, 2],
+            turns[k - 1, 3],
+            frame.dt,
+            frame.steer_gain,
+            frame.steer_reach,
+            frame.steer_place,
+            frame.steer_cross,
+            frame.steer_spread,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
     if frame.velocity_information > 0.0:
         cost += add_first_velocity(state, frame.velocity_information, gradient, hessian)
     if frame.position_information > 0.0 and not frame.pixel_information > 0.0:
@@ -251,131 +554,6 @@ def add_own(
     return cost
 
 
-@inlined
-def add_links(
-    problem: Problem,
-    track: int,
-    k: int,
-    states: FloatArray,
-    exact: bool,
-    turns: FloatArray,
-    gradient_before: FloatArray,
-    gradient: FloatArray,
-    hessian_before: FloatArray,
-    hessian: FloatArray,
-    transition: FloatArray,
-) -> float:
-    """Add the terms between frame k of a track and the one before; returns their cost."""
-    place = problem.offsets[track] + k
-    frame, before, state = problem.records[place], states[k - 1], states[k]
-    cost = 0.0
-    if frame.motion_information > 0.0 and not frame.steer_gain > 0.0:
-        cost += add_motion(
-            before,
-            state,
-            frame.dt,
-            frame.motion_information,
-            gradient_before,
-            gradient,
-            hessian_before,
-            hessian,
-            transition,
-        )
-    if frame.body_turn_kappa > 0.0:
-        cost += add_turn(
-            turns[k - 1, 0],
-            turns[k - 1, 1],
-            turns[k, 0],
-            turns[k, 1],
-            BODY,
-            frame.body_turn_kappa,
-            exact,
-            gradient_before,
-            gradient,
-            hessian_before,
-            hessian,
-            transition,
-        )
-    if frame.head_turn_kappa > 0.0:
-        cost += add_turn(
-            turns[k - 1, 2],
-            turns[k - 1, 3],
-            turns[k, 2],
-            turns[k, 3],
-            HEAD,
-            frame.head_turn_kappa,
-            exact,
-            gradient_before,
-            gradient,
-            hessian_before,
-            hessian,
-            transition,
-        )
-    if frame.steer_gain > 0.0:
-        cost += add_steered_motion(
-            before,
-            state,
-            turns[k - 1, 2],
-            turns[k - 1, 3],
-            frame.dt,
-            frame.steer_gain,
-            frame.steer_reach,
-            frame.steer_place,
-            frame.steer_cross,
-            frame.steer_spread,
-            exact,
-            gradient_before,
-            gradient,
-            hessian_before,
-            hessian,
-            transition,
-        )
-    return cost
-
-
-@inlined
-def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
-    """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
-    turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
-    turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])
-
-
-@compiled
-def add_frame(
-    problem: Problem,
-    track: int,
-    k: int,
-    start: FloatArray,
-    states: FloatArray,
-    exact: bool,
-    turns: FloatArray,
-    gradient_before: FloatArray,
-    gradient: FloatArray,
-    hessian_before: FloatArray,
-    hessian: FloatArray,
-    transition: FloatArray,
-) -> float:
-    """Add all terms that arrive with frame k of a track; returns their cost.
-
-    ``turns`` (n, 4) are noted of frame k, and must have been of the frame before.
-    """
-    note_turns(k, states, turns)
-    cost = add_links(
-        problem,
-        track,
-        k,
-        states,
-        exact,
-        turns,
-        gradient_before,
-        gradient,
-        hessian_before,
-        hessian,
-        transition,
-    )
-    return cost + add_own(problem, track, k, start, states, exact, turns, gradient, hessian)
-
-
 @compiled
 def cut(frame: Any) -> None:
     """Take a frame's links to the one before out of its record."""
@@ -434,66 +612,65 @@ def add_over(
             add_motion_over(state, frame.motion_body_kappa, shared.speed_threshold, cos, sin, body[g])
 
 
-@inlined
-def set_quarters(
-    problem: Problem,
-    track: int,
-    k: int,
-    state: FloatArray,
-    turns: FloatArray,
-    body: FloatArray,
-    head: FloatArray,
-) -> tuple[float, float, float, float]:
-    """What frame k costs as it is, and with body or head one, two and three quarters on.
+@compiled
+def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: FloatArray) -> None:
+    """What each frame costs with body or head as they are, and one, two and three quarters on.
 
-    ``body`` and ``head`` (4,) become the costs; ``turns`` (4, 4) is memory. Returns the cosines and sines of
-    body and head as they are.
+    A row of ``quarters`` (n, 12) becomes the four costs of the body, those of the head, and the cosines and
+    sines of body and head as they are.
     """
-    place = problem.offsets[track] + k
-    frame = problem.records[place]
-    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
-    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
-    body[:] = 0.0
-    head[:] = 0.0
+    body, head = np.empty(4), np.empty(4)
     shared = problem.shared[0]
-    if frame.body_kappa > 0.0:
-        add_angle_quarters(
-            frame.seen_body_cos,
-            frame.seen_body_sin,
-            frame.body_kappa,
-            frame.body_uniform,
-            body_cos,
-            body_sin,
-            body,
-        )
-    if frame.body_class_kappa > 0.0:
-        add_class_quarters(
-            body_cos,
-            body_sin,
-            problem.body_heights[place],
-            problem.body_directions,
-            frame.body_class_kappa,
-            body,
-        )
-    if frame.head_kappa > 0.0:
-        add_angle_quarters(
-            frame.seen_head_cos,
-            frame.seen_head_sin,
-            frame.head_kappa,
-            frame.head_uniform,
-            head_cos,
-            head_sin,
-            head,
-        )
-    if frame.head_class_kappa > 0.0:
-        add_class_quarters(
-            head_cos,
-            head_sin,
-            problem.head_heights[place],
-            problem.head_directions,
-            frame.head_class_kappa,
-            head,
-        )
-    if frame.motion_body_kappa > 0.0:
-        add_motion_quarters(state, frame.motion_body_kappa, shared.speed_threshold, body_cos, body_sin, body)
-    return body_cos, body_sin, head_cos, head_sin
+    for k in range(len(states)):
+        place, state = problem.offsets[track] + k, states[k]
+        frame = problem.records[place]
+        body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
+        head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+        body[:] = 0.0
+        head[:] = 0.0
+        if frame.body_kappa > 0.0:
+            add_angle_quarters(
+                frame.seen_body_cos,
+                frame.seen_body_sin,
+                frame.body_kappa,
+                frame.body_uniform,
+                body_cos,
+                body_sin,
+                body,
+            )
+        if frame.body_class_kappa > 0.0:
+            add_class_quarters(
+                body_cos,
+                body_sin,
+                problem.body_heights[place],
+                problem.body_directions,
+                frame.body_class_kappa,
+                body,
+            )
+        if frame.head_kappa > 0.0:
+            add_angle_quarters(
+                frame.seen_head_cos,
+                frame.seen_head_sin,
+                frame.head_kappa,
+                frame.head_uniform,
+                head_cos,
+                head_sin,
+                head,
+            )
+        if frame.head_class_kappa > 0.0:
+            add_class_quarters(
+                head_cos,
+                head_sin,
+                problem.head_heights[place],
+                problem.head_directions,
+                frame.head_class_kappa,
+                head,
+            )
+        if frame.motion_body_kappa > 0.0:
+            add_motion_quarters(
+                state, frame.motion_body_kappa, shared.speed_threshold, body_cos, body_sin, body
+            )
+        for q in range(4):
+            quarters[k, q], quarters[k, 4 + q] = body[q], head[q]
+        quarters[k, 8], quarters[k, 9] = body_cos, body_sin
+        quarters[k, 10], quarters[k, 11] = head_cos, head_sin

@@ -23,7 +23,7 @@ from graphtrack.model.kernels.problem import Problem
 '''
 
 OPEN_OWN = '''
-@inlined
+@compiled
 def add_own(
     problem: Problem,
     track: int,
@@ -38,11 +38,10 @@ def add_own(
     """Add the terms of frame k of a track alone, whose ``turns`` are noted; returns their cost."""
     place = problem.offsets[track] + k
     frame, state = problem.records[place], states[k]
-    body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
     cost = 0.0'''
 
 OPEN_LINKS = '''
-@inlined
+@compiled
 def add_links(
     problem: Problem,
     track: int,
@@ -61,14 +60,15 @@ def add_links(
     frame, before, state = problem.records[place], states[k - 1], states[k]
     cost = 0.0'''
 
-REST = '''
+NOTE_TURNS = '''
 @inlined
 def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
     """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
     turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
     turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])
+'''
 
-
+OPEN_FRAME = '''
 @compiled
 def add_frame(
     problem: Problem,
@@ -86,24 +86,14 @@ def add_frame(
 ) -> float:
     """Add all terms that arrive with frame k of a track; returns their cost.
 
-    ``turns`` (n, 4) are noted of frame k, and must have been of the frame before.
+    ``turns`` (n, 4) must have been noted of the frame before, and are of frame k.
     """
-    note_turns(k, states, turns)
-    cost = add_links(
-        problem,
-        track,
-        k,
-        states,
-        exact,
-        turns,
-        gradient_before,
-        gradient,
-        hessian_before,
-        hessian,
-        transition,
-    )
-    return cost + add_own(problem, track, k, start, states, exact, turns, gradient, hessian)
-'''
+    place = problem.offsets[track] + k
+    frame, before, state = problem.records[place], states[k - 1], states[k]
+    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
+    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+    turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = body_cos, body_sin, head_cos, head_sin
+    cost = 0.0'''
 
 OPEN_CUT = '''
 @compiled
@@ -133,30 +123,33 @@ OVER_FRAMES = """\
         frame = problem.records[place]"""
 
 OPEN_QUARTERS = '''
-@inlined
-def set_quarters(
-    problem: Problem,
-    track: int,
-    k: int,
-    state: FloatArray,
-    turns: FloatArray,
-    body: FloatArray,
-    head: FloatArray,
-) -> tuple[float, float, float, float]:
-    """What frame k costs as it is, and with body or head one, two and three quarters on.
+@compiled
+def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: FloatArray) -> None:
+    """What each frame costs with body or head as they are, and one, two and three quarters on.
 
-    ``body`` and ``head`` (4,) become the costs; ``turns`` (4, 4) is memory. Returns the cosines and sines of
-    body and head as they are.
+    A row of ``quarters`` (n, 12) becomes the four costs of the body, those of the head, and the cosines and
+    sines of body and head as they are.
     """
-    place = problem.offsets[track] + k
-    frame = problem.records[place]
-    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
-    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
-    body[:] = 0.0
-    head[:] = 0.0'''
+    body, head = np.empty(4), np.empty(4)'''
+
+QUARTERS_FRAMES = """\
+    for k in range(len(states)):
+        place, state = problem.offsets[track] + k, states[k]
+        frame = problem.records[place]
+        body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
+        head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+        body[:] = 0.0
+        head[:] = 0.0"""
 
 QUARTERS = """\
-    turns[0, 0], turns[0, 1], turns[0, 2], turns[0, 3] = body_cos, -body_sin, -body_cos, body_sin
-    turns[1, 0], turns[1, 1], turns[1, 2], turns[1, 3] = body_sin, body_cos, -body_sin, -body_cos
-    turns[2, 0], turns[2, 1], turns[2, 2], turns[2, 3] = head_cos, -head_sin, -head_cos, head_sin
-    turns[3, 0], turns[3, 1], turns[3, 2], turns[3, 3] = head_sin, head_cos, -head_sin, -head_cos"""
+        turns[0, 0], turns[0, 1], turns[0, 2], turns[0, 3] = body_cos, -body_sin, -body_cos, body_sin
+        turns[1, 0], turns[1, 1], turns[1, 2], turns[1, 3] = body_sin, body_cos, -body_sin, -body_cos
+        turns[2, 0], turns[2, 1], turns[2, 2], turns[2, 3] = head_cos, -head_sin, -head_cos, head_sin
+        turns[3, 0], turns[3, 1], turns[3, 2], turns[3, 3] = head_sin, head_cos, -head_sin, -head_cos"""
+
+END_QUARTERS = """\
+        for q in range(4):
+            quarters[k, q], quarters[k, 4 + q] = body[q], head[q]
+        quarters[k, 8], quarters[k, 9] = body_cos, body_sin
+        quarters[k, 10], quarters[k, 11] = head_cos, head_sin
+"""
