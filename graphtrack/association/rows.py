@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from graphtrack.association.detections import Detections
+from graphtrack.association.detections import Detections, frames_between
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
@@ -46,8 +46,7 @@ def with_every_frame(tracks: TrackSet) -> TrackSet:
     """Tracks with a row for each frame of the recording from their first to their last; empty: not seen."""
     frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)
     t = np.concatenate([track.t for track in tracks])[first]
-    steps, counts = np.unique(np.diff(frames), return_counts=True)
-    step = int(steps[counts.argmax()]) if len(steps) else 1
+    step = frames_between(frames)
     return tracks.map(lambda track: _filled(track, frames, t, step))
 
 
