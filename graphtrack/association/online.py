@@ -119,13 +119,25 @@ class OnlineAssociation(Moves):
         self._notes = _Notes.of(empty)
         self._first: list[int] = []  # detection of each frame that can be revised, oldest first
         self._history = _History()
-        self._next, self._updates, self._last = 1, 0, -np.inf
+        self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
 
     @property
     def step_seconds(self) -> float:
         """Seconds from a frame to the next, as most were lately."""
         return float(np.median(self._intervals)) if self._intervals else 1.0
+
+    def open_detections(self) -> list[tuple[tuple[int, int], int]]:
+        """Those that can still be revised, oldest first: (update, place in it), and whose each one is."""
+        first = self._first[0] if self._first else len(self.chains.t)
+        frame, place, said = (
+            values[first:].tolist() for values in (self.chains.frame, self._notes.place, self._notes.said)
+        )
+        return list(zip(zip(frame, place, strict=True), said, strict=True))
+
+    def remembered(self) -> set[int]:
+        """The track ids of those who may be found again."""
+        return set(self._notes.said.tolist())
 
     def update(self, t: float, position: FloatArray, std: FloatArray | None = None) -> Decision:
         """Take in a frame's detections.
@@ -144,12 +156,12 @@ class OnlineAssociation(Moves):
         position = np.asarray(position, float).reshape(-1, 2)
         self._check(t, position)
         n = len(position)
-        if self._updates:
+        if self.updates:
             self._intervals = [*self._intervals[-24:], t - self._last]
         self._last = t
         self._forget(t)
         first = self._append(t, position, np.full(n, np.nan) if std is None else np.asarray(std, float))
-        self._updates += 1
+        self.updates += 1
         self._learn()
         self._prepare()
         if n:
@@ -164,7 +176,7 @@ class OnlineAssociation(Moves):
 
     def _check(self, t: float, position: FloatArray) -> None:
         if not np.isfinite(t) or not t > self._last:
-            after = "a time in seconds" + (f" after {self._last:g}" if self._updates else "")
+            after = "a time in seconds" + (f" after {self._last:g}" if self.updates else "")
             raise InputError(f"t = {t:g}", after)
         if not np.isfinite(position).all():
             raise InputError("a detection without a position", "both of its coordinates")
@@ -172,7 +184,7 @@ class OnlineAssociation(Moves):
     def _append(self, t: float, position: FloatArray, std: FloatArray) -> int:
         """Put a frame's detections behind the others; where they begin."""
         chains, n, first = self.chains, len(position), len(self.chains.t)
-        new = unlinked(np.full(n, t), np.full(n, self._updates), position)
+        new = unlinked(np.full(n, t), np.full(n, self.updates), position)
         self.chains = Chains(*(np.concatenate(both) for both in zip(chains, new, strict=True)))
         self.link_p = np.concatenate([self.link_p, np.ones(n)])
         self._notes = self._notes.extended(_Notes.of(std))
@@ -241,7 +253,7 @@ class OnlineAssociation(Moves):
         return times
 
     def _roots(self) -> tuple[IntArray, NDArray[np.bool_]]:
-        """(n,) where the track of each detection begins, and of each beginning whether somebody is believed."""
+        """(n,) where the track of each detection begins, and whether what begins there is somebody."""
         preceding = self.chains.preceding
         root = np.arange(len(preceding))
         for k in np.flatnonzero(preceding >= 0).tolist():

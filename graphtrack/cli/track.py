@@ -71,7 +71,8 @@ def track(
     ] = 10.0,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone."""
-    from graphtrack.inference.online import OnlineSmoother, check_lag, online_engine, track_online
+    from graphtrack.inference.online import OnlineSmoother, check_lag, online_engine
+    from graphtrack.inference.recorded import track_online
     from graphtrack.io import write
     from graphtrack.model import Model
 
