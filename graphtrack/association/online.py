@@ -110,7 +110,7 @@ class OnlineAssociation(Moves):
     """
 
     def __init__(self, scene: SceneParameters | None = None, lag: float = 2.0) -> None:
-        if not (np.isfinite(lag) and lag > 0.0):
+        if not lag > 0.0:
             raise InputError(f"lag = {lag}", "a positive number of seconds")
         self.given, self.lag = scene, lag
         self.scene = SceneParameters() if scene is None else scene

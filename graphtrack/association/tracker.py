@@ -74,13 +74,13 @@ class OnlineTracker:
         *,
         scene: SceneParameters | None = None,
         engine: OnlineEngine = "auto",
-        lag: float = 2.0,
+        lag: float | None = 2.0,
         camera: GroundCamera | None = None,
     ) -> None:
         self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
         self.model, self._camera = Model.named(model), camera
         self._smoother()  # checks the options, and compiles what there is to compile
-        self._association = OnlineAssociation(scene, lag)
+        self._association = OnlineAssociation(scene, math.inf if lag is None else lag)
         self._people: dict[int, _Person] = {}
         self._seen: dict[Key, Observation] = {}
         self.revised: tuple[Revision, ...] = ()
@@ -111,6 +111,8 @@ class OnlineTracker:
         seen = [self._on_the_ground(one, t) for one in detections]
         position = np.array([one.position for one in seen], float).reshape(-1, 2)
         std = [math.nan if one.position_std is None else one.position_std for one in seen]
+        # Nobody knows better how noisy they are than who saw them follow each other.
+        seen = [replace(one, position_std=one.position_std or self.scene.position_std) for one in seen]
         association = self._association
         decision = association.update(t, position, np.array(std))
         number = association.updates - 1

@@ -16,6 +16,7 @@ from graphtrack.errors import NO_POSITION, InputError, SolveError
 if TYPE_CHECKING:
     from graphtrack.inference.online import OnlineEngine
     from graphtrack.model import Model
+    from graphtrack.table.rows import Rows
 
 
 def track(
@@ -23,7 +24,7 @@ def track(
         str,
         typer.Argument(help="File with tracks, or - for NDJSON rows on standard input.", show_default=False),
     ],
-    reading: options.CameraReading,
+    reading: options.SceneReading,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -92,7 +93,13 @@ def track(
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
         raise InputError("--state with a file", "- as the input: only a stream can be gone on with")
-    tracks = reading.tracks([Path(input)])
+    rows, are_detections = reading.rows(Path(input))
+    if are_detections:
+        if reading.select:
+            raise InputError("--select", "identities to select by; these rows have none")
+        _track_detections(rows, output, chosen, engine, kept)
+        return
+    tracks = reading.tracks([Path(input)], rows)
     OnlineSmoother(chosen, engine=engine, lag=kept)  # the first one compiles
     start = time.perf_counter()
     found, unseen = [], []
@@ -119,6 +126,30 @@ def track(
         console.print(f"error: {SolveError(track_id, NO_POSITION)}", markup=False)
     if unseen:
         raise typer.Exit(BAD_INPUT)
+
+
+def _track_detections(
+    rows: Rows, output: Path, model: Model, engine: OnlineEngine, lag: float | None
+) -> None:
+    """Track the detections of a file online, and write what was said at once."""
+    from graphtrack.association.recorded import track_rows
+    from graphtrack.association.tracker import OnlineTracker
+    from graphtrack.cli.console import print_summary
+    from graphtrack.io import write
+
+    tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera)
+    start = time.perf_counter()
+    with progress_bar(len(rows), "detections") as advance:
+        tracks = track_rows(rows, tracker, advance)
+    seconds = time.perf_counter() - start
+    write(tracks, output)
+    print_summary(tracks, str(rows.path))
+    console.print(
+        f"tracked {len(tracks)} people, {tracks.n_frames} person-frames in {seconds:.1f} s "
+        f"({1e3 * seconds / len(rows):.2f} ms each); engine {engine}, model {model.preset}\n"
+        f"wrote {output}",
+        markup=False,
+    )
 
 
 def _seconds(lag: str) -> float | None:
