@@ -6,13 +6,16 @@ as it was decided; of it only the last detection of each track is kept, for it m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association import duplicates, learning
 from graphtrack.association.detections import Detections
+from graphtrack.association.history import NOBODY, History, packed, unpacked
 from graphtrack.association.kernels import Chains, IntArray, Scene, ending, refresh, unlinked
 from graphtrack.association.moves import Moves
 from graphtrack.association.scene import SceneParameters
@@ -21,14 +24,6 @@ from graphtrack.geometry.angles import FloatArray
 
 REVISED_FRAMES = 8
 """Frames in which decisions may change: as many detections as say whose they are."""
-
-LEARNED_AT = (50, 200, 800)
-"""Detections after which the scene's parameters are learned; then after as many more as the last."""
-
-REMEMBERED = 1600
-"""Detections, decided upon, that parameters are learned from."""
-
-NOBODY = -1
 
 
 @dataclass(frozen=True)
@@ -118,7 +113,7 @@ class OnlineAssociation(Moves):
         super().__init__(unlinked(empty, none, np.zeros((0, 2))), Scene(*self.scene.packed(1.0)))
         self._notes = _Notes.of(empty)
         self._first: list[int] = []  # detection of each frame that can be revised, oldest first
-        self._history = _History()
+        self._history = History()
         self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
 
@@ -126,6 +121,45 @@ class OnlineAssociation(Moves):
     def step_seconds(self) -> float:
         """Seconds from a frame to the next, as most were lately."""
         return float(np.median(self._intervals)) if self._intervals else 1.0
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        scene = None if self.given is None else asdict(self.given)
+        return {
+            "given": scene,
+            "scene": asdict(self.scene),
+            "lag": self.lag if np.isfinite(self.lag) else None,
+            "chains": {name: packed(values) for name, values in self.chains._asdict().items()},
+            "link_p": packed(self.link_p),
+            "notes": {name: packed(values) for name, values in vars(self._notes).items()},
+            "first": self._first,
+            "history": self._history.state(),
+            "counts": [self._next, self.updates],
+            "last": self._last if self.updates else None,
+            "intervals": self._intervals,
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> OnlineAssociation:
+        """One that goes on where `state` was taken, to the last bit.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, InputError
+            If the state is damaged.
+        """
+        given = None if state["given"] is None else SceneParameters(**state["given"])
+        found = cls(given, np.inf if state["lag"] is None else state["lag"])
+        found.scene = SceneParameters(**state["scene"])
+        found.chains = Chains(**{name: unpacked(text) for name, text in state["chains"].items()})
+        found.link_p = unpacked(state["link_p"])
+        found._notes = _Notes(**{name: unpacked(text) for name, text in state["notes"].items()})
+        found._first, found._intervals = list(state["first"]), list(state["intervals"])
+        found._history = History.from_state(state["history"])
+        found._next, found.updates = state["counts"]
+        found._last = -np.inf if state["last"] is None else state["last"]
+        found.packed = Scene(*found.scene.packed(found.step_seconds))
+        return found
 
     def open_detections(self) -> list[tuple[tuple[int, int], int]]:
         """Those that can still be revised, oldest first: (update, place in it), and whose each one is."""
@@ -154,7 +188,9 @@ class OnlineAssociation(Moves):
             If time does not increase, or a position is not finite. Nothing has changed then.
         """
         position = np.asarray(position, float).reshape(-1, 2)
-        self._check(t, position)
+        self.check_time(t)
+        if not np.isfinite(position).all():
+            raise InputError("a detection without a position", "both of its coordinates")
         n = len(position)
         if self.updates:
             self._intervals = [*self._intervals[-24:], t - self._last]
@@ -172,14 +208,13 @@ class OnlineAssociation(Moves):
             self.move(begin, end)
         return self._decide(first)
 
-    # -- one step ------------------------------------------------------------------------------------------
-
-    def _check(self, t: float, position: FloatArray) -> None:
+    def check_time(self, t: float) -> None:
+        """Raise InputError unless a frame may come at a time (seconds)."""
         if not np.isfinite(t) or not t > self._last:
             after = "a time in seconds" + (f" after {self._last:g}" if self.updates else "")
             raise InputError(f"t = {t:g}", after)
-        if not np.isfinite(position).all():
-            raise InputError("a detection without a position", "both of its coordinates")
+
+    # -- one step ------------------------------------------------------------------------------------------
 
     def _append(self, t: float, position: FloatArray, std: FloatArray) -> int:
         """Put a frame's detections behind the others; where they begin."""
@@ -299,47 +334,3 @@ class OnlineAssociation(Moves):
             self.scene = history.learned(self.scene, self.step_seconds)
         elif not history.times:
             self.scene = learning.first_guess(Detections(chains.frame, chains.t, chains.position))
-
-
-class _History:
-    """The newest detections that were decided upon, for parameters to be learned from."""
-
-    def __init__(self) -> None:
-        self.t, self.std = np.zeros(0), np.zeros(0)
-        self.position = np.zeros((0, 2))
-        self.frame, self.owner = np.zeros(0, np.int64), np.zeros(0, np.int64)
-        self.count, self.times = 0, 0
-
-    def add(self, chains: Chains, std: FloatArray, owner: IntArray, first: int, end: int) -> None:
-        """Remember the detections ``first`` up to ``end``, and forget as many where there are too many."""
-        new = {
-            "t": chains.t,
-            "std": std,
-            "position": chains.position,
-            "frame": chains.frame,
-            "owner": owner,
-        }
-        for name, values in new.items():
-            setattr(self, name, np.concatenate([getattr(self, name), values[first:end]])[-REMEMBERED:])
-        self.count += end - first
-
-    def is_due(self) -> bool:
-        """Whether parameters are to be learned."""
-        known = len(LEARNED_AT)
-        due = LEARNED_AT[self.times] if self.times < known else LEARNED_AT[-1] * (self.times - known + 2)
-        return self.count >= due
-
-    def learned(self, scene: SceneParameters, step_seconds: float) -> SceneParameters:
-        """The parameters that the remembered tracks speak for."""
-        self.times += 1
-        chains = unlinked(self.t, self.frame - self.frame[0], self.position)
-        chains.gain[:] = 0.0
-        chains.variance[:] = np.where(np.isnan(self.std), scene.position_std, self.std) ** 2
-        _, owner = np.unique(self.owner, return_inverse=True)
-        identity = np.where(self.owner == NOBODY, NOBODY, owner - int((self.owner == NOBODY).any()))
-        order = np.lexsort((np.arange(len(identity)), identity))
-        same = (identity[order[1:]] == identity[order[:-1]]) & (identity[order[1:]] >= 0)
-        chains.preceding[order[1:][same]] = order[:-1][same]
-        rate, spread = duplicates.learned(chains.frame, self.position, identity, scene)
-        scene = replace(scene, duplicate_rate=rate, duplicate_spread=spread)
-        return learning.learned(chains, identity, scene, self.std, step_seconds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother
-from graphtrack.inference.state import Estimate
+from graphtrack.inference.state import DAMAGES, Estimate, damaged, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
 
 Key = tuple[int, int]
@@ -108,7 +108,7 @@ class OnlineTracker:
         InputError
             If time does not increase or a detection has no position. Nothing has changed then.
         """
-        seen = [self._on_the_ground(one, t) for one in detections]
+        seen = [self.on_the_ground(one, t) for one in detections]
         position = np.array([one.position for one in seen], float).reshape(-1, 2)
         std = [math.nan if one.position_std is None else one.position_std for one in seen]
         # Nobody knows better how noisy they are than who saw them follow each other.
@@ -122,6 +122,47 @@ class OnlineTracker:
         self.revised = decision.revised
         self._follow(owners)
         return self._told(decision)
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        people = [
+            {"track_id": track_id, "smoother": person.smoother.state(), "keys": person.keys}
+            for track_id, person in self._people.items()
+        ]
+        seen = [[*key, pack_observation(one)] for key, one in self._seen.items()]
+        return {"association": self._association.state(), "people": people, "seen": seen}
+
+    @classmethod
+    def from_state(
+        cls, state: Mapping[str, Any], model: Model | str | Path | None = None, **options: Any
+    ) -> OnlineTracker:
+        """A tracker that goes on where `state` was taken, given the same model and options.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged, or of a model with other terms.
+        """
+        tracker = cls(model, **options)
+        try:
+            tracker._association = OnlineAssociation.from_state(state["association"])
+            tracker._seen = {(k, place): unpack_observation(one) for k, place, one in state["seen"]}
+            for saved in state["people"]:
+                smoother = OnlineSmoother.from_state(saved["smoother"], tracker.model, **tracker._options)
+                keys = [(k, place) for k, place in saved["keys"]]
+                tracker._people[saved["track_id"]] = _Person(smoother, smoother.last, keys)
+        except DAMAGES as error:
+            raise damaged(error) from error
+        return tracker
+
+    @property
+    def updates(self) -> int:
+        """Frames that were taken in."""
+        return self._association.updates
+
+    def check_time(self, t: float) -> None:
+        """Raise InputError unless a frame may come at a time (seconds)."""
+        self._association.check_time(t)
 
     def _follow(self, owners: list[tuple[Key, int]]) -> None:
         """Have every person's smoother see the detections that are the person's by now."""
@@ -173,8 +214,14 @@ class OnlineTracker:
     def _smoother(self) -> OnlineSmoother:
         return OnlineSmoother(self.model, **self._options)
 
-    def _on_the_ground(self, detection: Any, t: float) -> Observation:
-        """An observation at the time, with the position that the camera gives where it has none."""
+    def on_the_ground(self, detection: Any, t: float) -> Observation:
+        """A detection as an observation at the time, with the camera's position where it has none.
+
+        Raises
+        ------
+        InputError
+            If it has none at all.
+        """
         if not isinstance(detection, Observation):
             x, y = (float(value) for value in detection)
             return Observation(t=t, position=(x, y))

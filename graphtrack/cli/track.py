@@ -161,7 +161,7 @@ def _seconds(lag: str) -> float | None:
         raise InputError(f"--lag {lag}", "a number of seconds, or none") from None
 
 
-_OF_A_STREAM = ("fps", "homography", "point_pairs_unit")
+_OF_A_STREAM = ("fps", "homography", "point_pairs_unit", "associate")
 
 
 def _refuse_with_stream(given: Mapping[str, object]) -> None:
@@ -174,7 +174,7 @@ def _track_stream(
     model: Model,
     engine: OnlineEngine,
     lag: float | None,
-    reading: options.CameraReading,
+    reading: options.SceneReading,
     state: Path | None,
     save_every: float,
 ) -> None:
@@ -194,6 +194,7 @@ def _track_stream(
         camera=camera,
         state=state,
         save_every=save_every,
+        associate=given.associate,
     )
     if wrong:
         console.print(f"error: {wrong} of {rows} rows could not be used", markup=False)

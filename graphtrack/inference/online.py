@@ -215,6 +215,11 @@ class OnlineSmoother:
         return self._estimate(newest, latest, "late")
 
     @property
+    def last(self) -> Estimate | None:
+        """The newest estimate; None before the first."""
+        return self._last
+
+    @property
     def window(self) -> tuple[float, float] | None:
         """The times (seconds) between which late observations can be worked in; None before the first."""
         steps = self._smoother.steps
