@@ -1,0 +1,165 @@
+"""`graphtrack track -` with rows that do not say of whom they are."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from crossing_people import street
+
+from graphtrack.association.scene import SceneParameters
+from graphtrack.association.tracker import OnlineTracker
+from graphtrack.cli import live
+from graphtrack.cli.detections import Scenes
+from graphtrack.cli.state_file import seal
+from graphtrack.model import Model
+
+SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
+
+
+def rows_of(seed: int, frames: int = 20, **more: object) -> list[dict[str, object]]:
+    detections, _ = street(np.random.default_rng(seed), people=5, frames=frames)
+    places = detections.position.tolist()
+    return [
+        {"frame": int(f), "t": round(0.4 * f, 6), "x": x, "y": y, **more}
+        for f, (x, y) in zip(detections.frame.tolist(), places, strict=True)
+    ]
+
+
+def scenes() -> Scenes:
+    return Scenes(lambda: OnlineTracker("position", scene=SCENE), None)
+
+
+def answers(rows: list[dict[str, object]], of: Scenes | None = None) -> list[dict[str, object]]:
+    of = scenes() if of is None else of
+    lines = [json.dumps(row).encode() for row in rows]
+    found = [one for number, line in enumerate(lines, 1) for one in of.answers(number, line)]
+    return found + of.finish()
+
+
+def test_each_frame_ends_with_its_people_and_what_was_taken_back() -> None:
+    rows = rows_of(0)
+    found = answers(rows)
+    ends = [row for row in found if "end" in row]
+    assert [row["end"] for row in ends] == sorted({row["t"] for row in rows})
+    assert sum(row["detections"] for row in ends) == len(rows)
+    said = [row for row in found if "track_id" in row]
+    assert sum(row["people"] for row in ends) == len(said)
+    frames = {row["frame"] for row in rows}
+    assert {row["frame"] for row in said} <= frames
+    for row in said:
+        assert row["observed"] in (0.0, 1.0)
+        assert (row["identity_p"] is None) == (row["observed"] == 0.0)
+    taken_back = [one for row in ends for one in row.get("revised", [])]
+    assert taken_back
+    assert {"t", "frame", "detection", "before", "after"} == taken_back[0].keys()
+
+
+def test_an_end_tells_at_once_and_one_of_no_detections_is_a_frame_too() -> None:
+    of = scenes()
+    row = json.dumps({"t": 0.0, "x": 0.0, "y": 0.0}).encode()
+    assert of.answers(1, row) == []
+    *people, told = of.answers(2, b'{"end": 0.0}')
+    assert told == {"end": 0.0, "people": len(people), "detections": 1}
+    assert of.answers(3, b'{"end": 0.4}')[-1]["detections"] == 0
+    (wrong,) = of.answers(4, b'{"end": 0.2}')
+    assert "after 0.4" in wrong["error"]
+
+
+def test_streams_do_not_know_of_each_other() -> None:
+    one, other = rows_of(1, stream="north"), rows_of(2, stream=7)
+    together = [row for pair in zip(one, other, strict=False) for row in pair]
+    found = answers(together)
+    for name, rows in (("north", one[: len(other)]), (7, other[: len(one)])):
+        alone = answers(rows)
+        assert [row for row in found if row["stream"] == name] == alone
+    assert all("stream" not in row for row in answers([{**row, "stream": None} for row in one]))
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ({"t": 4.0, "x": 1.0}, "all of x … y"),
+        ({"t": 4.0}, "a detection without a position"),
+        ({"x": 1.0, "y": 1.0}, "neither t nor frame"),
+        ({"t": 3.0, "x": 1.0, "y": 1.0}, "a time from 4 on"),
+        ({"t": 4.0, "x": 1.0, "y": 1.0, "track_id": 3}, "--associate always"),
+        ({"t": 4.0, "x": 1.0, "y": 1.0, "stream": [1]}, "stream = "),
+        ({"end": "now"}, "the time of the frame that ends"),
+    ],
+)
+def test_what_cannot_be_used_is_told_and_changes_nothing(row: dict[str, object], told: str) -> None:
+    rows, of = rows_of(3, frames=11), scenes()
+    found = answers([*rows, row, *[{**one, "t": one["t"] + 4.4, "frame": None} for one in rows]], of)
+    (wrong,) = [one for one in found if "error" in one]
+    assert told in wrong["error"]
+    assert wrong["line"] == len(rows) + 1
+    del wrong
+    undisturbed = answers([*rows, *[{**one, "t": one["t"] + 4.4, "frame": None} for one in rows]])
+    assert [one for one in found if "error" not in one] == undisturbed
+
+
+class Killed(BaseException):
+    """Stands in for a kill: what the file holds at that moment is what the next run finds."""
+
+
+@pytest.mark.parametrize("kills_wanted", [6, pytest.param(100, marks=pytest.mark.slow)])
+def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path: Path, kills_wanted) -> None:
+    given = sorted(rows_of(4, frames=60, stream="a") + rows_of(5, frames=60), key=lambda row: row["t"])
+    lines, state = [json.dumps(row).encode() + b"\n" for row in given], tmp_path / "state"
+    rng, kills = np.random.default_rng(1), 0
+    told: dict[int, list[str]] = {}
+    now, left = 0, 0
+
+    def rows(stream, first):
+        nonlocal now
+        for now in range(first, len(lines) + 1):
+            yield now, lines[now - 1]
+        now = len(lines) + 1
+
+    def give(answer) -> None:
+        nonlocal left
+        told.setdefault(now, []).append(json.dumps(answer))
+        left -= 1
+        if left == 0:
+            shutil.copy(state, tmp_path / "left")
+            raise Killed
+
+    def track_all() -> None:
+        options = {"engine": "chain", "lag": 0.8, "fps": None, "camera": None}
+        live.track_stream(Model("position"), **options, state=state, save_every=0.02)
+
+    monkeypatch.setattr(live, "lines_of", rows)
+    monkeypatch.setattr(live, "open_streams", lambda: None)
+    monkeypatch.setattr(live, "give", give)
+    track_all()
+    whole, told = told, {}
+    state.unlink()
+    while kills < kills_wanted:
+        left = int(rng.integers(1, 3 + 400 // kills_wanted))
+        try:
+            track_all()
+            break
+        except Killed:
+            data = (tmp_path / "left").read_bytes()
+            if rng.random() < 0.3:  # the kill came while a row was added, which then has no answer
+                data += seal([10**6, "a row"])[: int(rng.integers(20))]
+            state.write_bytes(data)
+            kills += 1
+            capsys.readouterr()
+            # What is said again of the last row stands in place of what was said of it.
+            told.pop(_last_row(state), None)
+    left = 0
+    track_all()
+    assert kills >= min(kills_wanted, 6)
+    assert told == whole
+
+
+def _last_row(state: Path) -> int:
+    """The last row that a state knows, to which a run that goes on answers once more."""
+    entries = [json.loads(line[9:]) for line in state.read_bytes().split(b"\n")[:-1]]
+    rows = [entry[0] for entry in entries if isinstance(entry, list)]
+    return rows[-1] if rows else entries[0]["rows"]
