@@ -1,9 +1,9 @@
 """What somebody looks like: colours and texture by parts of the body, in a few numbers.
 
-Histograms of parts of the body, weighed towards its axis, are those of SDALF (Farenzena, Bazzani, Perina, Murino
-& Cristani, Person re-identification by symmetry-driven accumulation of local features, CVPR 2010), here joint
-ones of CIE L*a*b*, with orientations of gradients beside them (Dalal & Triggs, CVPR 2005). Their square roots are
-compared, so that Euclidean distances are Hellinger's; a projection makes them small.
+Histograms of parts of the body, weighed towards its axis, are those of SDALF (Farenzena, Bazzani, Perina,
+Murino & Cristani, Person re-identification by symmetry-driven accumulation of local features, CVPR 2010),
+here joint ones of CIE L*a*b*, with orientations of gradients beside them (Dalal & Triggs, CVPR 2005). Their
+square roots are compared, so that Euclidean distances are Hellinger's; a projection makes them short.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _colours(lab: NDArray[np.float32]) -> FloatArray:
     """
     n = len(lab)
     steps = np.array(LEVELS) - 1
-    place = (lab + (50.0, _CHROMA, _CHROMA)) / (100.0, 2.0 * _CHROMA, 2.0 * _CHROMA) * steps
+    place = (lab + np.array([50.0, _CHROMA, _CHROMA])) / (100.0, 2.0 * _CHROMA, 2.0 * _CHROMA) * steps
     place = np.clip(place, 0.0, steps)
     lower = np.minimum(place.astype(np.int64), steps - 1)
     share = place - lower
@@ -97,7 +97,7 @@ def _colours(lab: NDArray[np.float32]) -> FloatArray:
 
 
 def _textures(brightness: NDArray[np.uint8]) -> FloatArray:
-    """Shares (n, parts · 9) of the orientations of gradients of pictures (n, h, w); small where all is even."""
+    """Shares (n, parts · 9) of the orientations of gradients of (n, h, w); small where all is even."""
     cells = cell_histograms(brightness, 8, 2).sum(axis=2)
     parts = np.stack([cells[:, top:bottom].sum(axis=1) for top, bottom in _TEXTURED], axis=1)
     return np.asarray((parts / (parts.sum(axis=2, keepdims=True) + 100.0)).reshape(len(parts), -1), float)
