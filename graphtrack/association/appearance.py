@@ -148,7 +148,8 @@ def _usable(values: FloatArray, pairs: ArrayLike, most: int) -> IntArray:
         raise InputError(f"pairs of shape {found.shape} and type {found.dtype}", "whole numbers (m, 2)")
     if found.min() < 0 or found.max() >= len(values):
         raise InputError(f"a pair of row {found.max()}", f"rows from 0 to {len(values) - 1}")
-    found = found[np.isfinite(values).all(axis=1)[found].all(axis=1)].astype(np.int64)
+    known = np.asarray(np.isfinite(values).all(axis=1))
+    found = found[known[found].all(axis=1)].astype(np.int64)
     return (
         found[np.linspace(0, len(found) - 1, min(len(found), most)).astype(np.int64)] if len(found) else found
     )
