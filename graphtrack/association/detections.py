@@ -48,9 +48,20 @@ class Detections:
         return len(self.t)
 
     @property
-    def frame_seconds(self) -> float:
+    def step(self) -> NDArray[np.int64]:
+        """(n,) number of each detection's frame, in steps of the recording from its first frame."""
+        return (self.frame - self.frame[0]) // frames_between(self.frame)
+
+    @property
+    def step_seconds(self) -> float:
         """Seconds from a frame to the next one, as most are."""
-        frames, first = np.unique(self.frame, return_index=True)
-        if len(frames) < 2:
+        steps, first = np.unique(self.step, return_index=True)
+        if len(steps) < 2:
             return 1.0
-        return float(np.median(np.diff(self.t[first]) / np.diff(frames)))
+        return float(np.median(np.diff(self.t[first]) / np.maximum(np.diff(steps), 1)))
+
+
+def frames_between(frame: NDArray[np.int64]) -> int:
+    """How far apart the numbers of neighbouring frames are, as most are: a recording may have every tenth."""
+    apart, counts = np.unique(np.diff(np.unique(frame)), return_counts=True)
+    return int(apart[counts.argmax()]) if len(apart) else 1

@@ -14,7 +14,11 @@ _REACH = 3.0
 
 
 def density(
-    frame: NDArray[np.int64], position: FloatArray, identity: NDArray[np.int64], scene: SceneParameters
+    frame: NDArray[np.int64],
+    position: FloatArray,
+    identity: NDArray[np.int64],
+    scene: SceneParameters,
+    times: NDArray[np.int64] | None = None,
 ) -> FloatArray:
     """How densely duplicates of other people are expected where each detection is, (n,) 1/m².
 
@@ -26,9 +30,11 @@ def density(
     frame, position : (n,) and (n, 2) of the detections
     identity : (n,) as they are thought to be; −1: false
     scene : rate and spread of duplicates
+    times : identity → how often it was detected; None: as often as here
     """
     first, second, square = near(frame, position, _REACH * scene.duplicate_spread)
-    times = np.bincount(identity[identity >= 0], minlength=1)
+    if times is None:
+        times = np.bincount(identity[identity >= 0], minlength=1)
     strength = np.where(identity >= 0, times[np.maximum(identity, 0)], 0)
     counts = (identity[second] >= 0) & (identity[first] != identity[second])
     counts &= (strength[second] > strength[first]) | (

@@ -42,7 +42,7 @@ class Chains(NamedTuple):
     """n detections in the order of time, and the tracks that they are chained to."""
 
     t: FloatArray  # (n,) seconds
-    frame: IntArray  # (n,)
+    frame: IntArray  # (n,) in steps of the recording
     position: FloatArray  # (n, 2) metres
     variance: FloatArray  # (n,) m² of each axis
     gain: FloatArray  # (n,) log of how much more likely as a person's than as a false one, position aside
@@ -51,6 +51,15 @@ class Chains(NamedTuple):
     state: FloatArray  # (n, 7) filtered there: x, y, vx, vy, and the covariance p, pv, v of each axis
     evidence: FloatArray  # (n,) of the detection given those before
     total: FloatArray  # (n,) of the track up to there
+
+
+def unlinked(t: FloatArray, frame: IntArray, position: FloatArray) -> Chains:
+    """Detections that are nobody's yet; their variances and gains are to be set."""
+    n, nobody = len(t), np.full(len(t), -1)
+    empty, zeros = np.empty(n), np.zeros(n)
+    return Chains(
+        t, frame, position, empty, empty.copy(), nobody, nobody.copy(), np.zeros((n, 7)), zeros, zeros.copy()
+    )
 
 
 @compiled

@@ -26,10 +26,10 @@ def area(position: FloatArray) -> float:
 def first_guess(detections: Detections) -> SceneParameters:
     """Parameters before anything is known but how many detections there are, and where."""
     start = SceneParameters()
-    frames = detections.frame[-1] - detections.frame[0] + 1
+    frames = detections.step[-1] + 1
     each = len(detections) / frames
     square = area(detections.position)
-    seconds = detections.frame_seconds
+    seconds = detections.step_seconds
     # One in ten is false; people stay for ten seconds or so.
     return replace(
         start,
@@ -41,7 +41,11 @@ def first_guess(detections: Detections) -> SceneParameters:
 
 
 def learned(
-    chains: Chains, identity: NDArray[np.int64], scene: SceneParameters, known_std: FloatArray
+    chains: Chains,
+    identity: NDArray[np.int64],
+    scene: SceneParameters,
+    known_std: FloatArray,
+    seconds: float,
 ) -> SceneParameters:
     """The parameters that make the tracks found most probable, with a little of those before.
 
@@ -51,8 +55,8 @@ def learned(
     identity : (n,) of each detection; −1: false
     scene : the parameters before
     known_std : (n,) metres that detections say themselves; NaN: they do not
+    seconds : from a frame to the next
     """
-    seconds = float(np.median(np.diff(np.unique(chains.t)))) if len(np.unique(chains.t)) > 1 else 1.0
     people = int(identity.max()) + 1
     if people < 1:
         return scene

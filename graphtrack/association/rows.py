@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from graphtrack.association.detections import Detections
+from graphtrack.association.detections import Detections, frames_between
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
@@ -37,25 +37,35 @@ def with_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
     identity[detections.row], probability[detections.row] = found.identity, found.probability
     people, false = int(identity.max()) + 1, int((identity < 0).sum())
     rows = replace(rows, track_id=identity + 1, has_identity=True, labels={})
-    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
+    # Nobody knows better how noisy they are than who saw them follow each other.
+    std = channels.get("position_std", np.full(len(rows), np.nan))
+    std = np.where(np.isnan(std), found.scene.position_std, std)
+    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)), position_std=std)
     note = f"associated {len(rows)} detections: {people} people; {false} {FALSE}"
     return rows.keep(identity >= 0, FALSE).with_notes(note)
 
 
-def with_every_frame(tracks: TrackSet) -> TrackSet:
-    """Tracks with a row for each frame of the recording from their first to their last; empty: not seen."""
+def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.longest_filled) -> TrackSet:
+    """Tracks with an empty row for each frame in which somebody was not seen, in gaps that are short.
+
+    Parameters
+    ----------
+    tracks : as they were associated
+    longest_filled : seconds of a gap that is filled
+    """
     frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)
     t = np.concatenate([track.t for track in tracks])[first]
-    steps, counts = np.unique(np.diff(frames), return_counts=True)
-    step = int(steps[counts.argmax()]) if len(steps) else 1
-    return tracks.map(lambda track: _filled(track, frames, t, step))
+    step = frames_between(frames)
+    return tracks.map(lambda track: _filled(track, frames, t, step, longest_filled))
 
 
-def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int) -> Track:
+def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest: float) -> Track:
+    short = np.diff(track.t) <= longest * (1.0 + 1e-9)
+    gaps = [pair for pair, fill in zip(pairwise(track.frame.tolist()), short, strict=True) if fill]
     # Frames in which nobody at all was seen are none of the recording's: they lie a step apart.
-    between = [np.arange(a, b, step) for a, b in pairwise(track.frame.tolist())]
-    inside = frames[(frames >= track.frame[0]) & (frames <= track.frame[-1])]
-    frame = np.unique(np.concatenate([inside, *between]))
+    between = [np.arange(a, b, step) for a, b in gaps]
+    inside = [frames[(frames > a) & (frames < b)] for a, b in gaps if b - a > step]
+    frame = np.unique(np.concatenate([track.frame, *inside, *between]))
     if len(frame) == len(track):
         return track
     place = np.searchsorted(frame, track.frame)

@@ -31,6 +31,7 @@ class SceneParameters:
     birth_density : people who come into view, a second and square metre
     death_rate : 1/s at which people leave
     longest_gap : seconds after which nobody is found again
+    longest_filled : gaps of so many seconds are filled with where the person must have been
     look_ahead : detections of a track after a cut that say whose they are
     """
 
@@ -46,6 +47,7 @@ class SceneParameters:
     birth_density: float = _number(1e-3, 1e-9, 100.0, "1/(m² s)")
     death_rate: float = _number(0.05, 1e-6, 10.0, "1/s")
     longest_gap: float = _number(6.0, 0.05, 60.0, "s")
+    longest_filled: float = _number(2.0, 0.0, 60.0, "s")
     look_ahead: int = 8
 
     def __post_init__(self) -> None:

@@ -10,21 +10,32 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
+from graphtrack.association.tracker import OnlineTracker
 from graphtrack.cli.console import console, counted, progress_bar
-from graphtrack.cli.saving import Saving, settings_of
+from graphtrack.cli.detections import Frame, Scenes
+from graphtrack.cli.saving import Answering, Saving, saved_setting, settings_of
 from graphtrack.cli.state_file import StateFile
-from graphtrack.cli.stream import LONGEST_LINE, People
+from graphtrack.cli.stream import LONGEST_LINE, People, text_of
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
 from graphtrack.inference.warm import SOLVER, online_rehearsal
+from graphtrack.io.options import Associate
+from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.model import Model
 from graphtrack.readiness import is_cold, make_ready
+
+Lines = Iterator[tuple[int, bytes]]
+"""Lines with their numbers, from 1."""
+
+Restore = Callable[[Any], Any]
+"""A member of those who answer, from its state."""
 
 
 def track_stream(
@@ -36,6 +47,7 @@ def track_stream(
     camera: GroundCamera | None,
     state: Path | None,
     save_every: float,
+    associate: Associate = "auto",
 ) -> tuple[int, int]:
     """Answer every row of standard input.
 
@@ -45,6 +57,8 @@ def track_stream(
     fps : frames a second, for rows without a time
     state : the file to go on from and to keep what going on takes; None: there is none
     save_every : seconds between flushings of it to the disk
+    associate : whether rows are detections without identity: "always", forgetting those they have; "never";
+        "auto": if the first one has none
 
     Returns
     -------
@@ -57,65 +71,96 @@ def track_stream(
         If standard input or output is closed, or the state cannot be used or kept.
     """
     stream = open_streams()
-
-    def make() -> OnlineSmoother:
-        return OnlineSmoother(model, engine=engine, lag=lag, camera=camera)
-
     chosen = online_engine(model, engine)
-    people = People(make, fps, lambda note: console.print(f"note: {note}", markup=False))
+    options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
+
+    def note(text: str) -> None:
+        console.print(f"note: {text}", markup=False)
+
+    def answering(lines: Lines, are_detections: bool | None) -> tuple[Lines, Answering, Restore]:
+        """Who answers; what the first row is decides where nobody has said it."""
+        if are_detections is None:
+            lines, are_detections = _first_is_detection(lines)
+        if not are_detections:
+            people = People(lambda: OnlineSmoother(model, **options), fps, note)
+            return lines, people, lambda saved: OnlineSmoother.from_state(saved, model, **options)
+
+        def restore(saved: Any) -> Frame:
+            return Frame.restore(saved, OnlineTracker.from_state(saved["tracker"], model, **options))
+
+        forget = associate == "always"
+        return lines, Scenes(lambda: OnlineTracker(model, **options), fps, note, forget=forget), restore
+
+    known = {"never": False, "always": True, "auto": None}[associate]
+    warm_up(model, chosen)
     if state is None:
-        warm_up(model, chosen)
-        return _answer(stream, people, None)
-
-    def restore(saved: Any) -> OnlineSmoother:
-        return OnlineSmoother.from_state(saved, model, engine=engine, lag=lag, camera=camera)
-
+        lines, rows, _ = answering(lines_of(stream, 1), known)
+        return _answer(lines, rows, None)
     with closing(StateFile(state, save_every)) as file:
-        # GTSAM does not give away what iSAM2 knows: it has to see every row again.
-        saving = Saving(
-            file,
-            people,
-            settings_of(model, chosen, lag, fps, camera),
-            None if chosen == "isam2" else save_every,
-        )
-        warm_up(model, chosen)
+        settings = settings_of(model, chosen, lag, fps, camera)
+        lines = iter(())
         if file.entries:
-            _go_on(saving, people, restore, state, len(file.entries))
+            known = bool(saved_setting(file, "detections")) if known is None else known
+        else:
+            lines = lines_of(stream, 1)
+        lines, rows, restore = answering(lines, known)
+        # GTSAM does not give away what iSAM2 knows: it has to see every row again.
+        every = None if chosen == "isam2" else save_every
+        settings |= {"detections": True} if isinstance(rows, Scenes) else {}
+        saving = Saving(file, rows, settings, every)
+        if file.entries:
+            _go_on(saving, rows, restore, state, len(file.entries))
+            lines = lines_of(stream, rows.line + 1)
         else:
             saving.begin()
-        answered = _answer(stream, people, saving)
+        answered = _answer(lines, rows, saving)
         saving.finish()
     return answered
 
 
-def _go_on(
-    saving: Saving, people: People, restore: Callable[[Any], OnlineSmoother], state: Path, entries: int
-) -> None:
+def _first_is_detection(lines: Lines) -> tuple[Lines, bool]:
+    """The lines, and whether the first of them that can be used says nothing of whom it is."""
+    read: list[tuple[int, bytes]] = []
+    found = False
+    for line in lines:
+        read.append(line)
+        try:
+            given = dict(parse_line(text_of(line[1])))
+        except InputError:
+            continue
+        found = "end" in given or given.get("track_id") in (None, -1)
+        break
+    return chain(read, lines), found
+
+
+def _go_on(saving: Saving, people: Answering, restore: Restore, state: Path, entries: int) -> None:
     """Bring people to where the last run ended, say where that is, and answer what it may not have."""
     with progress_bar(entries, "rows") as advance:
         again = saving.resume(restore, advance)
     lines = "" if people.line == people.rows else f" (the last is line {people.line})"
-    last = "" if again is None else f"; the answer to row {people.rows} is given again"
+    last = f"; the answer to row {people.rows} is given again" if again else ""
     console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
-    if again is not None:
-        give(again)
+    for row in again:
+        give(row)
 
 
-def _answer(stream: IO[bytes], people: People, saving: Saving | None) -> tuple[int, int]:
+def _answer(lines: Lines, people: Answering, saving: Saving | None) -> tuple[int, int]:
     before, wrong = people.rows, 0
     # What there is by now stays: the collector need not look at it again while rows wait.
     gc.collect()
     gc.freeze()
     try:
         with np.errstate(all="ignore"):  # what is not finite is told in the answer
-            for number, line in lines_of(stream, people.line + 1):
+            for number, line in lines:
                 if saving is not None:
                     saving.take(number, line)
-                answer = people.answer(number, line)
-                wrong += "error" in answer
-                give(answer)
+                for row in people.answers(number, line):
+                    wrong += "error" in row
+                    give(row)
                 if saving is not None:
                     saving.tend()
+            for row in people.finish():
+                give(row)
     finally:
         gc.unfreeze()
     return people.rows - before, wrong

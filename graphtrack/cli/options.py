@@ -16,6 +16,7 @@ from graphtrack.errors import InputError
 if TYPE_CHECKING:
     from graphtrack.io.options import ReadOptions
     from graphtrack.io.places import Paths
+    from graphtrack.table.rows import Rows
     from graphtrack.tracks import TrackSet
 
 _CAMERA_FILES = ("homography", "point_pairs", "calibration")
@@ -176,8 +177,13 @@ class Reading:
         told = {name: value for name, value in self.given().items() if name not in _NOT_TOLD}
         return ReadOptions(**{"associate": self._associate, **told})
 
-    def tracks(self, paths: list[Path]) -> TrackSet:
+    def tracks(self, paths: list[Path], rows: Rows | None = None) -> TrackSet:
         """Read and select tracks, and print the summary.
+
+        Parameters
+        ----------
+        paths : of the files
+        rows : those of the one file, where they have been read
 
         Raises
         ------
@@ -185,10 +191,13 @@ class Reading:
             If nothing can be read or nothing matches the selection.
         """
         from graphtrack.cli.console import console, print_summary, quiet_input_warnings
-        from graphtrack.io.reading import read_with
+        from graphtrack.io.reading import read_with, tracks_of_rows
 
         with quiet_input_warnings():
-            tracks = read_with(paths, self.format, self.options())
+            if rows is None:
+                tracks = read_with(paths, self.format, self.options())
+            else:
+                tracks = tracks_of_rows(rows, self.options())
         print_summary(tracks, ", ".join(str(path) for path in paths))
         unused = [option_name(name) for name in (*_CAMERA_FILES, "metres_per_pixel") if name in self.given()]
         if unused and tracks.camera is None:
@@ -224,6 +233,13 @@ class SceneReading(CameraReading):
     _associate: ClassVar[Literal["auto", "never"]] = "auto"
 
     associate: Associate = "auto"
+
+    def rows(self, path: Path) -> tuple[Rows, bool]:
+        """The rows of a file, and whether it has to be found out whose they are."""
+        from graphtrack.io.reading import has_detections, rows_of_file
+
+        rows = rows_of_file(path, self.format, self.options())
+        return rows, has_detections(rows, self.options())
 
 
 _NOT_TOLD = ("format", "select")

@@ -6,16 +6,29 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 from graphtrack.cli.state_file import StateFile, seal
-from graphtrack.cli.stream import People
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import Model
 
 _VERSION = 1
+
+
+class Answering(Protocol):
+    """What answers the rows of a stream, and has members whose states are kept one by one."""
+
+    rows: int
+    line: int
+    members: Any
+    before_change: Callable[[Any], None]
+
+    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
+        """What is to be said after a line of input."""
+
+    def finish(self) -> list[dict[str, Any]]:
+        """What is to be said when no more rows come."""
 
 
 class Saving:
@@ -43,16 +56,16 @@ class Saving:
     def __init__(
         self,
         file: StateFile,
-        people: People,
+        people: Answering,
         settings: dict[str, Any],
         every: float | None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._file, self._people, self._settings = file, people, settings
         self._every, self._clock, self._last = every, clock, clock()
-        self._changed: set[int] = set()
-        self._sealed: dict[int, bytes] = {}
-        self._left: dict[int, None] | None = None
+        self._changed: set[Any] = set()
+        self._sealed: dict[Any, bytes] = {}
+        self._left: dict[Any, None] | None = None
         people.before_change = self._before_change
         if file.entries:
             with self._told_of_the_file():
@@ -66,42 +79,43 @@ class Saving:
         self._write_all()
 
     def resume(
-        self, restore: Callable[[Any], OnlineSmoother], advance: Callable[[int], None] = lambda rows: None
-    ) -> dict[str, Any] | None:
+        self, restore: Callable[[Any], Any], advance: Callable[[int], None] = lambda rows: None
+    ) -> list[dict[str, Any]]:
         """Bring the people to where the file ends.
 
         Parameters
         ----------
-        restore : a smoother from its state
+        restore : a member from its state
         advance : is told of rows that were taken in again
 
         Returns
         -------
-        dict, optional
-            The answer to the last row, if it is not certain that it was given.
+        list of dict
+            The answers to the last row, if it is not certain that they were given.
 
         Raises
         ------
         InputError
             If the state is damaged.
         """
-        people, entries, answer = self._people, self._file.entries, None
+        people, entries = self._people, self._file.entries
+        answers: list[dict[str, Any]] = []
         with self._told_of_the_file():
             header = entries[0]
             people.rows, people.line = header["rows"], header["line"]
             first_row = 1 + header["people"]
             for entry in entries[1:first_row]:
-                people.smoothers[entry["track_id"]] = restore(entry["state"])
+                people.members[entry["track_id"]] = restore(entry["state"])
                 self._sealed[entry["track_id"]] = seal(entry)
             for entry in entries[first_row:]:
                 if isinstance(entry, dict):  # all rows so far were answered
-                    answer = None
+                    answers = []
                     continue
                 number, text = entry
-                answer = people.answer(number, text.encode("utf-8", "surrogateescape"))
+                answers = people.answers(number, text.encode("utf-8", "surrogateescape"))
                 advance(1)
         entries.clear()
-        return answer
+        return answers
 
     def take(self, number: int, line: bytes) -> None:
         """Keep a row, before it is answered."""
@@ -150,9 +164,9 @@ class Saving:
         people = self._people
         self._last = self._clock()
         changed = self._changed | set(self._left or ())
-        self._left = {track_id: None for track_id in people.smoothers if track_id in changed}
+        self._left = {track_id: None for track_id in people.members if track_id in changed}
         self._changed.clear()
-        self._members = list(people.smoothers)
+        self._members = list(people.members)
         self._header = seal(
             {
                 "graphtrack state": _VERSION,
@@ -164,20 +178,27 @@ class Saving:
         )
         self._file.mark()
 
-    def _seal(self, track_id: int) -> None:
+    def _seal(self, track_id: Any) -> None:
         assert self._left is not None
         del self._left[track_id]
-        state = self._people.smoothers[track_id].state()
+        state = self._people.members[track_id].state()
         self._sealed[track_id] = seal({"track_id": track_id, "state": state})
 
     def _hand_over(self) -> None:
         self._left = None
         self._file.replace([self._header, *(self._sealed[track_id] for track_id in self._members)])
 
-    def _before_change(self, track_id: int) -> None:
+    def _before_change(self, track_id: Any) -> None:
         if self._left is not None and track_id in self._left:
             self._seal(track_id)
         self._changed.add(track_id)
+
+
+def saved_setting(file: StateFile, name: str) -> Any:
+    """A setting of the stream that a file is the state of; None where it does not say."""
+    header = file.entries[0]
+    settings = header.get("settings") if isinstance(header, dict) else None
+    return settings.get(name) if isinstance(settings, dict) else None
 
 
 def settings_of(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,7 @@ class People:
 
     Attributes
     ----------
-    smoothers : track id → smoother
+    members : track id → smoother
     rows, line : rows answered, and the line of the last of them, from 1
     before_change : is called with a track id before its smoother takes something in
     """
@@ -46,9 +46,8 @@ class People:
     def __init__(
         self, make: Callable[[], OnlineSmoother], fps: float | None, note: Callable[[str], None] = print
     ) -> None:
-        self._make, self._fps, self._note = make, fps, note
-        self._unknown: set[str] = set()
-        self.smoothers: dict[int, OnlineSmoother] = {}
+        self._make, self._fps, self._told = make, fps, Told(note)
+        self.members: dict[int, OnlineSmoother] = {}
         self.rows = self.line = 0
         self.before_change: Callable[[int], None] = lambda track_id: None
 
@@ -57,26 +56,54 @@ class People:
         self.rows, self.line = self.rows + 1, number
         pairs: Pairs = ()
         try:
-            pairs = parse_line(_text(line))
-            self._tell_unknown(pairs)
+            pairs = parse_line(text_of(line))
+            self._told(pairs)
             cells = read_cells(pairs)
             observation = observation_of(cells, self._fps)
             track_id = cells["track_id"]
-            smoother = self.smoothers.get(track_id) or self._make()
+            smoother = self.members.get(track_id) or self._make()
             self.before_change(track_id)
             estimate = smoother.update(observation)
-            self.smoothers[track_id] = smoother
+            self.members[track_id] = smoother
         except InputError as error:
-            told = InputError(error.found, error.expected, line=number, column=error.column)
-            return {**identity(pairs), "line": number, "error": str(told)}
+            return error_row(pairs, number, error)
         return estimate_row(track_id, estimate)
 
-    def _tell_unknown(self, pairs: Pairs) -> None:
+    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
+        """What is to be said after a line of input: its `answer`."""
+        return [self.answer(number, line)]
+
+    def finish(self) -> list[dict[str, Any]]:
+        """What is to be said when no more rows come: nothing."""
+        return []
+
+
+class Told:
+    """Tells of keys that nothing is read from, once each.
+
+    Parameters
+    ----------
+    note : is told
+    known : keys that are none of the native table, and are read
+    """
+
+    def __init__(self, note: Callable[[str], None], known: Collection[str] = ()) -> None:
+        self._note, self._known = note, known
+        self._unknown: set[str] = set()
+
+    def __call__(self, pairs: Pairs) -> None:
+        """Look at the keys of a line."""
         for name in schema.unknown(name for name, _ in pairs):
-            if name not in self._unknown and len(self._unknown) < _NAMED:
+            if name not in self._unknown and name not in self._known and len(self._unknown) < _NAMED:
                 self._unknown.add(name)
                 more = "; no further ones will be told" if len(self._unknown) == _NAMED else ""
                 self._note(f"ignored key {name[:100]!r}{more}")
+
+
+def error_row(pairs: Pairs, number: int, error: InputError) -> dict[str, Any]:
+    """What is said of a line that cannot be used."""
+    told = InputError(error.found, error.expected, line=number, column=error.column)
+    return {**identity(pairs), "line": number, "error": str(told)}
 
 
 def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
@@ -134,7 +161,8 @@ def _pair(cells: dict[str, Any], first: str, second: str) -> tuple[float, float]
     return (cells[first], cells[second]) if first in cells else None
 
 
-def _text(line: bytes) -> str:
+def text_of(line: bytes) -> str:
+    """A line as text; InputError if it is too long or none."""
     if len(line) > LONGEST_LINE:
         raise InputError(f"more than {LONGEST_LINE} bytes", "a shorter line")
     try:

@@ -16,6 +16,7 @@ from graphtrack.errors import NO_POSITION, InputError, SolveError
 if TYPE_CHECKING:
     from graphtrack.inference.online import OnlineEngine
     from graphtrack.model import Model
+    from graphtrack.table.rows import Rows
 
 
 def track(
@@ -23,7 +24,7 @@ def track(
         str,
         typer.Argument(help="File with tracks, or - for NDJSON rows on standard input.", show_default=False),
     ],
-    reading: options.CameraReading,
+    reading: options.SceneReading,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -71,7 +72,8 @@ def track(
     ] = 10.0,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone."""
-    from graphtrack.inference.online import OnlineSmoother, check_lag, online_engine, track_online
+    from graphtrack.inference.online import OnlineSmoother, check_lag, online_engine
+    from graphtrack.inference.recorded import track_online
     from graphtrack.io import write
     from graphtrack.model import Model
 
@@ -91,7 +93,13 @@ def track(
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
         raise InputError("--state with a file", "- as the input: only a stream can be gone on with")
-    tracks = reading.tracks([Path(input)])
+    rows, are_detections = reading.rows(Path(input))
+    if are_detections:
+        if reading.select:
+            raise InputError("--select", "identities to select by; these rows have none")
+        _track_detections(rows, output, chosen, engine, kept)
+        return
+    tracks = reading.tracks([Path(input)], rows)
     OnlineSmoother(chosen, engine=engine, lag=kept)  # the first one compiles
     start = time.perf_counter()
     found, unseen = [], []
@@ -120,6 +128,30 @@ def track(
         raise typer.Exit(BAD_INPUT)
 
 
+def _track_detections(
+    rows: Rows, output: Path, model: Model, engine: OnlineEngine, lag: float | None
+) -> None:
+    """Track the detections of a file online, and write what was said at once."""
+    from graphtrack.association.recorded import track_rows
+    from graphtrack.association.tracker import OnlineTracker
+    from graphtrack.cli.console import print_summary
+    from graphtrack.io import write
+
+    tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera)
+    start = time.perf_counter()
+    with progress_bar(len(rows), "detections") as advance:
+        tracks = track_rows(rows, tracker, advance)
+    seconds = time.perf_counter() - start
+    write(tracks, output)
+    print_summary(tracks, str(rows.path))
+    console.print(
+        f"tracked {len(tracks)} people, {tracks.n_frames} person-frames in {seconds:.1f} s "
+        f"({1e3 * seconds / len(rows):.2f} ms each); engine {engine}, model {model.preset}\n"
+        f"wrote {output}",
+        markup=False,
+    )
+
+
 def _seconds(lag: str) -> float | None:
     if lag.strip().lower() == "none":
         return None
@@ -129,7 +161,7 @@ def _seconds(lag: str) -> float | None:
         raise InputError(f"--lag {lag}", "a number of seconds, or none") from None
 
 
-_OF_A_STREAM = ("fps", "homography", "point_pairs_unit")
+_OF_A_STREAM = ("fps", "homography", "point_pairs_unit", "associate")
 
 
 def _refuse_with_stream(given: Mapping[str, object]) -> None:
@@ -142,7 +174,7 @@ def _track_stream(
     model: Model,
     engine: OnlineEngine,
     lag: float | None,
-    reading: options.CameraReading,
+    reading: options.SceneReading,
     state: Path | None,
     save_every: float,
 ) -> None:
@@ -162,6 +194,7 @@ def _track_stream(
         camera=camera,
         state=state,
         save_every=save_every,
+        associate=given.associate,
     )
     if wrong:
         console.print(f"error: {wrong} of {rows} rows could not be used", markup=False)

@@ -8,10 +8,10 @@ estimate uses only what came before it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -39,14 +39,12 @@ from graphtrack.inference.state import (
     unpack_state,
 )
 from graphtrack.inference.warm import SOLVER, online_rehearsal
-from graphtrack.io.given import tracks_of
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.observation import CHANNELS, observations, seconds_between
+from graphtrack.model.observation import CHANNELS, seconds_between
 from graphtrack.readiness import make_ready
-from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
-    from graphtrack.io.given import Given, Scene
+    pass
 
 OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
 ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")
@@ -181,6 +179,45 @@ class OnlineSmoother:
         if not steps or observation.t > steps[-1].observation.t:
             return self._append(observation)
         return self._work_in(observation)
+
+    def revise(self, since: float, observations: Sequence[Observation]) -> Estimate | None:
+        """Take back what was seen from a time on, and take in what is now thought to have been seen.
+
+        Parameters
+        ----------
+        since : seconds
+        observations : with positions, in order, from ``since`` on; all at once
+
+        Returns
+        -------
+        Estimate or None
+            At the latest time. None, and nothing has changed: the window holds nothing older to go on from.
+        """
+        window = self._smoother.window()
+        steps = [step for step in window.steps if step.observation.t < since]
+        if not steps:
+            return None
+        known = {step.observation.t: window.values[step.index] for step in window.steps}
+        values = {step.index: window.values[step.index] for step in steps}
+        for seen in map(self._on_the_ground, map(checked, observations)):
+            previous = steps[-1].alone()
+            dt = seconds_between(previous, seen)
+            steps.append(Step(self._next_index, seen, previous, dt, False, self.camera))
+            state = np.array(values[previous.index])
+            state[:2] += dt * state[2:4]
+            values[self._next_index] = known.get(seen.t, tuple(state.tolist()))
+            self._next_index += 1
+        latest = steps[-1].observation
+        try:
+            newest = self._smoother.rework(replace(window, steps=tuple(steps), values=values))
+        except _FAILURES as error:
+            return self._failed(latest, error)
+        return self._estimate(newest, latest, "late")
+
+    @property
+    def last(self) -> Estimate | None:
+        """The newest estimate; None before the first."""
+        return self._last
 
     @property
     def window(self) -> tuple[float, float] | None:
@@ -350,65 +387,3 @@ def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float
     state = a + share * (b - a)
     state[4:] = wrap(a[4:] + share * wrap(b[4:] - a[4:]))
     return tuple(state.tolist())
-
-
-@overload
-def track_online(
-    tracks: Track,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OnlineEngine = "auto",
-    lag: float | None = 2.0,
-    camera: GroundCamera | None = None,
-) -> Track: ...
-
-
-@overload
-def track_online(
-    tracks: Scene,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OnlineEngine = "auto",
-    lag: float | None = 2.0,
-    camera: GroundCamera | None = None,
-) -> TrackSet: ...
-
-
-def track_online(
-    tracks: Given,
-    model: Model | str | Path | None = None,
-    *,
-    engine: OnlineEngine = "auto",
-    lag: float | None = 2.0,
-    camera: GroundCamera | None = None,
-) -> TrackSet | Track:
-    """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.
-
-    Parameters
-    ----------
-    tracks : a `Track`, of which a `Track` comes out, or what `solve` takes, of which a `TrackSet` does
-    model, engine, lag : as in `OnlineSmoother`
-    camera : camera of the scene; by default that of the `TrackSet`
-    """
-    if not isinstance(tracks, Track):
-        scene, chosen = tracks_of(tracks), Model.named(model)
-        camera = scene.camera if camera is None else camera
-        return scene.map(lambda one: track_online(one, chosen, engine=engine, lag=lag, camera=camera))
-    smoother = OnlineSmoother(model, engine=engine, lag=lag, camera=camera)
-    return as_track(
-        tracks, [smoother.update(observation) for observation in observations(tracks)], smoother.model
-    )
-
-
-def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track:
-    """A track of online estimates, one for each frame of the recorded one."""
-    found = list(estimates)
-    return track.with_estimates(
-        position=np.array([e.position for e in found]),
-        velocity=np.array([e.velocity for e in found]),
-        body=np.array([e.body for e in found]) if model.has_body else None,
-        head=np.array([e.head for e in found]) if model.has_head else None,
-        covariance=np.array([e.covariance for e in found]),
-        aligned_p=np.array([e.aligned_p for e in found]) if model.has_modes else None,
-        gait_offset=np.array([e.gait_offset for e in found]) if model.has_modes else None,
-    )

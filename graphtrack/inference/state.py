@@ -188,7 +188,7 @@ def pack_state(state: SavedState) -> dict[str, Any]:
                 "starts": step.starts,
                 "dt": step.dt,
                 "values": _nulls(window.values[step.index]),
-                "observation": {k: v for k, v in vars(step.observation).items() if v is not None and v != {}},
+                "observation": pack_observation(step.observation),
             }
             for step in window.steps
         ],
@@ -203,7 +203,7 @@ def pack_state(state: SavedState) -> dict[str, Any]:
         },
         "anchor": None if window.anchor is None else _nulls(window.anchor),
         "modes": None if window.modes is None else window.modes.tolist(),
-        "arrays": {name: _to_text(values) for name, values in state.arrays.items()},
+        "arrays": {name: to_text(values) for name, values in state.arrays.items()},
         "last": None
         if last is None
         else {
@@ -214,6 +214,16 @@ def pack_state(state: SavedState) -> dict[str, Any]:
             "modes": _nulls((last.aligned_p, last.gait_offset)),
         },
     }
+
+
+def pack_observation(observation: Observation) -> dict[str, Any]:
+    """An observation as JSON-able data."""
+    return {name: value for name, value in vars(observation).items() if value is not None and value != {}}
+
+
+def unpack_observation(saved: Mapping[str, Any]) -> Observation:
+    """The inverse of `pack_observation`."""
+    return Observation(**{name: _tuples(value) for name, value in saved.items()})
 
 
 def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedState:
@@ -230,7 +240,7 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedSta
         return SavedState(
             str(state["engine"]),
             _window(state, camera),
-            {name: _from_text(text) for name, text in state["arrays"].items()},
+            {name: from_text(text) for name, text in state["arrays"].items()},
             None if state["last"] is None else _estimate(state["last"]),
             int(state["next_index"]),
         )
@@ -251,10 +261,8 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     steps: list[Step] = []
     values: dict[int, tuple[float, ...]] = {}
     for entry in state["steps"]:
-        seen = entry["observation"].items()
-        channels = {name: _tuples(value) for name, value in seen}
         previous = steps[-1].alone() if steps else None
-        observation = Observation(**channels)
+        observation = unpack_observation(entry["observation"])
         steps.append(Step(entry["index"], observation, previous, entry["dt"], entry["starts"], camera))
         x, y, vx, vy, body, head = _nans(entry["values"]).tolist()
         values[entry["index"]] = (x, y, vx, vy, body, head)
@@ -300,11 +308,13 @@ def _estimate(saved: dict[str, Any]) -> Estimate:
     )
 
 
-def _to_text(values: FloatArray) -> str:
+def to_text(values: FloatArray) -> str:
+    """An array of numbers as Base64 of their bytes; its shape is not in it."""
     return base64.b64encode(values.astype("<f8").tobytes()).decode()
 
 
-def _from_text(text: str) -> FloatArray:
+def from_text(text: str) -> FloatArray:
+    """The inverse of `to_text`, flat."""
     return np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8").astype(float)
 
 

@@ -64,10 +64,25 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
 
 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
-    rows = rows_of_file(path, format, options)
+    return tracks_of_rows(rows_of_file(path, format, options), options)
+
+
+def has_detections(rows: Rows, options: ReadOptions) -> bool:
+    """Whether it has to be found out whose the rows of a file are.
+
+    Raises
+    ------
+    InputError
+        If it has to, and is not allowed.
+    """
     if options.associate == "never":
         check_identities(rows)
-    if rows.has_identity and options.associate != "always":
+    return not rows.has_identity or options.associate == "always"
+
+
+def tracks_of_rows(rows: Rows, options: ReadOptions) -> TrackSet:
+    """The tracks of a file's rows, whose identities are found out where that is asked for."""
+    if not has_detections(rows, options):
         return with_speeds_checked(TrackSet.from_rows(rows), rows.path)
     from graphtrack.association.rows import with_every_frame, with_identities
 

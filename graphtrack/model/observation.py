@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -43,10 +44,21 @@ def observations(track: Track) -> Iterator[Observation]:
     """The observations of a track, frame by frame."""
     channels = {name: value for name in CHANNELS if (value := getattr(track, name)) is not None}
     for k in range(len(track)):
-        given: dict[str, Any] = _seen(channels, k)
-        if track.inputs:
-            given["inputs"] = _seen(track.inputs, k)
-        yield Observation(t=float(track.t[k]), frame=int(track.frame[k]), **given)
+        yield observation_at(k, float(track.t[k]), int(track.frame[k]), channels, track.inputs)
+
+
+def observation_at(
+    k: int,
+    t: float,
+    frame: int,
+    channels: Mapping[str, FloatArray],
+    inputs: Mapping[str, FloatArray] = MappingProxyType({}),
+) -> Observation:
+    """What row k of some channels says, (n, …) each; NaN is a missing value."""
+    given: dict[str, Any] = _seen(channels, k)
+    if inputs:
+        given["inputs"] = _seen(inputs, k)
+    return Observation(t=t, frame=frame, **given)
 
 
 def _seen(channels: Mapping[str, FloatArray], k: int) -> dict[str, Any]:

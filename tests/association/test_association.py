@@ -12,7 +12,8 @@ import pytest
 import graphtrack as gt
 from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import GATE, Scene, missed
-from graphtrack.association.offline import associate_detections, match
+from graphtrack.association.moves import match
+from graphtrack.association.offline import associate_detections
 from graphtrack.association.scene import SceneParameters
 
 

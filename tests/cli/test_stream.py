@@ -141,7 +141,7 @@ def test_identities_that_doubles_cannot_tell_apart_stay_apart_or_are_refused():
     people = People(smoother, 10.0)
     found = [people.answer(1, line.encode()) for line in lines]
     known = [one["track_id"] for one in found if "error" not in one]
-    assert len(known) == len(set(known)) == len(people.smoothers) >= 2
+    assert len(known) == len(set(known)) == len(people.members) >= 2
     assert all(str(one["track_id"]) in line for one, line in zip(found, lines, strict=True) if one in known)
     assert "error" in found[-1]
 

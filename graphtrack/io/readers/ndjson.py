@@ -9,7 +9,7 @@ import gzip
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -92,10 +92,15 @@ _WORD, _WORD_BEFORE = re.compile(r"[^\s,:\[\]{}]*"), re.compile(r"[^\s,:\[\]{}]*
 _KEY_BEFORE = re.compile(r'"([^"\\]{1,40})"\s*:\s*$')
 
 
-def read_cells(pairs: Pairs) -> dict[str, Any]:
+def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
     """Column of the native table → its value, checked; cells that are empty are left out.
 
     Identity and frame are int, the label is text, all others are float, in the units of the table.
+
+    Parameters
+    ----------
+    pairs : of a line
+    optional : of the identity and the frame those that may be missing
 
     Raises
     ------
@@ -108,7 +113,11 @@ def read_cells(pairs: Pairs) -> dict[str, Any]:
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"the key {_cut(repr(twice))} twice", "each key once")
-    cells: dict[str, Any] = {name: _whole(name, given.get(name)) for name in schema.INTEGERS}
+    cells: dict[str, Any] = {
+        name: _whole(name, given.get(name))
+        for name in schema.INTEGERS
+        if name not in optional or given.get(name) is not None
+    }
     for name, value in pairs:
         if value is None:
             continue
@@ -190,7 +199,8 @@ class _Row(NamedTuple):
 
     @property
     def place(self) -> tuple[int, int]:
-        return self.cells["track_id"], self.cells["frame"]
+        """Person and frame; a detection without identity has a place of its own."""
+        return self.cells.get("track_id", -self.line), self.cells["frame"]
 
 
 NOT_USED = "rows that 'track -' could not use"
@@ -205,8 +215,9 @@ def looks_like(head: bytes, path: Path) -> bool:
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read the native table from NDJSON, such as the answers of ``graphtrack track -``.
 
-    Of answers to one frame, as late and repeated rows bring them, the last one stands; rows with an ``error``
-    are left out. The summary counts both.
+    Lines with the key ``end``, which end a frame of a stream, are no rows. Of answers to one frame, as late
+    and repeated rows bring them, the last one stands; rows with an ``error`` are left out. The summary counts
+    both.
 
     Raises
     ------
@@ -222,10 +233,12 @@ def read(source: Source, options: ReadOptions) -> Rows:
         try:
             pairs = parse_line(text)
             given = dict(pairs)
+            if "end" in given:
+                continue
             if "error" in given:
                 errors += 1
                 continue
-            rows.append(_Row(number, read_cells(pairs), given.get("status")))
+            rows.append(_Row(number, read_cells(pairs, ["track_id"]), given.get("status")))
             if not given.keys() <= keys.keys():
                 keys |= dict.fromkeys(given)
         except InputError as error:
@@ -271,7 +284,7 @@ def _columns(rows: list[_Row], keys: Iterable[str]) -> dict[str, NDArray[Any]]:
     columns: dict[str, NDArray[Any]] = {}
     for name in keys:
         if name in schema.INTEGERS:
-            columns[name] = np.array([row.cells[name] for row in rows], dtype=np.int64)
+            columns[name] = np.array([row.cells.get(name, -1) for row in rows], dtype=np.int64)
         elif name == "label":
             columns[name] = np.array([row.cells.get(name) for row in rows], dtype=object)
         elif schema.numeric(name) is not None:

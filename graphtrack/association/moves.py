@@ -1,0 +1,142 @@
+"""Moves that better an explanation: tracks are cut and joined anew, a frame's detections matched anew."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from graphtrack.association.kernels import (
+    Chains,
+    IntArray,
+    Scene,
+    gains_of_detections,
+    gains_of_links,
+    refresh,
+)
+from graphtrack.geometry.angles import FloatArray
+
+
+class Moves:
+    """Chains of detections, in the order of time, and what changes them.
+
+    Attributes
+    ----------
+    chains : the tracks
+    packed : the scene's parameters
+    link_p : (n,) how probable the link to the one before was, among those that either could have had
+    """
+
+    def __init__(self, chains: Chains, packed: Scene) -> None:
+        self.chains, self.packed = chains, packed
+        self.link_p = np.ones(len(chains.t))
+
+    def move(self, first: int, end: int) -> int:
+        """Both moves at the frame of the detections ``first`` up to ``end``; how many links changed."""
+        changed = self._cut(first) + self._frame(first, end)
+        refresh(self.chains, first, end, self.packed)
+        return changed
+
+    def _window(self, first: int) -> tuple[int, int]:
+        t, gap = self.chains.t, self.packed.longest_gap
+        return int(np.searchsorted(t, t[first] - gap)), int(np.searchsorted(t, t[first] + gap, "right"))
+
+    def _ends(self, first: int) -> tuple[IntArray, IntArray]:
+        """Heads and tails of the tracks that are cut before detection ``first``."""
+        begin, end = self._window(first)
+        following, preceding = self.chains.following[begin:first], self.chains.preceding[first:end]
+        heads = begin + np.flatnonzero((following < 0) | (following >= first))
+        return heads, first + np.flatnonzero(preceding < first)
+
+    def _cut(self, first: int) -> int:
+        chains = self.chains
+        heads, tails = self._ends(first)
+        if not len(heads) or not len(tails):
+            return 0
+        gains = gains_of_links(chains, heads, tails, self.packed)
+        links = {(int(heads[i]), int(tails[j])) for i, j in match(gains)}
+        inside = {*tails.tolist()}
+        before = {(k, m) for k in heads.tolist() if (m := int(chains.following[k])) in inside}
+        if links != before:
+            for k, m in before:
+                chains.following[k] = chains.preceding[m] = -1
+            for k, m in links:
+                self._link(k, m)
+        self._note(gains, heads, tails)
+        return len(links ^ before)
+
+    def _frame(self, first: int, end: int) -> int:
+        """Match the detections of a frame anew to the tracks that span it."""
+        chains = self.chains
+        before = self._links_of(first, end)
+        heads, tails = self._spanning(first, end)
+        if not len(heads):
+            return 0
+        for k in range(first, end):
+            chains.following[k] = chains.preceding[k] = -1
+        for k, m in zip(heads.tolist(), tails.tolist(), strict=True):
+            if k >= 0:
+                chains.following[k] = m
+            if m >= 0:
+                chains.preceding[m] = k
+        found = np.arange(first, end)
+        for i, j in match(gains_of_detections(chains, heads, tails, found, self.packed)):
+            k, m, d = int(heads[i]), int(tails[i]), int(found[j])
+            if k >= 0:
+                self._link(k, d)
+            if m >= 0:
+                self._link(d, m)
+        return len(before ^ self._links_of(first, end))
+
+    def _spanning(self, first: int, end: int) -> tuple[IntArray, IntArray]:
+        """Head and tail of each track around a frame, without its detections; −1: none."""
+        heads, _ = self._ends(first)
+        _, last = self._window(first)
+        following = self.chains.following
+        tails = following[heads]
+        inside = (tails >= 0) & (tails < end)
+        tails = np.where(inside, following[np.where(inside, tails, 0)], tails)
+        before = self.chains.preceding[end:last]
+        starts = end + np.flatnonzero(before < 0)
+        # Tracks that begin in the frame go on after it.
+        own = np.arange(first, end)
+        begun = following[own][(self.chains.preceding[own] < 0) & (following[own] >= 0)]
+        only_tails = np.concatenate([starts, begun])
+        return (
+            np.concatenate([heads, np.full(len(only_tails), -1)]),
+            np.concatenate([tails, only_tails]),
+        )
+
+    def _links_of(self, first: int, end: int) -> set[tuple[int, int]]:
+        chains = self.chains
+        own = range(first, end)
+        back = {(int(chains.preceding[k]), k) for k in own if chains.preceding[k] >= 0}
+        return back | {(k, int(chains.following[k])) for k in own if chains.following[k] >= 0}
+
+    def _link(self, k: int, m: int) -> None:
+        self.chains.following[k], self.chains.preceding[m] = m, k
+
+    def _note(self, gains: FloatArray, heads: IntArray, tails: IntArray) -> None:
+        """How probable each link is among those that either end could have had, or none."""
+        place = {m: j for j, m in enumerate(tails.tolist())}
+        for i, k in enumerate(heads.tolist()):
+            j = place.get(int(self.chains.following[k]))
+            if j is not None:
+                rivals = np.concatenate([gains[i], np.delete(gains[:, j], i), [0.0]])
+                rivals = rivals[rivals > gains[i, j] - 50.0] - gains[i, j]
+                self.link_p[tails[j]] = 1.0 / np.exp(np.minimum(rivals, 50.0)).sum()
+
+
+def match(gains: FloatArray) -> list[tuple[int, int]]:
+    """The pairs whose gains are greatest in sum, each row and column once; none whose gain is not above 0."""
+    good = gains > 0.0
+    rows, columns = np.flatnonzero(good.any(axis=1)), np.flatnonzero(good.any(axis=0))
+    if not len(rows):
+        return []
+    inner = good[np.ix_(rows, columns)]
+    if len(rows) == len(columns) == inner.sum():
+        i, j = np.nonzero(inner)
+    else:
+        i, j = linear_sum_assignment(np.maximum(gains[np.ix_(rows, columns)], 0.0), maximize=True)
+        kept = inner[i, j]
+        i, j = i[kept], j[kept]
+    return list(zip(rows[i].tolist(), columns[j].tolist(), strict=True))

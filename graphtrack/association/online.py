@@ -1,0 +1,336 @@
+"""Who is who as detections come: said at once, and revised while what follows can still tell.
+
+The moves are those of a whole recording (`moves`), made in the newest frames alone. What lies further back is
+as it was decided; of it only the last detection of each track is kept, for it may be found again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.association import duplicates, learning
+from graphtrack.association.detections import Detections
+from graphtrack.association.history import NOBODY, History, packed, unpacked
+from graphtrack.association.kernels import Chains, IntArray, Scene, ending, refresh, unlinked
+from graphtrack.association.moves import Moves
+from graphtrack.association.scene import SceneParameters
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+
+REVISED_FRAMES = 8
+"""Frames in which decisions may change: as many detections as say whose they are."""
+
+
+@dataclass(frozen=True)
+class Revision:
+    """A detection that is now somebody else's than was said.
+
+    Attributes
+    ----------
+    t, frame, detection : which one: seconds, the number of its update, and its place therein
+    before, after : track ids; −1: nobody's
+    """
+
+    t: float
+    frame: int
+    detection: int
+    before: int
+    after: int
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What is said of a frame's detections, n of them.
+
+    Attributes
+    ----------
+    identity : (n,) track ids, from 1; −1: nobody's so far
+    probability : (n,) that each is of the same person as the track's detection before; 1 for a first one
+    revised : what was said of earlier ones, and no longer holds
+    """
+
+    identity: IntArray
+    probability: FloatArray
+    revised: tuple[Revision, ...]
+
+
+@dataclass
+class _Notes:
+    """What is known of the n detections beside their chains.
+
+    Attributes
+    ----------
+    std : metres that a detection says itself; NaN: it does not
+    place : of it in its update
+    said : track id that was last said of it
+    number : track id of the track that begins with it, once there is one
+    before : detections of its track that are forgotten by now
+    """
+
+    std: FloatArray
+    place: IntArray
+    said: IntArray
+    number: IntArray
+    before: IntArray
+
+    @classmethod
+    def of(cls, std: FloatArray) -> _Notes:
+        """Of the detections of a new frame."""
+        n = len(std)
+        nobody = np.full(n, NOBODY)
+        return cls(std, np.arange(n), nobody, nobody.copy(), np.zeros(n, np.int64))
+
+    def extended(self, new: _Notes) -> _Notes:
+        """With those of further detections."""
+        both = zip(vars(self).values(), vars(new).values(), strict=True)
+        return _Notes(*(np.concatenate(pair) for pair in both))
+
+    def of_some(self, some: IntArray) -> _Notes:
+        """Those of some detections."""
+        return _Notes(*(values[some] for values in vars(self).values()))
+
+
+class OnlineAssociation(Moves):
+    """Who is who, frame by frame.
+
+    Parameters
+    ----------
+    scene : how people come, go and are detected; None: it is learned from what is seen
+    lag : seconds within which decisions may be revised
+    """
+
+    def __init__(self, scene: SceneParameters | None = None, lag: float = 2.0) -> None:
+        if not lag > 0.0:
+            raise InputError(f"lag = {lag}", "a positive number of seconds")
+        self.given, self.lag = scene, lag
+        self.scene = SceneParameters() if scene is None else scene
+        empty, none = np.zeros(0), np.zeros(0, np.int64)
+        super().__init__(unlinked(empty, none, np.zeros((0, 2))), Scene(*self.scene.packed(1.0)))
+        self._notes = _Notes.of(empty)
+        self._first: list[int] = []  # detection of each frame that can be revised, oldest first
+        self._history = History()
+        self._next, self.updates, self._last = 1, 0, -np.inf
+        self._intervals: list[float] = []
+
+    @property
+    def step_seconds(self) -> float:
+        """Seconds from a frame to the next, as most were lately."""
+        return float(np.median(self._intervals)) if self._intervals else 1.0
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        scene = None if self.given is None else asdict(self.given)
+        return {
+            "given": scene,
+            "scene": asdict(self.scene),
+            "lag": self.lag if np.isfinite(self.lag) else None,
+            "chains": {name: packed(values) for name, values in self.chains._asdict().items()},
+            "link_p": packed(self.link_p),
+            "notes": {name: packed(values) for name, values in vars(self._notes).items()},
+            "first": self._first,
+            "history": self._history.state(),
+            "counts": [self._next, self.updates],
+            "last": self._last if self.updates else None,
+            "intervals": self._intervals,
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> OnlineAssociation:
+        """One that goes on where `state` was taken, to the last bit.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, InputError
+            If the state is damaged.
+        """
+        given = None if state["given"] is None else SceneParameters(**state["given"])
+        found = cls(given, np.inf if state["lag"] is None else state["lag"])
+        found.scene = SceneParameters(**state["scene"])
+        found.chains = Chains(**{name: unpacked(text) for name, text in state["chains"].items()})
+        found.link_p = unpacked(state["link_p"])
+        found._notes = _Notes(**{name: unpacked(text) for name, text in state["notes"].items()})
+        found._first, found._intervals = list(state["first"]), list(state["intervals"])
+        found._history = History.from_state(state["history"])
+        found._next, found.updates = state["counts"]
+        found._last = -np.inf if state["last"] is None else state["last"]
+        found.packed = Scene(*found.scene.packed(found.step_seconds))
+        return found
+
+    def open_detections(self) -> list[tuple[tuple[int, int], int]]:
+        """Those that can still be revised, oldest first: (update, place in it), and whose each one is."""
+        first = self._first[0] if self._first else len(self.chains.t)
+        frame, place, said = (
+            values[first:].tolist() for values in (self.chains.frame, self._notes.place, self._notes.said)
+        )
+        return list(zip(zip(frame, place, strict=True), said, strict=True))
+
+    def remembered(self) -> set[int]:
+        """The track ids of those who may be found again."""
+        return set(self._notes.said.tolist())
+
+    def update(self, t: float, position: FloatArray, std: FloatArray | None = None) -> Decision:
+        """Take in a frame's detections.
+
+        Parameters
+        ----------
+        t : seconds, after those of the update before
+        position : (n, 2) metres; n may be 0
+        std : (n,) metres, NaN where unknown
+
+        Raises
+        ------
+        InputError
+            If time does not increase, or a position is not finite. Nothing has changed then.
+        """
+        position = np.asarray(position, float).reshape(-1, 2)
+        self.check_time(t)
+        if not np.isfinite(position).all():
+            raise InputError("a detection without a position", "both of its coordinates")
+        n = len(position)
+        if self.updates:
+            self._intervals = [*self._intervals[-24:], t - self._last]
+        self._last = t
+        self._forget(t)
+        first = self._append(t, position, np.full(n, np.nan) if std is None else np.asarray(std, float))
+        self.updates += 1
+        self._learn()
+        self._prepare()
+        if n:
+            self.move(first, first + n)
+            self._weigh_duplicates()
+        ends = [*self._first[1:], len(self.chains.t)]
+        for begin, end in zip(self._first, ends, strict=True):
+            self.move(begin, end)
+        return self._decide(first)
+
+    def check_time(self, t: float) -> None:
+        """Raise InputError unless a frame may come at a time (seconds)."""
+        if not np.isfinite(t) or not t > self._last:
+            after = "a time in seconds" + (f" after {self._last:g}" if self.updates else "")
+            raise InputError(f"t = {t:g}", after)
+
+    # -- one step ------------------------------------------------------------------------------------------
+
+    def _append(self, t: float, position: FloatArray, std: FloatArray) -> int:
+        """Put a frame's detections behind the others; where they begin."""
+        chains, n, first = self.chains, len(position), len(self.chains.t)
+        new = unlinked(np.full(n, t), np.full(n, self.updates), position)
+        self.chains = Chains(*(np.concatenate(both) for both in zip(chains, new, strict=True)))
+        self.link_p = np.concatenate([self.link_p, np.ones(n)])
+        self._notes = self._notes.extended(_Notes.of(std))
+        if n:
+            self._first.append(first)
+        return first
+
+    def _forget(self, t: float) -> None:
+        """Decide for good what is too old to be revised; leave of it what may be found again."""
+        chains = self.chains
+        kept = [k for k in self._first if chains.t[k] >= t - self.lag][-(REVISED_FRAMES - 1) :]
+        settled = kept[0] if kept else len(chains.t)
+        open_before = self._first[0] if self._first else len(chains.t)
+        if settled == open_before:
+            return
+        root, alive = self._roots()
+        number, times = self._notes.number[root], self._times()
+        owner = np.where(alive[root], number, NOBODY)
+        self._history.add(chains, self._notes.std, owner, open_before, settled)
+        following = chains.following[:settled]
+        heads = (following < 0) | (following >= settled)
+        heads &= chains.t[:settled] >= t - self.scene.longest_gap
+        remain = np.concatenate([np.flatnonzero(heads), np.arange(settled, len(chains.t))])
+        # A track's number and length go on with what is left of it.
+        self._notes.number[:settled] = number[:settled]
+        self._notes.before[:settled] = times[:settled] - 1
+        self._notes = self._notes.of_some(remain)
+        place = np.full(len(chains.t) + 1, -1)
+        place[remain] = np.arange(len(remain))
+        self.chains = Chains(*(values[remain] for values in chains))
+        self.chains.following[:] = place[self.chains.following]
+        self.chains.preceding[:] = place[self.chains.preceding]
+        self.link_p = self.link_p[remain]
+        self._first = [int(place[k]) for k in kept]
+
+    def _prepare(self) -> None:
+        """Variances and gains of the frames that can be revised, and their tracks filtered anew."""
+        self.packed = Scene(*self.scene.packed(self.step_seconds))
+        chains = self.chains
+        if not self._first:
+            return
+        first = self._first[0]
+        std = self._notes.std[first:]
+        chains.variance[first:] = np.where(np.isnan(std), self.scene.position_std, std) ** 2
+        self._weigh_duplicates()
+
+    def _weigh_duplicates(self) -> None:
+        """What detections gain as a person's: less where they are near somebody who is detected already."""
+        chains, first = self.chains, self._first[0]
+        root, alive = self._roots()
+        track = np.where(alive[root], root, NOBODY)
+        times = np.zeros(len(root), np.int64)
+        np.maximum.at(times, root, self._times())
+        near = duplicates.density(
+            chains.frame[first:], chains.position[first:], track[first:], self.scene, times
+        )
+        false = self.scene.clutter_density + near
+        chains.gain[first:] = np.log(self.scene.detection_probability) - np.log(false)
+        refresh(chains, first, len(chains.t), self.packed)
+
+    def _times(self) -> IntArray:
+        """(n,) how many detections its track has up to each one."""
+        times = self._notes.before + 1
+        for k in np.flatnonzero(self.chains.preceding >= 0).tolist():
+            times[k] = times[self.chains.preceding[k]] + 1
+        return times
+
+    def _roots(self) -> tuple[IntArray, NDArray[np.bool_]]:
+        """(n,) where the track of each detection begins, and whether what begins there is somebody."""
+        preceding = self.chains.preceding
+        root = np.arange(len(preceding))
+        for k in np.flatnonzero(preceding >= 0).tolist():
+            root[k] = root[preceding[k]]
+        alive = np.zeros(len(root), bool)
+        for k in np.flatnonzero(self.chains.following < 0).tolist():
+            value = self.chains.total[k] + ending(self.chains, k, self.packed)
+            if value > 0.0:
+                alive[root[k]] = True
+        return root, alive
+
+    def _decide(self, first: int) -> Decision:
+        root, alive = self._roots()
+        for k in np.unique(root[first:]).tolist():
+            if alive[k] and self._notes.number[k] == NOBODY:
+                self._notes.number[k], self._next = self._next, self._next + 1
+        owner = np.where(alive[root], self._notes.number[root], NOBODY)
+        changed = np.flatnonzero(owner[:first] != self._notes.said[:first])
+        changed = changed[changed >= (self._first[0] if self._first else 0)]
+        chains = self.chains
+        revised = tuple(
+            Revision(
+                float(chains.t[k]),
+                int(chains.frame[k]),
+                int(self._notes.place[k]),
+                int(self._notes.said[k]),
+                int(owner[k]),
+            )
+            for k in changed.tolist()
+        )
+        self._notes.said = owner
+        sure = np.where(chains.preceding < 0, 1.0, self.link_p)
+        return Decision(owner[first:], sure[first:], revised)
+
+    # -- parameters ----------------------------------------------------------------------------------------
+
+    def _learn(self) -> None:
+        """From what was decided, as it grows; from how much is seen before that."""
+        chains, history = self.chains, self._history
+        if self.given is not None or not len(chains.t):
+            return
+        if history.is_due():
+            self.scene = history.learned(self.scene, self.step_seconds)
+        elif not history.times:
+            self.scene = learning.first_guess(Detections(chains.frame, chains.t, chains.position))

@@ -1,0 +1,55 @@
+"""Recorded detections online: who was who, and where, as it was said at each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from graphtrack.association.rows import NOWHERE
+from graphtrack.association.tracker import OnlineTracker, PersonEstimate
+from graphtrack.bounds import INPUT
+from graphtrack.inference.recorded import as_track
+from graphtrack.model.observation import CHANNELS, observation_at
+from graphtrack.table.rows import Rows
+from graphtrack.tracks import TrackSet
+
+UNSAID = "of whom nothing was said at once"
+
+
+def track_rows(
+    rows: Rows, tracker: OnlineTracker, advance: Callable[[int], None] = lambda rows: None
+) -> TrackSet:
+    """Give a tracker the detections of a file, frame by frame; what it said of them.
+
+    Parameters
+    ----------
+    rows : on the ground, with times; their own identities do not matter
+    tracker : that has seen nothing yet
+    advance : is told of detections that were taken in
+    """
+    rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
+    channels = {name: values for name, values in rows.channels.items() if name in CHANNELS}
+    given = [name for name in rows.channels if name.startswith(INPUT)]
+    inputs = {name.removeprefix(INPUT): rows.channels[name] for name in given}
+    times = rows.channels["t"]
+    order = np.lexsort((np.arange(len(rows)), times))
+    starts = np.flatnonzero(np.diff(times[order], prepend=-np.inf))
+    identity, probability = np.full(len(rows), -1), np.full(len(rows), np.nan)
+    told: dict[int, list[PersonEstimate]] = {}
+    revised = 0
+    for frame in np.split(order, starts[1:]):
+        places, t = frame.tolist(), float(times[frame[0]])
+        seen = [observation_at(k, t, int(rows.frame[k]), channels, inputs) for k in places]
+        for person in tracker.update(t, seen):
+            row = places[person.detection]
+            identity[row], probability[row] = person.track_id, person.identity_p
+            told.setdefault(person.track_id, []).append(person)
+        revised += len(tracker.revised)
+        advance(len(places))
+    note = f"associated {len(rows)} detections online: {len(told)} people; {revised} taken back later"
+    rows = replace(rows, track_id=identity, has_identity=True, labels={})
+    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
+    tracks = TrackSet.from_rows(rows.keep(identity > 0, UNSAID).with_notes(note))
+    return tracks.map(lambda one: as_track(one, told[one.track_id], tracker.model))

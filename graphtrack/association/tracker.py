@@ -1,0 +1,242 @@
+"""`OnlineTracker`: a frame's detections in, an estimate of everybody out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from graphtrack.association.online import Decision, OnlineAssociation, Revision
+from graphtrack.association.scene import SceneParameters
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.online import OnlineEngine, OnlineSmoother
+from graphtrack.inference.state import DAMAGES, Estimate, damaged, pack_observation, unpack_observation
+from graphtrack.model import Model, Observation
+
+Key = tuple[int, int]
+"""The number of an update, and the place of a detection in it."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PersonEstimate(Estimate):
+    """What is known of one person of many.
+
+    Attributes
+    ----------
+    track_id : of the person, from 1
+    detection : place of the person's detection among those given; −1: not seen in this frame
+    identity_p : probability that the detection is of whom the track had before
+    """
+
+    track_id: int = 0
+    detection: int = -1
+    identity_p: float = math.nan
+
+    @property
+    def observed(self) -> bool:
+        """Whether the person was seen in this frame."""
+        return self.detection >= 0
+
+
+class OnlineTracker:
+    """Track everybody in a scene online, from detections that do not say of whom they are.
+
+    Who is who is said at once; while later detections can tell better, it is revised, and the estimates with
+    it. New people are told once they are more probable than false detections.
+
+    Parameters
+    ----------
+    model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
+    scene : how people come, go and are detected; None: it is learned from what is seen
+
+    Attributes
+    ----------
+    revised : what the last update took back of what was said before
+
+    Examples
+    --------
+    >>> tracker = OnlineTracker("joint")
+    >>> for k in range(4):
+    ...     people = tracker.update(0.4 * k, [(0.5 * k, 0.0), (3.0 - 0.5 * k, 4.0)])
+    >>> [(person.track_id, person.detection) for person in people]
+    [(1, 0), (2, 1)]
+    """
+
+    def __init__(
+        self,
+        model: Model | str | Path | None = None,
+        *,
+        scene: SceneParameters | None = None,
+        engine: OnlineEngine = "auto",
+        lag: float | None = 2.0,
+        camera: GroundCamera | None = None,
+    ) -> None:
+        self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
+        self.model, self._camera = Model.named(model), camera
+        self._smoother()  # checks the options, and compiles what there is to compile
+        self._association = OnlineAssociation(scene, math.inf if lag is None else lag)
+        self._people: dict[int, _Person] = {}
+        self._seen: dict[Key, Observation] = {}
+        self.revised: tuple[Revision, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"OnlineTracker(model {self.model}, {len(self._people)} people, {self._association!r})"
+
+    @property
+    def scene(self) -> SceneParameters:
+        """How people come, go and are detected, as it is known by now."""
+        return self._association.scene
+
+    def update(
+        self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]
+    ) -> list[PersonEstimate]:
+        """Take in a frame's detections; what is known of the people seen in it, in the order of track ids.
+
+        Parameters
+        ----------
+        t : seconds, after those of the update before; any step
+        detections : observations, whose own times do not matter, or positions (n, 2) in metres; none is fine
+
+        Raises
+        ------
+        InputError
+            If time does not increase or a detection has no position. Nothing has changed then.
+        """
+        seen = [self.on_the_ground(one, t) for one in detections]
+        position = np.array([one.position for one in seen], float).reshape(-1, 2)
+        std = [math.nan if one.position_std is None else one.position_std for one in seen]
+        # Nobody knows better how noisy they are than who saw them follow each other.
+        seen = [replace(one, position_std=one.position_std or self.scene.position_std) for one in seen]
+        association = self._association
+        decision = association.update(t, position, np.array(std))
+        number = association.updates - 1
+        self._seen |= {(number, place): one for place, one in enumerate(seen)}
+        owners = association.open_detections()
+        self._seen = {key: self._seen[key] for key, _ in owners}
+        self.revised = decision.revised
+        self._follow(owners)
+        return self._told(decision)
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        people = [
+            {"track_id": track_id, "smoother": person.smoother.state(), "keys": person.keys}
+            for track_id, person in self._people.items()
+        ]
+        seen = [[*key, pack_observation(one)] for key, one in self._seen.items()]
+        return {"association": self._association.state(), "people": people, "seen": seen}
+
+    @classmethod
+    def from_state(
+        cls, state: Mapping[str, Any], model: Model | str | Path | None = None, **options: Any
+    ) -> OnlineTracker:
+        """A tracker that goes on where `state` was taken, given the same model and options.
+
+        Raises
+        ------
+        InputError
+            If the state is damaged, or of a model with other terms.
+        """
+        tracker = cls(model, **options)
+        try:
+            tracker._association = OnlineAssociation.from_state(state["association"])
+            tracker._seen = {(k, place): unpack_observation(one) for k, place, one in state["seen"]}
+            for saved in state["people"]:
+                smoother = OnlineSmoother.from_state(saved["smoother"], tracker.model, **tracker._options)
+                keys = [(k, place) for k, place in saved["keys"]]
+                tracker._people[saved["track_id"]] = _Person(smoother, smoother.last, keys)
+        except DAMAGES as error:
+            raise damaged(error) from error
+        return tracker
+
+    @property
+    def updates(self) -> int:
+        """Frames that were taken in."""
+        return self._association.updates
+
+    def check_time(self, t: float) -> None:
+        """Raise InputError unless a frame may come at a time (seconds)."""
+        self._association.check_time(t)
+
+    def _follow(self, owners: list[tuple[Key, int]]) -> None:
+        """Have every person's smoother see the detections that are the person's by now."""
+        of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
+        for key, track_id in owners:
+            if track_id > 0:
+                of_person.setdefault(track_id, []).append(key)
+        settled = owners[0][0][0] if owners else self._association.updates
+        living = self._association.remembered()
+        for track_id, keys in of_person.items():
+            person = self._people.get(track_id)
+            if person is None:
+                person = self._people[track_id] = _Person(self._smoother())
+            person.keys = [key for key in person.keys if key[0] >= settled]
+            self._feed(person, keys)
+            if not keys and track_id not in living:
+                del self._people[track_id]
+
+    def _feed(self, person: _Person, keys: list[Key]) -> None:
+        same = 0
+        while same < min(len(keys), len(person.keys)) and keys[same] == person.keys[same]:
+            same += 1
+        new = [self._seen[key] for key in keys[same:]]
+        if same < len(person.keys):
+            since = min(self._time(key) for key in (person.keys[same], *keys[same : same + 1]))
+            person.estimate = person.smoother.revise(since, new)
+            if person.estimate is None:
+                person.smoother = self._smoother()
+        if same == len(person.keys) or person.estimate is None:
+            again = new if same == len(person.keys) else [self._seen[key] for key in keys]
+            for one in again:
+                person.estimate = person.smoother.update(one)
+        person.keys = keys
+
+    def _time(self, key: Key) -> float:
+        return self._seen[key].t
+
+    def _told(self, decision: Decision) -> list[PersonEstimate]:
+        found = []
+        for place in np.argsort(decision.identity, kind="stable").tolist():
+            track_id = int(decision.identity[place])
+            estimate = self._people[track_id].estimate if track_id > 0 else None
+            if estimate is not None:
+                own = {one.name: getattr(estimate, one.name) for one in fields(Estimate)}
+                sure = float(decision.probability[place])
+                found.append(PersonEstimate(**own, track_id=track_id, detection=place, identity_p=sure))
+        return found
+
+    def _smoother(self) -> OnlineSmoother:
+        return OnlineSmoother(self.model, **self._options)
+
+    def on_the_ground(self, detection: Any, t: float) -> Observation:
+        """A detection as an observation at the time, with the camera's position where it has none.
+
+        Raises
+        ------
+        InputError
+            If it has none at all.
+        """
+        if not isinstance(detection, Observation):
+            x, y = (float(value) for value in detection)
+            return Observation(t=t, position=(x, y))
+        if detection.position is None and detection.pixel is not None and self._camera is not None:
+            x, y = self._camera.image_to_ground(np.array(detection.pixel)).tolist()
+            detection = replace(detection, position=(x, y))
+        if detection.position is None:
+            raise InputError("a detection without a position", "x and y in metres, or u, v and a camera")
+        return replace(detection, t=t)
+
+
+@dataclass
+class _Person:
+    """A person's smoother, and which of the detections that can still be revised it has seen."""
+
+    smoother: OnlineSmoother
+    estimate: Estimate | None = None
+    keys: list[Key] = field(default_factory=list)
