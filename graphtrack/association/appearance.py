@@ -126,12 +126,23 @@ class AppearanceModel:
         InputError
             For descriptors of another size.
         """
-        a, b = np.asarray(first, float), np.asarray(second, float)
-        k = len(self.whitening)
-        for values in (a, b):
-            if values.shape[-1:] != (k,):
-                raise InputError(f"descriptors of shape {values.shape}", f"shape (..., {k})")
-        square = np.sum((a @ self.whitening - b @ self.whitening) ** 2, axis=-1)
+        return self.of_squares(np.sum((self.whitened(first) - self.whitened(second)) ** 2, axis=-1))
+
+    def whitened(self, descriptors: ArrayLike) -> FloatArray:
+        """Descriptors (..., k) whose squared Euclidean distances are those of `of_squares`.
+
+        Raises
+        ------
+        InputError
+            For descriptors of another size.
+        """
+        values, k = np.asarray(descriptors, float), len(self.whitening)
+        if values.shape[-1:] != (k,):
+            raise InputError(f"descriptors of shape {values.shape}", f"shape (..., {k})")
+        return np.asarray(values @ self.whitening, float)
+
+    def of_squares(self, square: FloatArray) -> FloatArray:
+        """Log likelihood ratio (...) of squared distances (...) after whitening; 0 where one is NaN."""
         missing = np.isnan(square)
         score = self.offset - self.slope * np.log(np.maximum(np.where(missing, 1.0, square), _LEAST))
         sure, unsure = np.log1p(-self.outlier), np.log(self.outlier)

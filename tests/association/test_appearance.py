@@ -125,6 +125,12 @@ def test_arrays_broadcast() -> None:
     table = model.log_ratio(values[:, None], values[None, :])
     assert table.shape == (4, 4)
     assert table[1, 2] == model.log_ratio(values[1], values[2])
+    square = np.sum((model.whitened(values[1]) - model.whitened(values[2])) ** 2)
+    assert (
+        table[1, 2]
+        == model.of_squares(square)
+        == pytest.approx(np.log(0.98 / square + 0.02) - np.log(0.98 + 0.02 / square))
+    )
 
 
 @pytest.mark.parametrize(
