@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from graphtrack.association.scene import SceneParameters
+    from graphtrack.association.tracker import OnlineTracker, PersonEstimate
     from graphtrack.association.tracks import associate
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
@@ -40,7 +41,9 @@ __all__ = [
     "Model",
     "Observation",
     "OnlineSmoother",
+    "OnlineTracker",
     "Parameters",
+    "PersonEstimate",
     "ReadOptions",
     "ReadSummary",
     "SceneParameters",
@@ -68,6 +71,7 @@ __all__ = [
 
 _HOMES = {
     "association.scene": ("SceneParameters",),
+    "association.tracker": ("OnlineTracker", "PersonEstimate"),
     "association.tracks": ("associate",),
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),

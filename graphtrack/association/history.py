@@ -16,10 +16,10 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.state import from_text, to_text
 
 NOBODY = -1
-LEARNED_AT = (50, 200, 800)
+LEARNED_AT = (50, 200, 800, 3200, 12800)
 """Detections after which the scene's parameters are learned; then after as many more as the last."""
 
-REMEMBERED = 1600
+REMEMBERED = 3200
 """Detections, decided upon, that parameters are learned from."""
 
 

@@ -100,15 +100,42 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
 
 
 @compiled
-def is_near(chains: Chains, k: int, m: int, scene: Scene) -> bool:
-    """Whether somebody filtered at detection k may be at detection m."""
-    dt, state = chains.t[m] - chains.t[k], chains.state[k]
-    if dt > scene.longest_gap or dt <= 0.0:
-        return False
-    spread = state[4] + 2.0 * dt * state[5] + dt * dt * state[6] + scene.density * dt**3 / 3.0
-    off_x = chains.position[m, 0] - state[0] - dt * state[2]
-    off_y = chains.position[m, 1] - state[1] - dt * state[3]
-    return off_x * off_x + off_y * off_y < GATE * GATE * (spread + chains.variance[m])
+def is_within(
+    off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, density: float
+) -> bool:
+    """Whether a detection so far from where somebody would be by then can be theirs.
+
+    Parameters
+    ----------
+    off_x, off_y : metres from the predicted place
+    dt : seconds since p, pv and v were the person's covariance on each axis
+    variance : of the detection, m²
+    density : of white-noise acceleration
+    """
+    spread = p + 2.0 * dt * pv + dt * dt * v + density * dt**3 / 3.0 + variance
+    return off_x * off_x + off_y * off_y < GATE * GATE * spread
+
+
+@compiled
+def near_ones(
+    chains: Chains, state: FloatArray, t: float, others: IntArray, scene: Scene, found: IntArray
+) -> int:
+    """Put into ``found`` the places in ``others`` of detections that somebody may be at; how many they are.
+
+    One call for many: what a problem's arrays cost when they are handed on is more than the question.
+    """
+    count = 0
+    for j in range(len(others)):
+        m = others[j]
+        dt = chains.t[m] - t
+        if dt <= 0.0 or dt > scene.longest_gap:
+            continue
+        off_x = chains.position[m, 0] - state[0] - dt * state[2]
+        off_y = chains.position[m, 1] - state[1] - dt * state[3]
+        if is_within(off_x, off_y, dt, state[4], state[5], state[6], chains.variance[m], scene.density):
+            found[count] = j
+            count += 1
+    return count
 
 
 @compiled
@@ -150,17 +177,19 @@ def born(chains: Chains, k: int, scene: Scene) -> float:
 def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scene) -> FloatArray:
     """How much evidence (heads, tails) each link of a track's head to a tail brings over none."""
     gains, state = np.full((len(heads), len(tails)), NOTHING), np.empty(7)
-    alone = np.empty(len(tails))
+    alone, near = np.empty(len(tails)), np.empty(len(tails), np.int64)
     for j in range(len(tails)):
         alone[j] = born(chains, tails[j], scene)
     for i in range(len(heads)):
         k = heads[i]
+        count = near_ones(chains, chains.state[k], chains.t[k], tails, scene, near)
+        if not count:
+            continue
         ended = max(0.0, chains.total[k] + ending(chains, k, scene))
-        for j in range(len(tails)):
+        for j in near[:count]:
             m = tails[j]
-            if is_near(chains, k, m, scene):
-                linked = chains.total[k] + follow(chains, chains.state[k], k, m, scene, state)
-                gains[i, j] = linked + run_on(chains, state, m, scene) - ended - alone[j]
+            linked = chains.total[k] + follow(chains, chains.state[k], k, m, scene, state)
+            gains[i, j] = linked + run_on(chains, state, m, scene) - ended - alone[j]
     return gains
 
 
@@ -175,29 +204,38 @@ def gains_of_detections(
     heads, tails : (tracks,) the last detection before the frame and the first after it, linked; −1: none
     detections : of the frame, linked to nothing
     """
-    gains, state = np.full((len(heads), len(detections)), NOTHING), np.empty(7)
+    gains, state, here = np.full((len(heads), len(detections)), NOTHING), np.empty(7), np.empty(7)
+    alone, near, next_one = np.empty(len(detections)), np.arange(len(detections)), np.empty(1, np.int64)
+    is_next = np.empty(1, np.int64)
     for j in range(len(detections)):
         d = detections[j]
-        alone = max(0.0, begin(chains, d, scene, state) + ending(chains, d, scene))
-        for i in range(len(heads)):
-            k, m = heads[i], tails[i]
+        alone[j] = max(0.0, begin(chains, d, scene, state) + ending(chains, d, scene))
+    for i in range(len(heads)):
+        k, m = heads[i], tails[i]
+        without, is_known = 0.0, False
+        count = len(detections)
+        if k >= 0:
+            count = near_ones(chains, chains.state[k], chains.t[k], detections, scene, near)
+        else:
+            near[:] = np.arange(count)
+        next_one[0] = m
+        for j in near[:count]:
+            d = detections[j]
             if k >= 0:
-                if not is_near(chains, k, d, scene):
-                    continue
-                value = chains.total[k] + follow(chains, chains.state[k], k, d, scene, state)
-                without = state_after(chains, k, scene)
+                value = chains.total[k] + follow(chains, chains.state[k], k, d, scene, here)
             else:
-                value = begin(chains, d, scene, state)
-                without = born(chains, m, scene)
+                value = begin(chains, d, scene, here)
             if m >= 0:
-                if chains.t[m] - chains.t[d] > scene.longest_gap:
+                if not near_ones(chains, here, chains.t[d], next_one, scene, is_next):
                     continue
-                here = state.copy()
                 value += follow(chains, here, d, m, scene, state)
                 value += run_on(chains, state, m, scene)
             else:
                 value += ending(chains, d, scene)
-            gains[i, j] = value - without - alone
+            if not is_known:
+                without = state_after(chains, k, scene) if k >= 0 else born(chains, m, scene)
+                is_known = True
+            gains[i, j] = value - without - alone[j]
     return gains
 
 
@@ -235,3 +273,40 @@ def innovations(chains: Chains, scene: Scene) -> tuple[float, int]:
         total += density - chains.gain[m] - missed(chains.frame[m] - chains.frame[k] - 1, scene)
         count += 1
     return total, count
+
+
+@compiled
+def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: FloatArray) -> None:
+    """How probable the link of each head to its tail is among all that either could have, or none.
+
+    Parameters
+    ----------
+    gains : (heads, tails) as of `gains_of_links`
+    tail_of : (heads,) the column of each head's tail; −1: it has none
+    probability : (tails,) is set where there is a link
+    """
+    for i in range(len(tail_of)):
+        j = tail_of[i]
+        if j < 0:
+            continue
+        own = gains[i, j]
+        total = 1.0 + math.exp(min(-own, 50.0))
+        for other in range(gains.shape[1]):
+            if other != j and gains[i, other] > own - 50.0:
+                total += math.exp(min(gains[i, other] - own, 50.0))
+        for other in range(gains.shape[0]):
+            if other != i and gains[other, j] > own - 50.0:
+                total += math.exp(min(gains[other, j] - own, 50.0))
+        probability[j] = 1.0 / total
+
+
+@compiled
+def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> None:
+    """Where the track of each detection begins (n,), and for each beginning what the track is worth."""
+    for k in range(len(root)):
+        before = chains.preceding[k]
+        root[k] = k if before < 0 else root[before]
+        value[k] = -math.inf
+    for k in range(len(root)):
+        if chains.following[k] < 0:
+            value[root[k]] = chains.total[k] + ending(chains, k, scene)

@@ -13,6 +13,9 @@ from graphtrack.association.kernels import Chains, Scene, innovations
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 
+_EDGE = 3
+"""Frames at either end of a recording in which somebody may have been missed who was there."""
+
 _PRIOR = 2.0
 """Events that the first guess counts for."""
 
@@ -75,6 +78,14 @@ def learned(
         hide = float(np.clip((share.sum() + 0.01 * _PRIOR) / (seen + _PRIOR), 1e-5, 0.3))
         hidden = float(np.clip(((share * some).sum() * seconds + 2.0) / (share.sum() + 1.0), 0.2, 20.0))
     in_view = (seen + gaps.sum()) * seconds
+    known = identity >= 0
+    first, last = np.full(people, frames), np.zeros(people, np.int64)
+    np.minimum.at(first, identity[known], chains.frame[known])
+    np.maximum.at(last, identity[known], chains.frame[known])
+    # Who is there at the beginning was not born then, and who is there at the end has not left.
+    edge = min(_EDGE, int(frames) // 4)
+    born, left = int((first > edge).sum()), int((last < frames - 1 - edge).sum())
+    open_seconds = (frames - edge) * seconds
     density, std = _motion(chains, scene, seconds, known_std)
     return replace(
         scene,
@@ -83,10 +94,15 @@ def learned(
         detection_probability=miss,
         occlusion_probability=hide,
         occlusion_seconds=hidden,
-        clutter_density=float(np.clip(((identity < 0).sum() + 0.5) / (square * frames), 1e-9, 100.0)),
-        birth_density=float(np.clip((people + 0.5) / (square * frames * seconds), 1e-9, 100.0)),
-        death_rate=float(np.clip((people + 0.5) / (in_view + 5.0), 1e-6, 10.0)),
+        clutter_density=_rate((identity < 0).sum(), square * frames, scene.clutter_density, 1e-9, 100.0),
+        birth_density=_rate(born, square * open_seconds, scene.birth_density, 1e-9, 100.0),
+        death_rate=_rate(left, in_view, scene.death_rate, 1e-6, 10.0),
     )
+
+
+def _rate(events: int, exposure: float, before: float, low: float, high: float) -> float:
+    """Events per exposure, with `_PRIOR` events at the rate of before: none so far does not mean never."""
+    return float(np.clip((events + _PRIOR) / (exposure + _PRIOR / before), low, high))
 
 
 def _motion(

@@ -11,7 +11,9 @@ from graphtrack.association.kernels import (
     Scene,
     gains_of_detections,
     gains_of_links,
+    probabilities_of_links,
     refresh,
+    roots,
 )
 from graphtrack.geometry.angles import FloatArray
 
@@ -117,13 +119,20 @@ class Moves:
 
     def _note(self, gains: FloatArray, heads: IntArray, tails: IntArray) -> None:
         """How probable each link is among those that either end could have had, or none."""
-        place = {m: j for j, m in enumerate(tails.tolist())}
-        for i, k in enumerate(heads.tolist()):
-            j = place.get(int(self.chains.following[k]))
-            if j is not None:
-                rivals = np.concatenate([gains[i], np.delete(gains[:, j], i), [0.0]])
-                rivals = rivals[rivals > gains[i, j] - 50.0] - gains[i, j]
-                self.link_p[tails[j]] = 1.0 / np.exp(np.minimum(rivals, 50.0)).sum()
+        place = np.full(len(self.chains.t) + 1, -1)
+        place[tails] = np.arange(len(tails))
+        sure = self.link_p[tails]
+        probabilities_of_links(gains, place[self.chains.following[heads]], sure)
+        self.link_p[tails] = sure
+
+    def roots(self) -> tuple[IntArray, FloatArray]:
+        """(n,) where the track of each detection begins, and at each beginning what the track is worth.
+
+        That is the log of how much more probable it is than false detections; −inf where none begins.
+        """
+        root, value = np.empty(len(self.chains.t), np.int64), np.empty(len(self.chains.t))
+        roots(self.chains, self.packed, root, value)
+        return root, value
 
 
 def match(gains: FloatArray) -> list[tuple[int, int]]:

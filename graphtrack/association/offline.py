@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.association import duplicates, learning
 from graphtrack.association.detections import Detections
-from graphtrack.association.kernels import Scene, ending, refresh, unlinked
+from graphtrack.association.kernels import Scene, refresh, unlinked
 from graphtrack.association.moves import Moves
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
@@ -116,14 +116,7 @@ class _Search(Moves):
 
     def identities(self) -> NDArray[np.int64]:
         """(n,) number of each detection's track; −1: it is more probably of false ones."""
-        preceding, following = self.chains.preceding, self.chains.following
-        root = np.arange(len(preceding))
-        for k in range(len(root)):
-            if preceding[k] >= 0:
-                root[k] = root[preceding[k]]
-        value = np.full(len(root), -np.inf)
-        for k in np.flatnonzero(following < 0).tolist():
-            value[root[k]] = self.chains.total[k] + ending(self.chains, k, self.packed)
+        root, value = self.roots()
         alive = value[root] > 0.0
         numbers = np.full(len(root), -1)
         roots = np.unique(root[alive])
@@ -136,6 +129,5 @@ class _Search(Moves):
 
     def evidence(self) -> float:
         """The sum over the tracks that are kept."""
-        ends = np.flatnonzero(self.chains.following < 0).tolist()
-        values = [self.chains.total[k] + ending(self.chains, k, self.packed) for k in ends]
-        return float(sum(value for value in values if value > 0.0))
+        _, value = self.roots()
+        return float(value[value > 0.0].sum())

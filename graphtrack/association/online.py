@@ -11,12 +11,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from graphtrack.association import duplicates, learning
 from graphtrack.association.detections import Detections
 from graphtrack.association.history import NOBODY, History, packed, unpacked
-from graphtrack.association.kernels import Chains, IntArray, Scene, ending, refresh, unlinked
+from graphtrack.association.kernels import Chains, IntArray, Scene, missed, refresh, unlinked
 from graphtrack.association.moves import Moves
 from graphtrack.association.scene import SceneParameters
 from graphtrack.errors import InputError
@@ -24,6 +23,10 @@ from graphtrack.geometry.angles import FloatArray
 
 REVISED_FRAMES = 8
 """Frames in which decisions may change: as many detections as say whose they are."""
+
+AGES = {0.1: tuple(range(REVISED_FRAMES - 1, -1, -1)), 0.0: (7, 3, 1, 0)}
+"""Seconds between frames, at least → how many frames ago those are that are decided anew. Where frames follow
+each other fast some are enough: all others will be as old, or were."""
 
 
 @dataclass(frozen=True)
@@ -169,6 +172,19 @@ class OnlineAssociation(Moves):
         )
         return list(zip(zip(frame, place, strict=True), said, strict=True))
 
+    def hidden(self) -> list[int]:
+        """Track ids of those who were not seen in the newest frame, and rather were missed than left."""
+        chains, now = self.chains, self.updates - 1
+        root, value = self.roots()
+        found = []
+        for k in np.flatnonzero((chains.following < 0) & (chains.frame < now)).tolist():
+            number = int(self._notes.number[root[k]])
+            unseen = int(now - chains.frame[k])
+            stays = missed(unseen, self.packed) > self.packed.log_death
+            if number != NOBODY and value[root[k]] > 0.0 and stays:
+                found.append(number)
+        return sorted(found)
+
     def remembered(self) -> set[int]:
         """The track ids of those who may be found again."""
         return set(self._notes.said.tolist())
@@ -204,8 +220,12 @@ class OnlineAssociation(Moves):
             self.move(first, first + n)
             self._weigh_duplicates()
         ends = [*self._first[1:], len(self.chains.t)]
-        for begin, end in zip(self._first, ends, strict=True):
-            self.move(begin, end)
+        ages = next(some for least, some in AGES.items() if self.step_seconds >= least)
+        for age in ages:
+            if age < len(ends):
+                begin, end = self._first[-1 - age], ends[-1 - age]
+                self.move(begin, end)
+                refresh(self.chains, end, len(self.chains.t), self.packed)
         return self._decide(first)
 
     def check_time(self, t: float) -> None:
@@ -235,13 +255,15 @@ class OnlineAssociation(Moves):
         open_before = self._first[0] if self._first else len(chains.t)
         if settled == open_before:
             return
-        root, alive = self._roots()
+        root, value = self.roots()
         number, times = self._notes.number[root], self._times()
-        owner = np.where(alive[root], number, NOBODY)
+        owner = np.where(value[root] > 0.0, number, NOBODY)
         self._history.add(chains, self._notes.std, owner, open_before, settled)
         following = chains.following[:settled]
         heads = (following < 0) | (following >= settled)
         heads &= chains.t[:settled] >= t - self.scene.longest_gap
+        # Nobody who is not believed by now will be found again after a gap.
+        heads &= (value[root[:settled]] > 0.0) | (following >= settled)
         remain = np.concatenate([np.flatnonzero(heads), np.arange(settled, len(chains.t))])
         # A track's number and length go on with what is left of it.
         self._notes.number[:settled] = number[:settled]
@@ -269,8 +291,8 @@ class OnlineAssociation(Moves):
     def _weigh_duplicates(self) -> None:
         """What detections gain as a person's: less where they are near somebody who is detected already."""
         chains, first = self.chains, self._first[0]
-        root, alive = self._roots()
-        track = np.where(alive[root], root, NOBODY)
+        root, value = self.roots()
+        track = np.where(value[root] > 0.0, root, NOBODY)
         times = np.zeros(len(root), np.int64)
         np.maximum.at(times, root, self._times())
         near = duplicates.density(
@@ -287,25 +309,12 @@ class OnlineAssociation(Moves):
             times[k] = times[self.chains.preceding[k]] + 1
         return times
 
-    def _roots(self) -> tuple[IntArray, NDArray[np.bool_]]:
-        """(n,) where the track of each detection begins, and whether what begins there is somebody."""
-        preceding = self.chains.preceding
-        root = np.arange(len(preceding))
-        for k in np.flatnonzero(preceding >= 0).tolist():
-            root[k] = root[preceding[k]]
-        alive = np.zeros(len(root), bool)
-        for k in np.flatnonzero(self.chains.following < 0).tolist():
-            value = self.chains.total[k] + ending(self.chains, k, self.packed)
-            if value > 0.0:
-                alive[root[k]] = True
-        return root, alive
-
     def _decide(self, first: int) -> Decision:
-        root, alive = self._roots()
+        root, value = self.roots()
         for k in np.unique(root[first:]).tolist():
-            if alive[k] and self._notes.number[k] == NOBODY:
+            if value[k] > 0.0 and self._notes.number[k] == NOBODY:
                 self._notes.number[k], self._next = self._next, self._next + 1
-        owner = np.where(alive[root], self._notes.number[root], NOBODY)
+        owner = np.where(value[root] > 0.0, self._notes.number[root], NOBODY)
         changed = np.flatnonzero(owner[:first] != self._notes.said[:first])
         changed = changed[changed >= (self._first[0] if self._first else 0)]
         chains = self.chains

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.association.rows import NOWHERE
+from graphtrack.association.rows import NOWHERE, with_rows
 from graphtrack.association.tracker import OnlineTracker, PersonEstimate
 from graphtrack.bounds import INPUT
 from graphtrack.inference.recorded import as_track
 from graphtrack.model.observation import CHANNELS, observation_at
 from graphtrack.table.rows import Rows
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import Track, TrackSet
 
 UNSAID = "of whom nothing was said at once"
 
@@ -37,19 +37,25 @@ def track_rows(
     order = np.lexsort((np.arange(len(rows)), times))
     starts = np.flatnonzero(np.diff(times[order], prepend=-np.inf))
     identity, probability = np.full(len(rows), -1), np.full(len(rows), np.nan)
-    told: dict[int, list[PersonEstimate]] = {}
+    told: dict[int, list[tuple[int, PersonEstimate]]] = {}
     revised = 0
-    for frame in np.split(order, starts[1:]):
-        places, t = frame.tolist(), float(times[frame[0]])
-        seen = [observation_at(k, t, int(rows.frame[k]), channels, inputs) for k in places]
+    for group in np.split(order, starts[1:]):
+        places, t, frame = group.tolist(), float(times[group[0]]), int(rows.frame[group[0]])
+        seen = [observation_at(k, t, frame, channels, inputs) for k in places]
         for person in tracker.update(t, seen):
-            row = places[person.detection]
-            identity[row], probability[row] = person.track_id, person.identity_p
-            told.setdefault(person.track_id, []).append(person)
+            told.setdefault(person.track_id, []).append((frame, person))
+            if person.observed:
+                row = places[person.detection]
+                identity[row], probability[row] = person.track_id, person.identity_p
         revised += len(tracker.revised)
         advance(len(places))
     note = f"associated {len(rows)} detections online: {len(told)} people; {revised} taken back later"
     rows = replace(rows, track_id=identity, has_identity=True, labels={})
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
     tracks = TrackSet.from_rows(rows.keep(identity > 0, UNSAID).with_notes(note))
-    return tracks.map(lambda one: as_track(one, told[one.track_id], tracker.model))
+    return tracks.map(lambda one: _estimated(one, told[one.track_id], tracker))
+
+
+def _estimated(track: Track, told: list[tuple[int, PersonEstimate]], tracker: OnlineTracker) -> Track:
+    frame, t = np.array([frame for frame, _ in told]), np.array([person.t for _, person in told])
+    return as_track(with_rows(track, frame, t), [person for _, person in told], tracker.model)

@@ -66,6 +66,18 @@ def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest:
     between = [np.arange(a, b, step) for a, b in gaps]
     inside = [frames[(frames > a) & (frames < b)] for a, b in gaps if b - a > step]
     frame = np.unique(np.concatenate([track.frame, *inside, *between]))
+    times = np.interp(frame, frames, t)
+    return with_rows(track, frame, times)
+
+
+def with_rows(track: Track, frame: np.ndarray, t: FloatArray) -> Track:
+    """A track with a row for each of some frames, its own among them; nothing was observed in the others.
+
+    Parameters
+    ----------
+    track : of observations
+    frame, t : (n,) frames in order, and their times in seconds
+    """
     if len(frame) == len(track):
         return track
     place = np.searchsorted(frame, track.frame)
@@ -74,8 +86,7 @@ def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest:
         if isinstance(values, np.ndarray) and name != "frame":
             channels[name] = np.full((len(frame), *values.shape[1:]), np.nan)
             channels[name][place] = values
-    channels["t"] = np.interp(frame, frames, t)
-    channels["t"][place] = track.t
+    channels["t"] = np.where(np.isin(frame, track.frame), channels["t"], t)
     observed = np.zeros(len(frame))
     observed[place] = 1.0
     channels["observed"] = observed

@@ -22,6 +22,9 @@ from graphtrack.model import Model, Observation
 Key = tuple[int, int]
 """The number of an update, and the place of a detection in it."""
 
+UNSEEN = -1
+"""The place of what was not detected."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PersonEstimate(Estimate):
@@ -96,7 +99,9 @@ class OnlineTracker:
     def update(
         self, t: float, detections: Sequence[Observation] | FloatArray | Sequence[Sequence[float]]
     ) -> list[PersonEstimate]:
-        """Take in a frame's detections; what is known of the people seen in it, in the order of track ids.
+        """Take in a frame's detections; what is known of everybody who is there, in the order of track ids.
+
+        Those are told, too, who were not seen and more probably were missed than left.
 
         Parameters
         ----------
@@ -117,11 +122,14 @@ class OnlineTracker:
         decision = association.update(t, position, np.array(std))
         number = association.updates - 1
         self._seen |= {(number, place): one for place, one in enumerate(seen)}
-        owners = association.open_detections()
-        self._seen = {key: self._seen[key] for key, _ in owners}
+        owners, hidden = association.open_detections(), association.hidden()
+        # Who is hidden sees an empty frame, in which the model predicts.
+        self._seen[number, UNSEEN] = Observation(t=t)
+        settled = owners[0][0][0] if owners else number
+        self._seen = {key: one for key, one in self._seen.items() if key[0] >= settled}
         self.revised = decision.revised
-        self._follow(owners)
-        return self._told(decision)
+        self._follow(owners, hidden, number, settled)
+        return self._told(decision, hidden)
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
@@ -164,21 +172,24 @@ class OnlineTracker:
         """Raise InputError unless a frame may come at a time (seconds)."""
         self._association.check_time(t)
 
-    def _follow(self, owners: list[tuple[Key, int]]) -> None:
+    def _follow(self, owners: list[tuple[Key, int]], hidden: list[int], number: int, settled: int) -> None:
         """Have every person's smoother see the detections that are the person's by now."""
         of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
         for key, track_id in owners:
             if track_id > 0:
                 of_person.setdefault(track_id, []).append(key)
-        settled = owners[0][0][0] if owners else self._association.updates
-        living = self._association.remembered()
+        hiding, living = set(hidden), self._association.remembered()
         for track_id, keys in of_person.items():
             person = self._people.get(track_id)
             if person is None:
                 person = self._people[track_id] = _Person(self._smoother())
             person.keys = [key for key in person.keys if key[0] >= settled]
-            self._feed(person, keys)
-            if not keys and track_id not in living:
+            if keys or track_id in living:
+                seen_in = {update for update, _ in keys}
+                unseen = [key for key in person.keys if key[1] == UNSEEN and key[0] not in seen_in]
+                unseen += [(number, UNSEEN)] if track_id in hiding else []
+                self._feed(person, sorted(keys + unseen))
+            else:
                 del self._people[track_id]
 
     def _feed(self, person: _Person, keys: list[Key]) -> None:
@@ -200,15 +211,17 @@ class OnlineTracker:
     def _time(self, key: Key) -> float:
         return self._seen[key].t
 
-    def _told(self, decision: Decision) -> list[PersonEstimate]:
+    def _told(self, decision: Decision, hidden: list[int]) -> list[PersonEstimate]:
+        told = {int(one): place for place, one in enumerate(decision.identity.tolist()) if one > 0}
         found = []
-        for place in np.argsort(decision.identity, kind="stable").tolist():
-            track_id = int(decision.identity[place])
-            estimate = self._people[track_id].estimate if track_id > 0 else None
-            if estimate is not None:
-                own = {one.name: getattr(estimate, one.name) for one in fields(Estimate)}
-                sure = float(decision.probability[place])
-                found.append(PersonEstimate(**own, track_id=track_id, detection=place, identity_p=sure))
+        for track_id in sorted({*told, *hidden}):
+            person = self._people.get(track_id)
+            if person is None or person.estimate is None or person.estimate.status == "waiting":
+                continue
+            own = {one.name: getattr(person.estimate, one.name) for one in fields(Estimate)}
+            place = told.get(track_id, UNSEEN)
+            sure = math.nan if place == UNSEEN else float(decision.probability[place])
+            found.append(PersonEstimate(**own, track_id=track_id, detection=place, identity_p=sure))
         return found
 
     def _smoother(self) -> OnlineSmoother:

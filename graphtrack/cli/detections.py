@@ -147,7 +147,8 @@ class Scenes:
         rows: list[dict[str, Any]] = []
         for person in people:
             row = estimate_row(person.track_id, person) | {"frame": number}
-            rows.append(of_stream | row | {"identity_p": person.identity_p, "observed": 1.0})
+            sure = person.identity_p if person.observed else None
+            rows.append(of_stream | row | {"identity_p": sure, "observed": float(person.observed)})
         counts = {"people": len(people), "detections": len(frame.seen)}
         revised = [asdict(one) for one in frame.tracker.revised]
         rows.append(of_stream | {"end": frame.t} | counts | ({"revised": revised} if revised else {}))

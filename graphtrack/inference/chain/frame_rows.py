@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -33,8 +34,7 @@ class FrameRows:
     rows: FloatArray
 
     def __init__(self, model: Model) -> None:
-        types = program_of(model).types
-        self._type, self._packer = types.frame, FramePacker(model.compiled_terms, types)
+        self._type, self._packer = program_of(model).types.frame, _packer_of(model)
         fields: Mapping[str, Any] = self._type.fields or {}
         self.place = {name: known[1] // 8 for name, known in fields.items()}
 
@@ -69,3 +69,9 @@ class FrameRows:
         if len(packed.head_heights):
             problem.head_heights[row] = packed.head_heights[0]
         return packed
+
+
+@lru_cache(16)
+def _packer_of(model: Model) -> FramePacker:
+    """One for all people who are tracked with a model: what one has seen, the others know."""
+    return FramePacker(model.compiled_terms, program_of(model).types)

@@ -180,7 +180,8 @@ class FramePacker:
         self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
     ) -> PackedTracks:
         """A frame of this kind, packed; what is `live` in it stands for any."""
-        seconds = 0.0 if dt is None else dt
+        # Times rarely lie a step apart to the last bit; the record gets its own dt where it counts.
+        seconds = 0.0 if dt is None else round(dt, 12)
         simple = seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None
         if not (simple and self._repeats) or seen.inputs:
             return self._packed(seen, seconds, starts, camera)

@@ -1,0 +1,168 @@
+"""Who is who online: said at once, revised, saved, and the estimates that follow."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from command import run as run_command
+from crossing_people import idf1, street
+
+import graphtrack as gt
+from graphtrack.association.detections import Detections
+from graphtrack.association.online import Decision, OnlineAssociation
+from graphtrack.association.scene import SceneParameters
+
+SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
+
+
+def frames_of(detections: Detections) -> list[np.ndarray]:
+    return [np.flatnonzero(detections.frame == frame) for frame in np.unique(detections.frame)]
+
+
+def run(
+    detections: Detections, association: OnlineAssociation | None = None
+) -> tuple[np.ndarray, np.ndarray, list[Decision]]:
+    """What was said at once of each detection, what was said of it last, and all decisions."""
+    association = OnlineAssociation() if association is None else association
+    once = np.full(len(detections), -1)
+    last, decisions, frames = once.copy(), [], frames_of(detections)
+    for places in frames:
+        found = association.update(float(detections.t[places[0]]), detections.position[places])
+        once[places] = last[places] = found.identity
+        for one in found.revised:
+            place = frames[one.frame][one.detection]
+            assert last[place] == one.before != one.after
+            last[place] = one.after
+        decisions.append(found)
+    return once, last, decisions
+
+
+def test_most_identities_are_right_at_once_and_more_after_revision() -> None:
+    once, last = [], []
+    for seed in range(3):
+        detections, whose = street(np.random.default_rng(seed), people=14, frames=80, miss=0.1, false=0.5)
+        at_once, revised, _ = run(detections)
+        once.append(idf1(at_once, whose))
+        last.append(idf1(revised, whose))
+    assert np.mean(once) > 0.75
+    assert np.mean(last) > max(0.9, np.mean(once))
+
+
+def test_nobody_is_twice_in_a_frame_and_the_future_changes_nothing_said() -> None:
+    detections, _ = street(np.random.default_rng(3), miss=0.1, false=1.0)
+    _, _, decisions = run(detections)
+    half = int(np.searchsorted(detections.frame, 30))
+    begun = Detections(detections.frame[:half], detections.t[:half], detections.position[:half])
+    for early, late in zip(run(begun)[2], decisions, strict=False):
+        np.testing.assert_array_equal(early.identity, late.identity)
+        known = late.identity[late.identity > 0]
+        assert len(np.unique(known)) == len(known)
+        assert ((late.probability > 0.0) & (late.probability <= 1.0)).all()
+
+
+def test_it_goes_on_from_a_saved_state_to_the_last_bit() -> None:
+    detections, _ = street(np.random.default_rng(4), people=10, frames=50, miss=0.1, false=1.0)
+    frames = frames_of(detections)
+    whole, resumed = OnlineAssociation(), OnlineAssociation()
+    for number, places in enumerate(frames):
+        given = float(detections.t[places[0]]), detections.position[places]
+        expected = whole.update(*given)
+        if number % 7 == 3:
+            resumed = OnlineAssociation.from_state(json.loads(json.dumps(resumed.state())))
+        found = resumed.update(*given)
+        np.testing.assert_array_equal(found.identity, expected.identity)
+        np.testing.assert_array_equal(found.probability, expected.probability)
+        assert found.revised == expected.revised
+    assert resumed.scene == whole.scene != SceneParameters()
+
+
+def test_empty_frames_and_changing_rates_are_fine_and_bad_ones_change_nothing() -> None:
+    tracker = gt.OnlineTracker("position", scene=SCENE)
+    t, told = 0.0, []
+    for k, dt in enumerate([0.4, 0.1, 0.04, 0.4, 1.0, 0.4, 0.4, 0.2]):
+        t += dt
+        told.append(tracker.update(t, [] if k == 5 else [(1.2 * t, 0.0)]))
+    assert {person.track_id for people in told[3:] for person in people} == {1}
+    before = json.dumps(tracker.state())
+    for wrong, expected in (((t, [(0.0, 0.0)]), "after"), ((np.nan, []), "seconds")):
+        with pytest.raises(gt.InputError, match=expected):
+            tracker.update(*wrong)
+    with pytest.raises(gt.InputError, match="without a position"):
+        tracker.update(t + 1.0, [gt.Observation(t=0.0, head=1.0)])
+    with pytest.raises(gt.InputError, match="position"):
+        tracker.update(t + 1.0, [(np.nan, 0.0)])
+    assert json.dumps(tracker.state()) == before
+    assert tracker.update(t + 0.4, [(1.2 * (t + 0.4), 0.0)])[0].observed
+
+
+def test_estimates_are_those_of_a_smoother_that_knew_who_is_who() -> None:
+    """Revised identities included: what is taken back leaves no trace."""
+    detections, _ = street(np.random.default_rng(5), people=6, frames=40, noise=0.05)
+    tracker = gt.OnlineTracker("position", scene=SCENE)
+    frames, owner = frames_of(detections), {}
+    told = []
+    for number, places in enumerate(frames):
+        told = tracker.update(float(detections.t[places[0]]), detections.position[places])
+        owner |= {(number, p): 0 for p in range(len(places))}
+        owner |= {(number, one.detection): one.track_id for one in told if one.observed}
+        owner |= {(one.frame, one.detection): one.after for one in tracker.revised}
+    seen_now = [one for one in told if one.observed]
+    assert seen_now
+    for person in seen_now:
+        smoother = gt.OnlineSmoother("position")
+        for (number, place), track_id in sorted(owner.items()):
+            if track_id == person.track_id:
+                k = frames[number][place]
+                position = tuple(detections.position[k].tolist())
+                t = float(detections.t[k])
+                expected = smoother.update(
+                    gt.Observation(t, position=position, position_std=SCENE.position_std)
+                )
+        np.testing.assert_allclose(person.position, expected.position, atol=0.02)
+        assert person.t == expected.t
+
+
+def test_who_is_missed_is_told_where_the_model_expects_them() -> None:
+    scene = SceneParameters(
+        detection_probability=0.7, death_rate=0.02, clutter_density=1e-3, position_std=0.05
+    )
+    tracker = gt.OnlineTracker("position", scene=scene)
+    for k in range(8):
+        people = tracker.update(0.4 * k, [(0.5 * k, 0.0)])
+    people = tracker.update(3.2, [(9.0, 9.0)])
+    walker = next(person for person in people if person.track_id == 1)
+    assert not walker.observed and np.isnan(walker.identity_p)
+    np.testing.assert_allclose(walker.position, (4.0, 0.0), atol=0.1)
+    for k in range(9, 30):
+        people = tracker.update(0.4 * k, [(9.0, 9.0)])
+    assert 1 not in [person.track_id for person in people]
+
+
+def test_what_is_forgotten_bounds_the_memory() -> None:
+    association = OnlineAssociation(SCENE)
+    rng, sizes = np.random.default_rng(6), []
+    for k in range(600):
+        association.update(0.1 * k, rng.uniform(-8.0, 8.0, (6, 2)))
+        sizes.append(len(association.chains.t))
+    assert max(sizes[300:]) <= max(sizes[:300]) + 6
+
+
+def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:
+    detections, _ = street(np.random.default_rng(7), people=8, frames=40)
+    x, y = detections.position.T
+    rows = zip(detections.frame, detections.t, x, y, strict=True)
+    source, target = tmp_path / "detections.csv", tmp_path / "online.csv"
+    lines = ["frame,t,x,y", *(f"{f},{t:.9g},{a:.9g},{b:.9g}" for f, t, a, b in rows)]
+    source.write_text("\n".join(lines) + "\n")
+    command = ("track", source, "-o", target, "--model", "position")
+    done = run_command(*command, program="graphtrack")
+    assert done.returncode == 0
+    assert f"associated {len(detections)} detections online" in done.stderr
+    tracks = gt.read(target)
+    assert 8 <= len(tracks) <= 12
+    assert all(track.identity_p is not None and track.observed is not None for track in tracks)
+    refused = run_command(*command, "--associate", "never", program="graphtrack")
+    assert refused.returncode == 2
+    assert "associate" in refused.stderr
