@@ -75,6 +75,7 @@ FIELDS: Mapping[str, Bounds] = {
     "head_kappa": CONCENTRATION,
     "body_likelihood": LIKELIHOOD,
     "head_likelihood": LIKELIHOOD,
+    "score": LIKELIHOOD,
     "velocity": METRES,
     "covariance": FINITE,
     "identity_p": Bounds(0.0, 1.0),
@@ -106,6 +107,9 @@ SHAPES: Mapping[str, tuple[int, ...]] = dict.fromkeys(FIELDS, ()) | {
 
 INPUT = "input_"
 """What the names of channels and columns begin with that are inputs of a track."""
+
+APPEARANCE = "appearance"
+"""The input that says what somebody looks like, of any size; its columns have no prefix."""
 
 
 def bounds_of(name: str) -> Bounds:

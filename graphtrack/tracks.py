@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.bounds import (
+    APPEARANCE,
     BODY_CLASSES,
     HEAD_CLASSES,
     INPUT,
@@ -33,6 +34,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.table.columns import rows_of_table, to_columns
 from graphtrack.table.rows import Rows, check_identities, in_order
 from graphtrack.table.speeds import with_speeds_checked
+from graphtrack.table.summary import ReadSummary
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,6 +64,7 @@ class Track:
     body_kappa, head_kappa : (n,) von Mises concentration of ``body`` and ``head``; NaN: the model's default
     body_likelihood : (n, 8), head_likelihood : (n, 12)
         Class likelihoods; class k is centred on 360·k/n degrees. A row is all finite or all NaN.
+    score : (n,) how sure the detector was, from 0 on; what it means is the detector's own
     identity_p : (n,) probability that this is whom the track had before, where identities were associated;
         NaN: not observed
     observed : (n,) 1 where the frame was observed, 0 where association left a gap
@@ -72,7 +75,8 @@ class Track:
     true_position, true_body, true_head : the truth, where it is known
     label : a name for people to read, such as the clip
     inputs : name → (n,) or (n, k) what else is known in each frame and a term of the model reads, such as a
-        group's centre or a distance; a row is all finite or all NaN. Estimates keep them.
+        group's centre or a distance; a row is all finite or all NaN. Estimates keep them, but for
+        ``appearance`` (n, k), what a detection looks like, with which identities are associated.
     """
 
     track_id: int
@@ -87,6 +91,7 @@ class Track:
     head_kappa: FloatArray | None = None
     body_likelihood: FloatArray | None = None
     head_likelihood: FloatArray | None = None
+    score: FloatArray | None = None
     identity_p: FloatArray | None = None
     observed: FloatArray | None = None
     velocity: FloatArray | None = None
@@ -198,7 +203,9 @@ class Track:
         aligned_p: FloatArray | None = None,
         gait_offset: FloatArray | None = None,
     ) -> Track:
-        """The track with estimates in place of its observations; its truth and label stay.
+        """The track with estimates in place of its observations; truth, label and inputs stay.
+
+        What somebody looked like does not: it is of no use once identities are known.
 
         The arrays must be as the attributes say: they are neither checked nor copied.
         """
@@ -212,7 +219,8 @@ class Track:
             "aligned_p": aligned_p,
             "gait_offset": gait_offset,
         }
-        return Track._trusted(self.track_id, self.frame, of_person | estimates, self.label, self.inputs)
+        inputs = {name: values for name, values in self.inputs.items() if name != APPEARANCE}
+        return Track._trusted(self.track_id, self.frame, of_person | estimates, self.label, inputs)
 
     def std(self, name: str) -> FloatArray | None:
         """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance.
@@ -233,45 +241,6 @@ class Track:
     def has_truth(self) -> bool:
         """Whether the true positions are known."""
         return self.true_position is not None and bool(np.isfinite(self.true_position).any())
-
-
-@dataclass(frozen=True)
-class ReadSummary:
-    """What became of the rows of the input. ``rows_read == rows_used + rows_refused``.
-
-    Attributes
-    ----------
-    refused : reason → number of rows that were left out for it
-    notes : what the reader assumed or repaired, one sentence each
-    """
-
-    format: str = "memory"
-    rows_read: int = 0
-    refused: Mapping[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-    @property
-    def rows_refused(self) -> int:
-        """Rows that were left out, whatever the reason."""
-        return sum(self.refused.values())
-
-    @property
-    def rows_used(self) -> int:
-        """Rows that stand in the tracks."""
-        return self.rows_read - self.rows_refused
-
-    def merged(self, other: ReadSummary) -> ReadSummary:
-        """The summary of both inputs together."""
-        refused = dict(self.refused)
-        for reason, count in other.refused.items():
-            refused[reason] = refused.get(reason, 0) + count
-        formats = dict.fromkeys([*self.format.split(" + "), *other.format.split(" + ")])
-        return ReadSummary(
-            format=" + ".join(formats),
-            rows_read=self.rows_read + other.rows_read,
-            refused=refused,
-            notes=self.notes + tuple(n for n in other.notes if n not in self.notes),
-        )
 
 
 @dataclass(frozen=True, eq=False)

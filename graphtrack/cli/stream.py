@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.bounds import INPUT
+from graphtrack.bounds import APPEARANCE, INPUT
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.inference.online import Estimate, OnlineSmoother
@@ -134,7 +134,7 @@ def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
 
 
 def _inputs(cells: dict[str, Any]) -> dict[str, float | tuple[float, ...]]:
-    given = [name for name in cells if name.startswith(INPUT)]
+    given = [name for name in cells if name.startswith((INPUT, APPEARANCE))]
     if not given:
         return {}
     numbers: dict[str, float] = {}
@@ -148,7 +148,7 @@ def _inputs(cells: dict[str, Any]) -> dict[str, float | tuple[float, ...]]:
         else:
             numbers[key] = cells[name]
         if key in numbers and key in arrays:
-            raise InputError(f"a key {INPUT}{key} beside {name}", "one of the two", column=name)
+            raise InputError(f"a key {name.removesuffix('_0')} beside {name}", "one of the two", column=name)
     return {**numbers, **arrays}
 
 

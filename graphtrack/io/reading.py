@@ -8,6 +8,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -15,8 +17,9 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import read_homography
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import detect, format_for_writing, format_named, formats
+from graphtrack.io.registry import Format, detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
+from graphtrack.table.columns import to_columns
 from graphtrack.table.rows import Rows, check_identities, check_rows
 from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
@@ -189,3 +192,31 @@ def write(
         tracks = replace(tracks, camera=GroundCamera.from_homography(matrix))
     with atomic_path(path) as temporary:
         chosen.write(tracks, temporary)
+
+
+def write_detections(tracks: TrackSet, path: str | Path) -> None:
+    """Write tracks as detections of nobody in particular: rows in the order of their frames, with the id −1.
+
+    Raises
+    ------
+    InputError
+        If the place cannot be written to, or its ending is of another format than the native table.
+    """
+    path = Path(path)
+    write_columns = format_of_detections(path).write_columns
+    assert write_columns is not None
+    columns = to_columns(tracks)
+    order = np.argsort(columns["frame"], kind="stable")
+    columns = {name: values[order] for name, values in columns.items() if name != "label"}
+    columns["track_id"] = np.full(len(order), -1)
+    with atomic_path(path) as temporary:
+        write_columns(columns, temporary)
+
+
+def format_of_detections(path: Path) -> Format:
+    """The format in which detections are written to a place, or an InputError as `write_detections` says."""
+    chosen = format_for_writing(path)
+    if chosen.write_columns is None:
+        endings = ", ".join(suffix for one in formats() if one.write_columns for suffix in one.suffixes)
+        raise InputError(f"detections without identities for {path.name}", f"a name that ends with {endings}")
+    return chosen

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from graphtrack.bounds import (
+    APPEARANCE,
     BODY_CLASSES,
     FIELDS,
     FINITE,
@@ -75,6 +76,7 @@ COLUMNS: tuple[Column, ...] = (
     _number("head_kappa", "head_kappa"),
     *_classes("body", "body_likelihood", BODY_CLASSES),
     *_classes("head", "head_likelihood", HEAD_CLASSES),
+    _number("score", "score"),
     _number("vx", "velocity", 0),
     _number("vy", "velocity", 1),
     _spread("x_std", "x"),
@@ -117,7 +119,9 @@ def unknown(names: Iterable[str]) -> list[str]:
     return [name for name in names if name not in _KNOWN and numeric(name) is None]
 
 
-_INPUT_COLUMN = re.compile(INPUT + r"([A-Za-z][A-Za-z0-9_]*?)(?:_(0|[1-9][0-9]{0,5}))?", re.ASCII)
+_INPUT_COLUMN = re.compile(
+    rf"({INPUT}[A-Za-z][A-Za-z0-9_]*?|{APPEARANCE})(?:_(0|[1-9][0-9]{{0,5}}))?", re.ASCII
+)
 _INPUT_NAME = re.compile(r"[A-Za-z](?!.*_[0-9]+$)[A-Za-z0-9_]*", re.ASCII)
 
 INPUT_NAME = "letters, digits and _, a letter first, and no number after the last _"
@@ -128,9 +132,17 @@ INPUT_NAME = "letters, digits and _, a letter first, and no number after the las
 def numeric(name: str) -> Column | None:
     """The column of numbers of that name, inputs among them; None if the table has none."""
     match = _INPUT_COLUMN.fullmatch(name)
-    if match is None or not is_input_name(match[1]):
+    if match is None:
         return BY_NAME.get(name)
-    return Column(name, INPUT + match[1], () if match[2] is None else (int(match[2]),), FINITE)
+    of_input = match[1].removeprefix(INPUT)
+    if not is_input_name(of_input) or _heading(INPUT + of_input) != match[1]:
+        return None
+    return Column(name, INPUT + of_input, () if match[2] is None else (int(match[2]),), FINITE)
+
+
+def _heading(field: str) -> str:
+    """What the columns of an input are called, but for their numbers."""
+    return APPEARANCE if field == INPUT + APPEARANCE else field
 
 
 def is_input_name(name: str) -> bool:
@@ -140,8 +152,9 @@ def is_input_name(name: str) -> bool:
 
 def input_columns(field: str, size: Sequence[int]) -> Iterator[Column]:
     """The columns of an input that has one number a frame (``size`` is empty) or ``size[0]`` of them."""
+    heading = _heading(field)
     for index in range(*size) if size else [None]:
-        column = numeric(field if index is None else f"{field}_{index}")
+        column = numeric(heading if index is None else f"{heading}_{index}")
         assert column is not None
         yield column
 
@@ -183,11 +196,11 @@ def together(names: Collection[str]) -> list[tuple[str, ...]]:
     for name in names:
         column = None if name in _OF_TABLE else numeric(name)
         if column is not None and column.index:
-            places.setdefault(column.field, set()).add(column.index[0])
-    for field, given in places.items():
+            places.setdefault(_heading(column.field), set()).add(column.index[0])
+    for heading, given in places.items():
         missing = next(k for k in range(len(given) + 1) if k not in given)
         wanted = given if missing > max(given) else given | {missing}
-        found.append(tuple(f"{field}_{k}" for k in sorted(wanted)))
+        found.append(tuple(f"{heading}_{k}" for k in sorted(wanted)))
     return found
 
 

@@ -52,7 +52,8 @@ def observe(
         Path | None,
         typer.Option(
             "--boxes",
-            help="MOT text or CAVIAR XML with people's boxes; without it they are detected.",
+            help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1; without it "
+            "people are detected.",
             **FILE,
         ),
     ] = None,
@@ -84,13 +85,25 @@ def observe(
             show_default=False,
         ),
     ] = None,
+    appearance: Annotated[
+        bool | None,
+        typer.Option(
+            "--appearance/--no-appearance",
+            help="Write what people look like (appearance_0 ...), by which they are told apart; on for boxes "
+            "without identities, else off.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Find people and say where they are and how their bodies and heads point, frame by frame.
+
+    Boxes without identities stand alone, and so are the rows of the table, whose ids are -1.
 
     A run that was broken off goes on where it was when it is called again in the same way.
     """
     from graphtrack.errors import InputError
     from graphtrack.io import write
+    from graphtrack.io.reading import format_of_detections, write_detections
     from perception.cli.observe_stream import observe_stream
     from perception.detection.boxes import read_boxes, write_boxes
     from perception.detection.people import Detections, PeopleTracker
@@ -132,23 +145,29 @@ def observe(
     )
     frames = FrameSource.open(source)
     rate = frame_rate(frames, fps)
+    refused: dict[str, None] = {}  # what cannot be decoded may be told twice
+    refuse = refused.setdefault
+    given = None if boxes is None else read_boxes(boxes, refuse)
+    identified = not given or given[0].identified
+    if not (identified or streamed):
+        format_of_detections(output)
     models = pipeline.Models(
         load_head_localiser(head_localiser_model),
         load_classifier("body_pose", body_pose_model),
         load_classifier(head_pose, head_pose_model),
+        appearance=not identified if appearance is None else appearance,
     )
     camera = read_camera(homography, calibration)
     if streamed:
-        observe_stream(frames, boxes, LiveObserver(models, camera, rate))
+        observer = LiveObserver(models, camera, rate, identified=identified)
+        observe_stream(frames, given, observer, refused)
         return
-    refused: dict[str, None] = {}  # what cannot be decoded may be told twice
-    refuse = refused.setdefault
     one_size = render is not None and is_video(render)
     detections = FrameJournal(
         found_so_far, _key(frames.stamp()), Detections.to_record, Detections.from_record
     )
-    if boxes is not None:
-        people = read_boxes(boxes, refuse)
+    if given is not None:
+        people = given
     else:
         people = _detect(
             frames, PeopleTracker(camera), detections, refuse, one_size=one_size, causal=bool(causal)
@@ -157,7 +176,7 @@ def observe(
             write_boxes(people, write_boxes_to)
     looked = time.perf_counter()
     own = [_stamp(path) for path in (head_pose_model, body_pose_model, head_localiser_model)]
-    key = _key(frames.stamp(), head_pose, own, people)
+    key = _key(frames.stamp(), head_pose, own, people, models.appearance)
     journal = FrameJournal(known_so_far, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record)
     journal.open()
     _say_how_far(journal)
@@ -178,18 +197,17 @@ def observe(
     if render is not None:
         _render(frames, observed, render, rate)
     tracks = observed.tracks
-    write(tracks, output)
+    (write if identified else write_detections)(tracks, output)
     journal.close(remove=True)
     detections.close(remove=True)
     print_skipped(list(refused))
     for reason, times in tracks.summary.refused.items():
         console.print(f"  refused {times}: {reason}", markup=False)
     print_camera_note(camera)
-    console.print(
-        f"observed {counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}; "
-        f"{in_time(count, seconds)}",
-        markup=False,
-    )
+    found = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
+    if not identified:
+        found = counted(tracks.n_frames, "detection")
+    console.print(f"observed {found}; {in_time(count, seconds)}", markup=False)
     print_written(output, render)
 
 

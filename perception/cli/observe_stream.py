@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from graphtrack.cli.live import give
 from perception.cli.common import print_camera_note, print_skipped
 
 if TYPE_CHECKING:
+    from perception.detection.boxes import PersonBox
     from perception.images.frames import FrameSource
     from perception.observe.live import LiveObserver
 
 
-def observe_stream(frames: FrameSource, boxes: Path | None, observer: LiveObserver) -> None:
-    """Give the rows of every frame as soon as it was looked at; what was left out is told in the end."""
-    from perception.detection.boxes import read_boxes
+def observe_stream(
+    frames: FrameSource, boxes: list[PersonBox] | None, observer: LiveObserver, refused: dict[str, None]
+) -> None:
+    """Give the rows of every frame as soon as it was looked at; what was left out is told in the end.
+
+    Parameters
+    ----------
+    boxes : of all frames; None: people are detected
+    refused : what was left out so far
+    """
     from perception.observe.live import detected_boxes, given_boxes, observe_live
 
-    refused: dict[str, None] = {}
     camera = observer.camera
-    find = detected_boxes(camera) if boxes is None else given_boxes(read_boxes(boxes, refused.setdefault))
+    find = detected_boxes(camera) if boxes is None else given_boxes(boxes)
     for row in observe_live(frames.where(lambda number: True), find, observer, refused.setdefault):
         give(row)
     print_skipped(list(refused))

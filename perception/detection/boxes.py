@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from graphtrack.io import atomic_path
 from graphtrack.io.readers import caviar, mot
 from graphtrack.io.source import Source
-from graphtrack.table.rows import check_identities, check_rows
+from graphtrack.table.rows import check_rows
 
 
 @dataclass(frozen=True)
@@ -23,16 +23,22 @@ class PersonBox:
     frame, track_id : whole numbers; ids from 0
     box : left, top, width, height in pixels
     confidence : of the detector
+    identified : False: nobody knows who it is, and the id is a number of its own
+    score : (detections without identities) the confidence as graphtrack reads it, from 0 on; None: not known
     """
 
     frame: int
     track_id: int
     box: tuple[float, float, float, float]
     confidence: float = 1.0
+    identified: bool = True
+    score: float | None = None
 
 
 def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: None) -> list[PersonBox]:
     """Boxes of a MOT file or of CAVIAR's ground truth, in their order.
+
+    Where all ids are −1, as those of detections, each box is numbered, from 1 on.
 
     Rows that the file itself says to leave out (marked to be ignored, of other classes than pedestrians), and
     those without a box, are counted to ``refuse``.
@@ -40,23 +46,25 @@ def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: 
     Raises
     ------
     InputError
-        With line and column of the first cell that cannot be used, such as a box of zero size or an id of
-        −1; and with the line of a person's second box in a frame.
+        With line and column of the first cell that cannot be used, such as a box of zero size or an id of −1
+        beside others; and with the line of a person's second box in a frame.
     """
     source = Source.open(path)
     of_caviar = caviar.looks_like(source.head, source.path)
     rows = caviar.read_boxes(source) if of_caviar else mot.read_boxes(source)
-    check_identities(rows)
     rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
+    if not rows.has_identity:
+        rows = replace(mot.with_scores(rows), track_id=np.arange(1, len(rows) + 1))
     check_rows(rows)
     for reason, count in rows.refused.items():
         refuse(f"{source.path}: {count} {reason}")
     boxes = rows.channels["box"].tolist()
     sure = rows.channels.get("confidence", np.ones(len(rows))).tolist()
+    scores = rows.channels["score"].tolist() if "score" in rows.channels else [None] * len(rows)
     return [
-        PersonBox(frame, track_id, (left, top, width, height), confidence)
-        for frame, track_id, (left, top, width, height), confidence in zip(
-            rows.frame.tolist(), rows.track_id.tolist(), boxes, sure, strict=True
+        PersonBox(frame, track_id, (left, top, width, height), confidence, rows.has_identity, score)
+        for frame, track_id, (left, top, width, height), confidence, score in zip(
+            rows.frame.tolist(), rows.track_id.tolist(), boxes, sure, scores, strict=True
         )
     ]
 

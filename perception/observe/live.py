@@ -16,13 +16,14 @@ from perception.images.frames import Frame
 from perception.images.pixels import Image
 from perception.observe.pipeline import (
     Models,
-    SeenPerson,
     in_heights,
     is_on_ground,
     observe_frame,
     scaled_camera,
     to_track,
 )
+from perception.observe.seen import SeenPerson
+from perception.pose.features.appearance import Projection
 from perception.pose.head_path import HeadPath
 
 Finder = Callable[[int, Image], list[PersonBox]]
@@ -38,11 +39,15 @@ class LiveObserver:
     camera : the ground plane; without it a scale, by which the median box of the first frame with people is
         as high as a person
     fps : frames a second
+    identified : False: the boxes have no identities, and stand alone
     """
 
-    def __init__(self, models: Models, camera: GroundCamera | None, fps: float) -> None:
-        self.models, self.camera, self.fps = models, camera, fps
+    def __init__(
+        self, models: Models, camera: GroundCamera | None, fps: float, *, identified: bool = True
+    ) -> None:
+        self.models, self.camera, self.fps, self.identified = models, camera, fps, identified
         self._paths: dict[int, HeadPath] = {}
+        self._projection = Projection.fixed()
 
     def rows(
         self, image: Image, frame: int, boxes: Iterable[PersonBox], refuse: Callable[[str], object]
@@ -65,10 +70,12 @@ class LiveObserver:
         if not is_on_ground(item, self.camera):
             refuse(f"frame {item.frame}, track {item.track_id}: feet beyond the horizon")
             return None
-        path = self._paths.setdefault(item.track_id, HeadPath())
+        path = self._paths.setdefault(item.track_id, HeadPath()) if self.identified else HeadPath()
         head = np.array([path.update(in_heights(item))])
-        track = to_track([item], head, self.models.head_pose.classes, self.camera, self.fps)
-        return {name: values[0].item() for name, values in to_columns(TrackSet((track,))).items()}
+        classes = self.models.head_pose.classes
+        track = to_track([item], head, classes, self.camera, self.fps, projection=self._projection)
+        row = {name: values[0].item() for name, values in to_columns(TrackSet((track,))).items()}
+        return row if self.identified else row | {"track_id": -1}
 
 
 def observe_live(

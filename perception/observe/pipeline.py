@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from graphtrack.bounds import APPEARANCE
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
@@ -18,8 +18,10 @@ from perception.detection.boxes import PersonBox, foot_point
 from perception.images.frames import Frame
 from perception.images.pixels import Image, checked_box, crop
 from perception.observe.journal import FrameJournal
+from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import Classifier
+from perception.pose.features.appearance import LENGTH, Projection, describe, light_of
 from perception.pose.head_path import select_along_track, select_so_far
 from perception.pose.heads import HeadCandidates, HeadLocaliser
 
@@ -28,77 +30,12 @@ _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES
 
 @dataclass(frozen=True)
 class Models:
-    """What looks at a person: head localiser, body pose and head pose."""
+    """What looks at a person: head localiser, body pose and head pose; whether looks are described too."""
 
     head_localiser: HeadLocaliser
     body_pose: Classifier
     head_pose: Classifier
-
-
-@dataclass(eq=False)
-class SeenPerson:
-    """What the models say of one person in one frame.
-
-    Attributes
-    ----------
-    box : left, top, width, height of the person in pixels
-    body : (8,) log likelihoods of the body's classes, image frame
-    heads : candidates of the head's box, in the crop of the person
-    pan : (candidates, n_pan) log likelihoods of the head's pan for each, image frame
-    """
-
-    frame: int
-    track_id: int
-    box: tuple[float, float, float, float]
-    body: FloatArray
-    heads: HeadCandidates
-    pan: FloatArray
-
-    @property
-    def height(self) -> float:
-        """Of the box, in pixels."""
-        return self.box[3]
-
-    def to_record(self) -> dict[str, Any]:
-        """As JSON knows it."""
-        return {
-            "frame": self.frame,
-            "track_id": self.track_id,
-            "box": list(self.box),
-            "body": self.body.tolist(),
-            "boxes": self.heads.boxes.tolist(),
-            "scores": self.heads.scores.tolist(),
-            "pan": self.pan.tolist(),
-        }
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> SeenPerson:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        left, top, width, height = (float(value) for value in values["box"])
-        boxes, scores, pan = (np.array(values[name], float) for name in ("boxes", "scores", "pan"))
-        body, n = np.array(values["body"], float), len(scores)
-        if boxes.shape != (n, 4) or pan.shape[:1] != (n,) or pan.ndim != 2 or body.shape != (BODY_CLASSES,):
-            raise ValueError("arrays of other shapes")
-        person = int(values["frame"]), int(values["track_id"])
-        return cls(*person, (left, top, width, height), body, HeadCandidates(boxes, scores), pan)
-
-
-@dataclass(frozen=True, eq=False)
-class SeenFrame:
-    """The people of one frame, and why other boxes hold nobody."""
-
-    people: list[SeenPerson]
-    refused: list[str]
-
-    def to_record(self) -> dict[str, Any]:
-        """As JSON knows it."""
-        return {"people": [person.to_record() for person in self.people], "refused": self.refused}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> SeenFrame:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        people = [SeenPerson.from_record(person) for person in values["people"]]
-        return cls(people, [str(reason) for reason in values["refused"]])
+    appearance: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,13 +60,14 @@ def observe_frame(
     """What the models say of the people of one frame; ``refuse`` is told of boxes that hold nothing."""
     seen: list[SeenPerson] = []
     people: list[tuple[PersonBox, Image]] = []
+    light = light_of(image) if models.appearance else None
     for item in _usable(image, frame, boxes, refuse):
         people.append((item, crop(image, item.box)))
         # However many people there are, their pictures take no more memory than a few of the whole image.
         if sum(picture.size for _, picture in people) > image.size:
-            seen += _look(people, models)
+            seen += _look(people, models, light)
             people = []
-    return seen + _look(people, models)
+    return seen + _look(people, models, light)
 
 
 def _usable(
@@ -140,13 +78,15 @@ def _usable(
         try:
             checked_box(item.box, image.shape)
         except InputError as error:
-            refuse(f"frame {frame}, track {item.track_id}: {error}")
+            refuse(f"frame {frame}, {'track' if item.identified else 'box'} {item.track_id}: {error}")
         else:
             yield item
 
 
-def _look(people: list[tuple[PersonBox, Image]], models: Models) -> list[SeenPerson]:
-    """What the models say of people and the pictures of their boxes."""
+def _look(
+    people: list[tuple[PersonBox, Image]], models: Models, light: FloatArray | None
+) -> list[SeenPerson]:
+    """What the models say of people and the pictures of their boxes; given the light, their looks too."""
     if not people:
         return []
     body = models.body_pose.log_likelihoods([picture for _, picture in people])
@@ -157,13 +97,15 @@ def _look(people: list[tuple[PersonBox, Image]], models: Models) -> list[SeenPer
         for box in found.boxes
     ]
     pan = models.head_pose.classes.pan_log_likelihood(models.head_pose.log_likelihoods(heads))
+    looks: Sequence[NDArray[np.uint8] | None] = [None] * len(people)
+    if light is not None:
+        looks = list(describe([picture for _, picture in people], light))
     seen, start = [], 0
-    for (item, _), found, of_body in zip(people, candidates, body, strict=True):
-        stop = start + len(found.boxes)
-        seen.append(
-            SeenPerson(item.frame, item.track_id, item.box, of_body, found, np.asarray(pan[start:stop]))
-        )
-        start = stop
+    for (item, _), found, of_body, look in zip(people, candidates, body, looks, strict=True):
+        of_heads = np.asarray(pan[start : start + len(found.boxes)])
+        start += len(found.boxes)
+        person = item.frame, item.track_id, item.box
+        seen.append(SeenPerson(*person, of_body, found, of_heads, item.score, look))
     return seen
 
 
@@ -240,6 +182,7 @@ def to_tracks(
     camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
     causal : whether rows are made of what was seen up to their frame alone: the heads are those that
         `select_so_far` gives, and the scale that of the first frame. Else they are chosen along whole tracks.
+        What people look like is projected in a fixed way then, else by what varies in the recording.
 
     Raises
     ------
@@ -251,6 +194,7 @@ def to_tracks(
     if camera is None:
         first = min(item.frame for item in seen)
         camera = scaled_camera(item for item in seen if not causal or item.frame == first)
+    projection = Projection.fixed() if causal else _projection(seen)
     tracks, rows, heads = [], {}, {}
     for track_id, items in by_track(seen).items():
         items = [item for item in items if is_on_ground(item, camera)]
@@ -258,13 +202,19 @@ def to_tracks(
             scaled = [in_heights(item) for item in items]
             rows[track_id] = items
             heads[track_id] = select_so_far(scaled) if causal else select_along_track(scaled)
-            tracks.append(to_track(items, heads[track_id], head_classes, camera, fps))
+            tracks.append(to_track(items, heads[track_id], head_classes, camera, fps, projection=projection))
     if not tracks:
         raise InputError("people beyond the horizon only", "a homography that fits the pictures")
     beyond = len(seen) - sum(len(track) for track in tracks)
     refused = {BEYOND_HORIZON: beyond} if beyond else {}
     found = TrackSet(tuple(tracks), camera, ReadSummary("video", len(seen), refused))
     return SeenTracks(found, rows, heads)
+
+
+def _projection(seen: Iterable[SeenPerson]) -> Projection:
+    """The one that keeps most of what people look like."""
+    looks = [item.looks for item in seen if item.looks is not None]
+    return Projection.fitted(np.array(looks, np.uint8).reshape(-1, LENGTH))
 
 
 def scaled_camera(seen: Iterable[SeenPerson]) -> GroundCamera:
@@ -285,6 +235,7 @@ def to_track(
     fps: float,
     *,
     in_image: bool = False,
+    projection: Projection | None = None,
 ) -> Track:
     """One person's track, with class likelihoods in the world frame.
 
@@ -295,6 +246,7 @@ def to_track(
     head_classes, camera, fps : as for `to_tracks`
     in_image : whether the likelihoods are left in the image frame, for filters that judge them there (002
         eq. 13–14)
+    projection : of what people look like; None: tracks do not say
     """
     pixel = np.array([foot_point(item.box) for item in items])
     position = camera.image_to_ground(pixel)
@@ -306,6 +258,10 @@ def to_track(
         of_body, of_head = (image_likelihood(*channel) for channel in channels)
     else:
         of_body, of_head = (world_likelihood(*channel, camera, position) for channel in channels)
+    inputs = {}
+    if projection is not None and all(item.looks is not None for item in items):
+        inputs[APPEARANCE] = projection(np.array([item.looks for item in items], np.uint8))
+    scores = np.array([item.score for item in items], float)  # None is NaN
     return Track(
         track_id=items[0].track_id,
         frame=frame,
@@ -314,6 +270,8 @@ def to_track(
         pixel=pixel,
         body_likelihood=of_body,
         head_likelihood=of_head,
+        score=scores if np.isfinite(scores).any() else None,
+        inputs=inputs,
     )
 
 

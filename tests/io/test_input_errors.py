@@ -317,6 +317,12 @@ BAD_NATIVE = {
     "empty time": ("track_id,frame,t,x,y\n1,0,0,0,0\n\n1,1,,0,0\n", "t", 4),
     "time goes back": ("track_id,frame,t,x,y\n1,0,5,0,0\n1,1,4,0,0\n", "t", 3),
     "zero spread": ("track_id,frame,t,x,y,pos_std\n1,0,5,0,0,0\n", "pos_std", 2),
+    "negative score": ("track_id,frame,t,x,y,score\n-1,0,5,0,0,-0.5\n", "score", 2),
+    "half an appearance": (
+        "track_id,frame,t,x,y,appearance_0,appearance_1\n-1,0,5,0,0,1,\n",
+        "appearance_1",
+        2,
+    ),
     "negative kappa": ("track_id,frame,t,x,y,body_kappa\n1,0,5,0,0,-1\n", "body_kappa", 2),
     "far away": ("track_id,frame,t,x,y\n1,0,5,1e30,0\n", "x", 2),
     "classes missing": ("track_id,frame,t,x,y,body_p0\n1,0,5,0,0,1\n", "body_p1", None),

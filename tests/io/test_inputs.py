@@ -106,6 +106,28 @@ def test_a_data_set_gives_its_inputs_to_the_estimates(tmp_path: Path) -> None:
     assert names[names.index("input_density") :] == ["input_density", "input_goal_0", "input_goal_1"]
 
 
+def test_appearance_is_an_input_whose_columns_have_no_prefix(tmp_path: Path) -> None:
+    looks = np.array([[1.0, -2.0], [np.nan, np.nan], [3.0, 4.0]])
+    names = list(TrackSet((person(appearance=looks, zone=np.zeros(3)),)).to_table().columns)
+    assert names[-3:] == ["appearance_0", "appearance_1", "input_zone"]
+    path, out = tmp_path / "people.parquet", tmp_path / "out.parquet"
+    io.write(TrackSet((person(appearance=looks),)), path)
+    np.testing.assert_array_equal(io.read(path)[1].inputs["appearance"], looks)
+    assert {"appearance_0", "appearance_1"} < set(open_dataset(path).columns)
+    smooth_dataset(path, out, "position")
+    assert not any("appearance" in name for name in io.read(out).to_table().columns)
+    # One way of writing it: else two columns would be one number.
+    assert schema.numeric("input_appearance_0") is None
+
+
+@pytest.mark.parametrize("engine", ["chain", "gtsam"])
+def test_estimates_say_nothing_of_looks_and_scores(engine: str) -> None:
+    track = person(appearance=GOAL, goal=GOAL)
+    seen = gt.Track(1, track.frame, track.t, track.position, score=np.ones(3), inputs=track.inputs)
+    found = gt.smooth(seen, "position", engine=engine)
+    assert list(found.inputs) == ["goal"] and found.score is None
+
+
 def cells(**columns: object) -> dict[str, object]:
     return read_cells(parse_line(json.dumps({"track_id": 1, "frame": 0, "x": 0.0, "y": 0.0, **columns})))
 
@@ -115,6 +137,9 @@ def test_a_stream_has_inputs() -> None:
         cells(input_goal_1=2.0, input_goal_0=1.0, input_density=3, input_unknown=None), 10.0
     )
     assert checked(seen).inputs == {"goal": (1.0, 2.0), "density": 3.0}
+    assert observation_of(cells(appearance_1=2, appearance_0=1), 10.0).inputs == {"appearance": (1.0, 2.0)}
+    with pytest.raises(InputError, match="a key appearance beside appearance_0"):
+        observation_of(cells(appearance=2.0, appearance_0=1.0), 10.0)
     with pytest.raises(InputError, match="an empty cell") as raised:
         cells(input_goal_1=2.0)
     assert raised.value.column == "input_goal_0"

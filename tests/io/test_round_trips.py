@@ -33,6 +33,8 @@ def tracks(draw: st.DrawFn) -> TrackSet:
         "position_std": draw(st.booleans()),
         "body": draw(st.booleans()),
         "head_likelihood": draw(st.booleans()),
+        "score": draw(st.booleans()),
+        "appearance": draw(st.integers(0, 11)),
         "velocity": draw(st.booleans()),
         "covariance": draw(st.booleans()),
         "true_body": draw(st.booleans()),
@@ -61,6 +63,8 @@ def tracks(draw: st.DrawFn) -> TrackSet:
             channels["true_body"] = channel(ANGLES)
         if optional["head_likelihood"]:
             channels["head_likelihood"] = channel(st.floats(1e-9, 1.0), 12)
+        if optional["score"]:
+            channels["score"] = channel(st.floats(0.0, 1e6))
         if optional["velocity"]:
             channels["velocity"] = channel(METRES, 2)
         if optional["covariance"]:
@@ -73,6 +77,8 @@ def tracks(draw: st.DrawFn) -> TrackSet:
         if optional["inputs"]:
             inputs = {"goal": channel(st.floats(width=64, allow_nan=False, allow_infinity=False), 2)}
             inputs["Area_2a"] = channel(METRES)
+        if optional["appearance"]:
+            inputs["appearance"] = channel(st.floats(-1e6, 1e6), optional["appearance"])
         label = draw(st.text(st.characters(codec="utf-8", exclude_categories=("C", "Z")), max_size=8))
         made.append(Track(identity, frame, frame / 7.0, **channels, label=label, inputs=inputs))
     return TrackSet(tuple(made))

@@ -42,7 +42,6 @@ def test_boxes_of_caviar_are_taken(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "line"),
     [
-        (["1,-1,10,20,30,40,0.9", "1,-1,50,20,30,40,0.9"], 1),
         (["1,1,10,20,30,40,1", "1,-1,50,20,30,40,1", "2,1,10,20,30,40,1"], 2),
         (["1,1,10,20,30,40,1", "1,2,10,20,30,40,1", "2,1,10,20,30,40,1", "1,2,50,20,30,40,1"], 4),
     ],
@@ -57,6 +56,24 @@ def test_people_who_cannot_be_told_apart_are_refused_as_graphtrack_does(
     with pytest.raises(InputError) as there:
         io.read(path, associate="never")
     assert str(here.value) == str(there.value) and here.value.line == line
+
+
+def test_boxes_of_nobody_are_numbered_and_have_scores(tmp_path: Path) -> None:
+    path = tmp_path / "det.txt"
+    path.write_text("1,-1,10,20,30,40,0.9\n1,-1,50,20,30,40,0.2\n2,-1,-1,-1,-1,-1,0.5\n2,-1,9,9,9,9,0.6\n")
+    told: list[str] = []
+    found = read_boxes(path, told.append)
+    assert [(item.frame, item.track_id, item.score) for item in found] == [
+        (1, 1, 0.9),
+        (1, 2, 0.2),
+        (2, 3, 0.6),
+    ]
+    assert not any(item.identified for item in found) and told == [f"{path}: 1 without a box"]
+    path.write_text("1,-1,10,20,30,40,-0.7\n1,-1,50,20,30,40,1.3\n")
+    low, high = read_boxes(path)
+    assert low.score is not None and high.score is not None and 0.0 < low.score < 0.5 < high.score
+    path.write_text("1,-1,10,20,30,40,-1\n")
+    assert [item.score for item in read_boxes(path)] == [None]
 
 
 def test_rows_that_the_file_says_to_leave_out_are_told_of(tmp_path: Path) -> None:

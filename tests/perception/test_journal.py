@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from perception.observe.journal import FrameJournal
-from perception.observe.pipeline import SeenFrame, SeenPerson, seen_in
+from perception.observe.pipeline import seen_in
+from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.heads import HeadCandidates
 
 

@@ -12,10 +12,12 @@ import pytest
 from command import run
 
 from graphtrack import io
+from graphtrack.errors import InputError
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
 from perception.detection.people import PeopleDetector
 from perception.images.frames import FrameSource
-from perception.observe.pipeline import SeenPerson, observe_frame, to_tracks
+from perception.observe.pipeline import observe_frame, to_tracks
+from perception.observe.seen import SeenPerson
 from perception.pose.classes import PoseClasses
 from perception.pose.heads import HeadCandidates
 from perception.synthetic import Camera, Person, Scene, render_frame
@@ -135,6 +137,89 @@ def test_boxes_of_nobody_in_particular_are_one_line(clip: Path, tmp_path: Path, 
     done = run("observe", clip / "frames", "--boxes", tmp_path / "boxes.txt", "-o", tmp_path / "out.csv")
     assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["boxes.txt"]
+
+
+def nobodys(clip: Path, folder: Path) -> Path:
+    """The clip's boxes as a detector gives them: in any order, without identities, with log odds."""
+    boxes = read_boxes(next(clip.glob("boxes.txt")))[::-1]
+    path = folder / "det.txt"
+    cells = ((item.frame, -1, *item.box, 2.0 - k) for k, item in enumerate(boxes))
+    path.write_text("".join(",".join(map(str, row)) + "\n" for row in cells))
+    return path
+
+
+def test_detections_stand_alone_and_are_associated(long_clip: Path, tmp_path: Path) -> None:
+    """Rows are those of people with identities, but for heads, which no other frame chooses."""
+    known = rows_of(
+        long_clip, long_clip / "images", tmp_path / "known.csv", "--boxes", long_clip / "boxes.txt"
+    )
+    det = nobodys(long_clip, tmp_path)
+    found = rows_of(long_clip, long_clip / "images", tmp_path / "found.csv", "--boxes", det)
+    assert set(found["track_id"]) == {-1} and found["score"].between(0.0, 1.0).all()
+    assert not {"score", "appearance_0"} & set(known.columns)
+    together = known.merge(found, on=["frame", "u", "v"])
+    assert len(together) == len(found) == len(known)
+    for name in ("x", "body_p3"):
+        np.testing.assert_allclose(together[f"{name}_x"], together[f"{name}_y"], rtol=1e-9)
+    for suffix in (".parquet", ".ndjson"):
+        other = tmp_path / f"found{suffix}"
+        assert run("observe", long_clip / "images", "--boxes", det, "--fps", 5, "-o", other).returncode == 0
+        people = io.read(other)  # associated
+        assert all(track.score is not None and "appearance" in track.inputs for track in people)
+        with pytest.raises(InputError, match="without identities"):
+            io.read(other, associate="never")
+
+
+def test_a_detection_depends_on_no_other_when_causal(long_clip: Path, tmp_path: Path) -> None:
+    det, lines = nobodys(long_clip, tmp_path), (tmp_path / "det.txt").read_text().splitlines()
+    whole = rows_of(long_clip, long_clip / "images", tmp_path / "a.csv", "--boxes", det, "--causal")
+    streamed = rows_of(long_clip, long_clip / "images", Path("-"), "--boxes", det)
+    assert "appearance_63" in whole.columns and set(streamed["track_id"]) == {-1}
+    order = ["frame", "u", "v"]
+    whole, streamed = (table.sort_values(order, ignore_index=True) for table in (whole, streamed))
+    pd.testing.assert_frame_equal(streamed[whole.columns], whole, rtol=1e-4, atol=1e-3, check_dtype=False)
+    det.write_text("\n".join(lines[::3]) + "\n")
+    some = rows_of(long_clip, long_clip / "images", tmp_path / "b.csv", "--boxes", det, "--causal")
+    again = whole.merge(some[order], on=order)[some.columns]
+    some = some.sort_values(order, ignore_index=True)
+    assert len(again) == len(some) > 3
+    kept = [name for name in some.columns if name != "score"]  # of fewer, none may be negative
+    pd.testing.assert_frame_equal(again[kept], some[kept], rtol=1e-9, atol=1e-4)
+
+
+def test_a_run_on_detections_goes_on(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = "observe", clip / "frames", "--boxes", nobodys(clip, tmp_path), "--fps", 5, "-o"
+    assert run(*arguments, tmp_path / "whole.csv").returncode == 0
+    read, count = cv2.imread, []
+
+    def interrupted(path: str, *rest: object) -> object:
+        count.append(path)
+        if len(count) == 5:
+            raise KeyboardInterrupt
+        return read(path, *rest)
+
+    monkeypatch.setattr(cv2, "imread", interrupted)
+    assert run(*arguments, tmp_path / "o.csv").returncode != 0
+    monkeypatch.setattr(cv2, "imread", read)
+    done = run(*arguments, tmp_path / "o.csv")
+    assert "going on after" in done.stderr and "observed 6 detections" in done.stderr
+    assert (tmp_path / "o.csv").read_text() == (tmp_path / "whole.csv").read_text()
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_looks_are_written_when_asked_for(clip: Path, tmp_path: Path, asked: bool) -> None:
+    boxes = clip / "boxes.txt" if asked else nobodys(clip, tmp_path)
+    option = "--appearance" if asked else "--no-appearance"
+    done = run("observe", clip / "frames", "--boxes", boxes, "--fps", 5, option, "-o", tmp_path / "o.csv")
+    assert done.returncode == 0, done.stderr
+    columns = set(pd.read_csv(tmp_path / "o.csv").columns)
+    assert ("appearance_0" in columns) == asked == ("score" not in columns)
+
+
+def test_detections_are_no_mot_text(clip: Path, tmp_path: Path) -> None:
+    done = run("observe", clip / "frames", "--boxes", nobodys(clip, tmp_path), "-o", tmp_path / "o.txt")
+    assert done.returncode == 2 and "detections without identities" in done.stderr
+    assert done.stderr.count("\n") == 1 and [path.name for path in tmp_path.iterdir()] == ["det.txt"]
 
 
 def test_two_cameras_are_one_too_many(clip: Path, tmp_path: Path) -> None:

@@ -62,8 +62,10 @@ def made_tracks() -> TrackSet:
                 body_kappa=np.full(n, 4.0),
                 head=rng.uniform(-np.pi, np.pi, n),
                 head_likelihood=rng.uniform(0.1, 1.0, (n, 12)),
+                score=rng.uniform(0.0, 9.0, n),
                 true_position=position + 0.01,
                 label=f"person {identity}, made",
+                inputs={"appearance": rng.normal(size=(n, 3))},
             )
         )
     return TrackSet(tuple(tracks))

@@ -64,8 +64,8 @@ def read(source: Source, options: ReadOptions) -> Rows:
     Columns 8 and 9 are metres unless all are −1; a row of −1 among metres is a missing position. With
     nine columns they are class and visibility (ground truth of MOT16 and later). Without metres the foot
     point, the middle of the box's lower edge, is put on the ground by the camera of the options or by a
-    scale. A confidence of 0 marks a row to be ignored. The frame rate is ``fps``, or that of a
-    ``seqinfo.ini`` nearby, or 25.
+    scale. A confidence of 0 marks a row to be ignored. Of detections the confidence is the channel
+    ``score``, see `with_scores`. The frame rate is ``fps``, or that of a ``seqinfo.ini`` nearby, or 25.
 
     Raises
     ------
@@ -78,14 +78,31 @@ def read(source: Source, options: ReadOptions) -> Rows:
     rows = rows.with_channels(pixel=np.column_stack([left + width / 2.0, top + height]))
     fps, note = _frame_rate(source.path, options)
     rows = _placed(rows, options).with_notes(*note).with_times(fps)
-    return rows.without("box", "confidence")
+    return with_scores(rows).without("box", "confidence")
+
+
+def with_scores(rows: Rows) -> Rows:
+    """Detections with the channel ``score`` (n,), from their confidences; rows with identities as they are.
+
+    A detector's confidences are of any kind. Those from 0 on are taken as they are. Where some are negative,
+    such as log odds and distances from a separating plane (the DPM of MOT16), the score of all is
+    1 / (1 + exp(-confidence)), which keeps their order; a note says so. -1 throughout says nothing.
+    """
+    confidence = rows.channels["confidence"]
+    if rows.has_identity or (confidence == -1.0).all():
+        return rows
+    if not (confidence < 0.0).any():
+        return rows.with_channels(score=confidence)
+    note = "some confidences are negative: scores are 1 / (1 + exp(-confidence))"
+    logistic = 0.5 * (1.0 + np.tanh(0.5 * confidence))  # exp would overflow
+    return rows.with_channels(score=logistic).with_notes(note)
 
 
 def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     """Rows with ids, in the order of the file, without those to be ignored and those of other classes.
 
     The channels are ``box`` (n, 4), left, top, width and height in pixels, NaN where the row has no box;
-    ``confidence`` (n,); and ``position`` (n, 2) in metres, where the file has any.
+    ``confidence`` (n,), negative ones among them; and ``position`` (n, 2) in metres, where the file has any.
 
     Raises
     ------
@@ -104,7 +121,7 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
             f"an id from 0, or -1 in all rows: {unknown.sum()} of {len(unknown)} are detections without "
             "identity",
         )
-    channels = {"box": _boxes_of(table), "confidence": table.values[:, 6]}
+    channels = {"box": _boxes_of(table), "confidence": _confidences(table)}
     world = _world(table)
     if world is not None:
         channels["position"] = world
@@ -112,7 +129,14 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     rows = replace(rows, has_identity=not nobodys)
     if table.values.shape[1] == 9:
         rows = _of_classes(rows, table, options)
-    return rows.keep(rows.channels["confidence"] != 0.0, IGNORED)
+    confidence = rows.channels["confidence"]
+    if nobodys and (confidence < 0.0).any():  # 0 is a number like any other
+        return rows
+    return rows.keep(confidence != 0.0, IGNORED)
+
+
+def _confidences(table: Numbers) -> FloatArray:
+    return table.bounded(6, -bounds.LARGEST_LIKELIHOOD, bounds.LARGEST_LIKELIHOOD)
 
 
 def _boxes_of(table: Numbers) -> FloatArray:

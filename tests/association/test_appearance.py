@@ -1,0 +1,152 @@
+"""The likelihood ratio of looks: on made-up people whose true ratio is known, and its bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from graphtrack.association.appearance import AppearanceLearning, AppearanceModel
+from graphtrack.errors import InputError
+
+K = 5
+
+
+def people(rng: np.random.Generator, count: int, seen: int = 12, k: int = K) -> tuple[np.ndarray, np.ndarray]:
+    """Descriptors (count · seen, k) of people who vary otherwise than they differ."""
+    among, within = np.linspace(2.0, 0.5, k), np.linspace(1.5, 0.1, k)
+    mean = rng.normal(size=(count, 1, k)) * among
+    return (mean + rng.normal(size=(count, seen, k)) * within).reshape(-1, k), np.repeat(
+        np.arange(count), seen
+    )
+
+
+def pairs(rng: np.random.Generator, person: np.ndarray, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
+    neighbours = np.column_stack([np.arange(len(person) - 1), np.arange(1, len(person))])
+    any_two = rng.integers(len(person), size=(count, 2))
+    one = person[any_two[:, 0]] == person[any_two[:, 1]]
+    return neighbours[person[neighbours[:, 0]] == person[neighbours[:, 1]]], any_two[~one]
+
+
+def learned(rng: np.random.Generator, count: int, **settings: float) -> AppearanceModel:
+    values, person = people(rng, count)
+    return AppearanceModel.learned(values, *pairs(rng, person), AppearanceLearning(**settings))
+
+
+@pytest.mark.parametrize("count", [12, 60, 200])
+def test_it_is_calibrated_on_other_people(count: int) -> None:
+    """Of pairs of either kind, equally many, of which it says p, a share of about p shows one person."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        model = learned(rng, count)
+        values, person = people(rng, 400)
+        same, different = pairs(rng, person, len(values))
+        ratio = [model.log_ratio(values[rows[:, 0]], values[rows[:, 1]]) for rows in (same, different)]
+        said = 1.0 / (1.0 + np.exp(-np.concatenate(ratio)))
+        true = np.repeat([1.0, 0.0], [len(same), len(different)])
+        weight = np.repeat([0.5 / len(same), 0.5 / len(different)], [len(same), len(different)])
+        place = np.minimum((10.0 * said).astype(int), 9)
+        off = np.abs(np.bincount(place, weight * (said - true), minlength=10)).sum()
+        assert off < (0.12 if count < 100 else 0.05)
+        # And it is worth something: by chance it is log 2.
+        lost = 0.5 * (np.logaddexp(0.0, -ratio[0]).mean() + np.logaddexp(0.0, ratio[1]).mean())
+        assert lost < 0.7 * np.log(2.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.001, 0.4))
+def test_it_falls_with_the_distance_is_symmetric_and_bounded(seed: int, outlier: float) -> None:
+    rng = np.random.default_rng(seed)
+    model = AppearanceModel(rng.normal(size=(K, K)), rng.normal(), abs(rng.normal()) * 4.0, outlier)
+    first, step = rng.normal(size=K), rng.normal(size=K)
+    ratio = model.log_ratio(first, first + np.geomspace(1e-9, 1e9, 40)[:, None] * step)
+    assert (np.diff(ratio) <= 1e-12).all() and (np.abs(ratio) <= model.bound + 1e-9).all()
+    np.testing.assert_array_equal(model.log_ratio(first, first + step), model.log_ratio(first + step, first))
+
+
+def test_units_and_turns_of_the_descriptors_do_not_matter() -> None:
+    """A whitened distance has none: but for the shrinkage, which is small here."""
+    rng = np.random.default_rng(4)
+    values, person = people(rng, 80)
+    same, different = pairs(rng, person)
+    mixed = np.linalg.qr(rng.normal(size=(K, K)))[0] * 1e3
+    learning = AppearanceLearning(shrinkage=1e-6)
+    one = AppearanceModel.learned(values, same, different, learning)
+    other = AppearanceModel.learned(values @ mixed, same, different, learning)
+    np.testing.assert_allclose(
+        one.log_ratio(values[:-1], values[1:]),
+        other.log_ratio(values[:-1] @ mixed, values[1:] @ mixed),
+        atol=1e-3,
+    )
+
+
+def test_looks_that_tell_nothing_count_for_nothing() -> None:
+    rng = np.random.default_rng(5)
+    values, person = np.random.default_rng(6).normal(size=(600, K)), np.repeat(np.arange(50), 12)
+    model = AppearanceModel.learned(values, *pairs(rng, person))
+    assert np.abs(model.log_ratio(values[:-1], values[1:])).mean() < 0.1
+
+
+def test_a_missing_descriptor_says_nothing_and_teaches_nothing() -> None:
+    rng = np.random.default_rng(7)
+    values, person = people(rng, 40)
+    same, different = pairs(rng, person)
+    holes = values.copy()
+    holes[::7] = np.nan
+    model = AppearanceModel.learned(holes, same, different)
+    ratio = model.log_ratio(holes[same[:, 0]], holes[same[:, 1]])
+    missing = np.isnan(holes[same]).any(axis=(1, 2))
+    assert (ratio[missing] == 0.0).all() and np.isfinite(ratio).all() and (ratio[~missing] != 0.0).all()
+    kept = ~np.isnan(holes).any(axis=1)
+    of_kept = AppearanceModel.learned(values, *(p[kept[p].all(axis=1)] for p in (same, different)))
+    np.testing.assert_array_equal(of_kept.whitening, model.whitening)
+
+
+def test_of_too_few_people_it_says_nothing() -> None:
+    values, person = people(np.random.default_rng(8), 3)
+    same, different = pairs(np.random.default_rng(8), person)
+    for model in (
+        AppearanceModel.learned(values, same, different),
+        AppearanceModel.learned(values, [], []),
+        AppearanceModel.learned(values, same, np.empty((0, 2), int)),
+    ):
+        assert (model.log_ratio(values[:-1], values[1:]) == 0.0).all()
+
+
+def test_of_fewer_people_it_is_less_sure() -> None:
+    bounds = [learned(np.random.default_rng(9), count).bound for count in (5, 20, 100)]
+    assert bounds[0] < bounds[1] < bounds[2] == pytest.approx(np.log(49.0))
+
+
+def test_arrays_broadcast() -> None:
+    model = AppearanceModel(np.eye(K), 0.0, 1.0)
+    values = np.random.default_rng(0).normal(size=(4, K))
+    table = model.log_ratio(values[:, None], values[None, :])
+    assert table.shape == (4, 4)
+    assert table[1, 2] == model.log_ratio(values[1], values[2])
+    square = np.sum((model.whitened(values[1]) - model.whitened(values[2])) ** 2)
+    assert (
+        table[1, 2]
+        == model.of_squares(square)
+        == pytest.approx(np.log(0.98 / square + 0.02) - np.log(0.98 + 0.02 / square))
+    )
+
+
+@pytest.mark.parametrize(
+    ("descriptors", "same", "said"),
+    [
+        (np.zeros(4), [[0, 1]], r"shape \(4,\)"),
+        (np.zeros((4, 2)), [[0, 4]], "row 4"),
+        (np.zeros((4, 2)), [[0.0, 1.0]], "type float64"),
+        (np.zeros((4, 2)), [0, 1], r"pairs of shape \(2,\)"),
+    ],
+)
+def test_what_is_no_pair_is_told(descriptors: np.ndarray, same: list[object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        AppearanceModel.learned(descriptors, same, [])
+    with pytest.raises(InputError, match="shape"):
+        AppearanceModel(np.eye(3)).log_ratio(np.zeros(3), np.zeros(2))
+    for bad in ({"shrinkage": 0.0}, {"outlier": 0.7}, {"folds": 1}):
+        with pytest.raises(InputError, match=next(iter(bad))):
+            AppearanceLearning(**bad)  # type: ignore[arg-type]
