@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
+
+from numpy.typing import NDArray
 
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
@@ -84,6 +86,35 @@ def tracks_of_rows(rows: Rows, options: ReadOptions) -> TrackSet:
     from graphtrack.association.rows import with_every_frame, with_identities
 
     return with_every_frame(TrackSet.from_rows(with_identities(rows)))
+
+
+def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
+    """Write columns of the native table, such as detections without identities; whole, or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file's name has not the ending of a table, or the place cannot be written to.
+    """
+    path = Path(path)
+    write = check_table_name(path)
+    with atomic_path(path) as temporary:
+        write(columns, temporary)
+
+
+def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path], None]:
+    """What writes columns to a file of that name.
+
+    Raises
+    ------
+    InputError
+        If its ending is none of a table.
+    """
+    write = format_for_writing(path).write_columns
+    if write is None:
+        names = ", ".join(s for one in formats() if one.write_columns is not None for s in one.suffixes)
+        raise InputError(f"the file name {path.name!r}", f"one of the endings {names}", path=path)
+    return write
 
 
 def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions = ReadOptions()) -> Rows:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.io.delimiters import other_delimiter
@@ -43,6 +46,8 @@ class Format:
     looks_like : (first bytes, path) → whether the content is of this format
     read : (source, options) → rows, whose cells are checked
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
+    write_columns : (columns of the native table, path) → None, likewise; for tables, which can do without
+        identities
     beside : path → the places beside it where the reader looks for more by itself
     read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
         pixels, NaN where a row has none; for formats that hold boxes
@@ -54,6 +59,7 @@ class Format:
     looks_like: Callable[[bytes, Path], bool]
     read: Callable[[Source, ReadOptions], Rows]
     write: Callable[[TrackSet, Path], None] | None = None
+    write_columns: Callable[[Mapping[str, NDArray[Any]], Path], None] | None = None
     beside: Callable[[Path], tuple[Path, ...]] = lambda path: ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
 

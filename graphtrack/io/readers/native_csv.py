@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -178,10 +178,14 @@ class _LineFinder:
 
 def write(tracks: TrackSet, path: Path) -> None:
     """Write the native table; numbers have the digits that read back to the same double."""
+    write_columns(to_columns(tracks), path)
+
+
+def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Write columns of the native table, which need not have identities."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    columns = to_columns(tracks)
     table = pa.table({name: pa.array(_clean(values), from_pandas=True) for name, values in columns.items()})
     options = arrow_csv.WriteOptions(include_header=False)
     with pa.OSFile(str(path), "wb") as raw:
@@ -209,4 +213,5 @@ FORMAT = Format(
     looks_like=looks_like,
     read=read,
     write=write,
+    write_columns=write_columns,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -113,10 +113,14 @@ def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDA
 
 def write(tracks: TrackSet, path: Path) -> None:
     """Write the native table; missing numbers become null."""
+    write_columns(to_columns(tracks), path)
+
+
+def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Write columns of the native table, which need not have identities."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    columns = to_columns(tracks)
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
     pq.write_table(table, path, row_group_size=ROW_GROUP, write_page_checksum=True)
 
@@ -128,4 +132,5 @@ FORMAT = Format(
     looks_like=looks_like,
     read=read,
     write=write,
+    write_columns=write_columns,
 )

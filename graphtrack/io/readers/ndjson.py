@@ -9,7 +9,7 @@ import gzip
 import json
 import math
 import re
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -294,7 +294,14 @@ def _columns(rows: list[_Row], keys: Iterable[str]) -> dict[str, NDArray[Any]]:
 
 def write(tracks: TrackSet, path: Path) -> None:
     """Write the native table; numbers have the digits that read back to the same double."""
-    columns = {name: _values(cells) for name, cells in to_columns(tracks).items()}
+    write_columns(to_columns(tracks), path)
+
+
+def write_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Write columns of the native table; without identities each object has the ``track_id`` −1."""
+    if "track_id" not in table:
+        table = {"track_id": np.full(len(table["frame"]), -1), **table}
+    columns = {name: _values(cells) for name, cells in table.items()}
     opened: Callable[..., Any] = gzip.open if path.name.lower().endswith(".gz") else open
     with opened(path, "wt", encoding="ascii", newline="\n") as stream:
         for row in zip(*columns.values(), strict=True):
@@ -313,4 +320,5 @@ FORMAT = Format(
     looks_like=looks_like,
     read=read,
     write=write,
+    write_columns=write_columns,
 )
