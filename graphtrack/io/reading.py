@@ -17,7 +17,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import read_homography
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import detect, format_for_writing, format_named, formats
+from graphtrack.io.registry import Format, detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
 from graphtrack.table.rows import Rows, check_identities, check_rows
 from graphtrack.table.speeds import with_speeds_checked
@@ -131,23 +131,32 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
     InputError
         With path, line and column, what was found there and what was expected.
     """
-    source = Source.open(path)
-    chosen = detect(source) if format is None else format_named(format)
-    if chosen.read_boxes is None:
+    rows = boxes_of_file(path, format, options)
+    if rows is None:
+        chosen = _chosen(Source.open(path), format)
         names = ", ".join(one.name for one in formats() if one.read_boxes is not None)
         found = f"the format {chosen.name}, of which no boxes are read"
-        raise InputError(found, f"a format with boxes: {names}", path=source.path)
-    rows = chosen.read_boxes(source, options)
+        raise InputError(found, f"a format with boxes: {names}", path=path)
     check_identities(rows)
     check_rows(rows)
     return rows
 
 
+def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows | None:
+    """The rows of `read_boxes`, with identities or without; None if the format holds no boxes."""
+    source = Source.open(path)
+    chosen = _chosen(source, format)
+    return None if chosen.read_boxes is None else chosen.read_boxes(source, options)
+
+
+def _chosen(source: Source, format: str | None) -> Format:
+    return detect(source) if format is None else format_named(format)
+
+
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
     """The rows of a file, as its reader makes them, in metres and with times."""
     source = Source.open(path)
-    chosen = detect(source) if format is None else format_named(format)
-    return chosen.read(source, options)
+    return _chosen(source, format).read(source, options)
 
 
 def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:

@@ -286,8 +286,9 @@ def _false_detections(
     if identity + len(row) > LARGEST_ID:
         raise InputError(f"track_id {identity - 1}", "ids that leave room for those of false detections")
     position = rng.uniform(low, high, (len(row), 2))
-    std = next((track.position_std for track in people if track.position_std is not None), None)
-    given: dict[str, Any] = {} if std is None else {"position_std": np.array([np.nanmax(std)])}
+    std = [track.position_std for track in people if track.position_std is not None]
+    known = np.concatenate(std)[np.isfinite(np.concatenate(std))] if std else np.empty(0)
+    given: dict[str, Any] = {"position_std": known[:1]} if len(known) else {}
     return [
         Track(identity + k, every_frame[[i]], times[[i]], position[[k]], label=FALSE, **given)
         for k, i in enumerate(row.tolist())
