@@ -21,7 +21,8 @@ class Detections:
     frame : (n,) int64, the same for all that were seen at one time
     t : (n,) seconds
     position : (n, 2) metres on the ground plane
-    channels : what else of a `Track` was observed, by the name of its attribute, (n, …)
+    channels : what else of a `Track` was observed, by the name of its attribute, (n, …); and ``box`` (n, 4),
+        left, top, width and height in pixels, for trackers of boxes
     row : (n,) where each stood in the input
     """
 

@@ -62,7 +62,10 @@ class Associated:
         x, y = detections.position.T
         table = {"frame": detections.frame, "t": detections.t, "x": x, "y": y}
         std = detections.channels.get("position_std")
-        found = associate(table if std is None else {**table, "pos_std": std})
+        try:
+            found = associate(table if std is None else {**table, "pos_std": std})
+        except InputError:  # of detections, which have places and times: nobody is there
+            return TrackSet(())
         return smoothed(found, self.model)
 
 
@@ -123,7 +126,7 @@ registry: Mapping[str, Callable[[Model], TrackingMethod]] = MappingProxyType(
         "ocsort": lambda model: Peer("ocsort", TUNED["ocsort"]),
     }
 )
-"""Name → factory of the method, for the model that smooths."""
+"""Name → factory of the method, for the model that smooths. Another method is another line here."""
 
 
 def make_tracker(method: TrackingMethod | str, model: Model) -> TrackingMethod:

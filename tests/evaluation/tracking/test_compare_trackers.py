@@ -124,6 +124,15 @@ def test_a_method_of_your_own_takes_part(scene: Scene) -> None:
     assert found.score.idf1 == 0.0 and found.score.recall == 0.0
 
 
+def test_detections_of_nobody_are_nobodys_tracks() -> None:
+    rng = np.random.default_rng(0)
+    frame = np.arange(6)
+    alone = Detections(10 * frame, 4.0 * frame, rng.uniform(0.0, 100.0, (6, 2)))
+    truth = TrackSet((Track(1, 10 * frame, 4.0 * frame, np.full((6, 2), 500.0)),))
+    for one in compare_trackers(alone, truth, OWN).results:
+        assert one.score.matches == 0 and one.score.misses == 6
+
+
 @pytest.mark.parametrize("methods", [[], ["hungarian", "hungarian"], ["magic"]])
 def test_methods_that_are_none_are_refused(methods: list[str], scene: Scene) -> None:
     with pytest.raises(InputError, match="method"):
@@ -168,7 +177,7 @@ def test_a_peer_is_given_every_frame_and_its_answers_go_where_they_belong(ducks:
         told.append({"fps": fps})
         return Counted()
 
-    found = track_boxes(detections, TUNED["ocsort"], counted, boxes_of)
+    found = track_boxes(detections, PeerParameters(side=2.0), counted, boxes_of)
     assert Counted.updates == 12 and told == [{"fps": pytest.approx(2.5)}]
     assert len(found) == 4
     for track in found:
@@ -334,3 +343,18 @@ def test_tracks_of_detections_are_of_the_detections(ducks: None, scene: Scene) -
     known = {tuple(place) for place in scene.detections.position}
     assert all(tuple(place) in known for track in found for place in track.position)
     assert isinstance(found.tracks[0], Track)
+
+
+def test_real_people_are_followed_by_the_baseline_and_better_by_association(data_dir: Path) -> None:
+    """A third of the crowd at Zara, seen as badly as in docs/tracking.md."""
+    rng = np.random.default_rng(0)
+    faults = Detector(0.15, 0.5, 2.0, 1.0, "fixed")
+    exact = gt.read(data_dir / "ucy" / "zara01" / "annotation.vsp")
+    early = [track for track in exact if track.t[-1] < 120.0]
+    found = detect(exact.with_tracks(early), faults, every=0.4, position_std=0.1, rng=rng)
+    table = found.anonymous(rng)
+    position = np.column_stack([table["x"], table["y"]])
+    detections = Detections(table["frame"], table["t"], position)
+    results = compare_trackers(detections, found.truth, OWN).results
+    online, offline = (one.score.idf1 for one in results)
+    assert 0.8 < online < offline and offline > 0.93
