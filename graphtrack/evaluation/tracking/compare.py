@@ -149,7 +149,7 @@ def compare_trackers(
         tuple(results),
         threshold,
         len(detections),
-        int(detections.frame[-1] - detections.frame[0] + 1),
+        int(detections.step[-1]) + 1,
         fill,
         tuple(notes),
     )

@@ -13,10 +13,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from graphtrack.association.detections import Detections
+from graphtrack.association.detections import Detections, with_those_between
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.table.frames import with_those_between
 from graphtrack.tracks import Track, TrackSet
 
 PeerName = Literal["bytetrack", "ocsort"]
@@ -137,7 +136,7 @@ def track_boxes(
         silent have no row.
     """
     corners = corners_of(detections, parameters)
-    tracker = make(parameters, 1.0 / detections.frame_seconds)
+    tracker = make(parameters, 1.0 / detections.step_seconds)
     identity = np.full(len(detections), -1)
     seen, first = np.unique(detections.frame, return_index=True)
     end = dict(

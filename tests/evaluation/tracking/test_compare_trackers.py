@@ -162,7 +162,7 @@ def test_a_peer_is_given_every_frame_and_its_answers_go_where_they_belong(ducks:
     rows = [(k, who) for k in range(12) if k not in (5, 6) for who in rng.permutation(4)]
     frame = np.array([k for k, _ in rows])
     position = np.array([people[who][k] for k, who in rows])
-    detections = Detections(frame, t[frame], position)
+    detections = Detections(10 * frame, t[frame], position)
     told: list[dict] = []
     make, boxes_of = load("ocsort")
 
@@ -182,7 +182,7 @@ def test_a_peer_is_given_every_frame_and_its_answers_go_where_they_belong(ducks:
     assert len(found) == 4
     for track in found:
         assert np.ptp(track.position[:, 1]) == 0.0, "one person throughout"
-        np.testing.assert_array_equal(track.frame, [0, 1, 2, 3, 4, 7, 8, 9, 10, 11])
+        np.testing.assert_array_equal(track.frame, 10 * np.array([0, 1, 2, 3, 4, 7, 8, 9, 10, 11]))
     assert isinstance(make(TUNED["ocsort"], 2.5), Nearest)
 
 
@@ -357,4 +357,4 @@ def test_real_people_are_followed_by_the_baseline_and_better_by_association(data
     detections = Detections(table["frame"], table["t"], position)
     results = compare_trackers(detections, found.truth, OWN).results
     online, offline = (one.score.idf1 for one in results)
-    assert 0.8 < online < offline and offline > 0.93
+    assert 0.8 < online < offline and offline > 0.9
