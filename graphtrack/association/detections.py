@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,8 @@ class Detections:
     frame : (n,) int64, the same for all that were seen at one time
     t : (n,) seconds
     position : (n, 2) metres on the ground plane
-    channels : what else of a `Track` was observed, by the name of its attribute, (n, …)
+    channels : what else of a `Track` was observed, by the name of its attribute, (n, …); and ``box`` (n, 4),
+        left, top, width and height in pixels, for trackers of boxes
     row : (n,) where each stood in the input
     """
 
@@ -59,6 +61,13 @@ class Detections:
         if len(steps) < 2:
             return 1.0
         return float(np.median(np.diff(self.t[first]) / np.maximum(np.diff(steps), 1)))
+
+
+def with_those_between(frames: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The frames (n,), increasing, and those between them in which nobody was seen."""
+    step = frames_between(frames)
+    between = [np.arange(a, b, step) for a, b in pairwise(frames.tolist())]
+    return np.unique(np.concatenate([frames, *between]))
 
 
 def frames_between(frame: NDArray[np.int64]) -> int:

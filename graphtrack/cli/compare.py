@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,18 +22,51 @@ if TYPE_CHECKING:
 FIGURES = ("errors.png", "nees.png")
 """What `write_figures` writes."""
 
+_TRACKERS = "Trackers, from detections without identities"
+
+
+def named(methods: str | None) -> list[str]:
+    """The methods of an option; none if it was not given.
+
+    Raises
+    ------
+    InputError
+        If it was given, and names none.
+    """
+    if methods is None:
+        return []
+    names = [name.strip() for name in methods.split(",") if name.strip()]
+    if not names:
+        raise InputError("no methods", "some names between commas")
+    return names
+
+
+def refuse(given: Mapping[str, object], where: str, why: str) -> None:
+    """Refuse options that mean nothing here.
+
+    Raises
+    ------
+    InputError
+        For the first that was given.
+    """
+    for name, value in given.items():
+        if value is not None and value is not False:
+            raise InputError(name, f"it {where} alone: {why}")
+
 
 def compare(
     inputs: options.Inputs,
-    reading: options.Reading,
+    reading: options.SceneReading,
     methods: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--methods",
             help="Comma-separated: kf, intentional, intentional-printed, intentional-consistent, particle, "
-            "rts, ffbs, smoother, chain, isam2, fixed-lag.",
+            "rts, ffbs, smoother, chain, isam2, fixed-lag; by default kf,rts,smoother,chain,isam2. With "
+            "--truth: associate, hungarian, bytetrack, ocsort; by default the first two.",
+            show_default=False,
         ),
-    ] = "kf,rts,smoother,chain,isam2",
+    ] = None,
     model: Annotated[
         str | None,
         typer.Option(
@@ -51,13 +86,58 @@ def compare(
     seed: options.Seed = 0,
     json_path: options.Json = None,
     figures: Annotated[Path | None, typer.Option("--figures", help="Folder for figures (PNG).")] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth",
+            help="File with the true tracks of the same frames: then the input is detections without "
+            "identities, and trackers are compared.",
+            show_default=False,
+            rich_help_panel=_TRACKERS,
+        ),
+    ] = None,
+    metres: Annotated[
+        float | None,
+        typer.Option(
+            "--metres",
+            help="How far apart on the ground a match may be; 1 by default.",
+            show_default=False,
+            rich_help_panel=_TRACKERS,
+        ),
+    ] = None,
+    fill: Annotated[
+        bool,
+        typer.Option(
+            "--fill",
+            help="Smooth the tracks of online methods too, and fill their gaps: then all that differs is who "
+            "is who.",
+            rich_help_panel=_TRACKERS,
+        ),
+    ] = False,
 ) -> None:
     """Compare methods on tracks whose truth is known, each with the information it says.
 
-    With a noise option the file's own values are the truth, and what the methods see is made from them.
+    With a noise option the file's own values are the truth, and what the methods see is made from them. With
+    --truth trackers are compared, which find out who is who.
     """
+    if truth is not None:
+        of_tracks: dict[str, object] = {
+            "--occlude": occlude,
+            "--figures": figures,
+            "--position-noise": position_noise,
+        }
+        of_tracks |= {"--body-kappa": body_kappa, "--head-kappa": head_kappa}
+        refuse(of_tracks, "without --truth", "with it the input is detections, and trackers are compared")
+        from graphtrack.cli.compare_trackers import compare_trackers
+
+        compare_trackers(inputs, truth, reading, named(methods), metres, fill, model, json_path)
+        return
+    of_trackers = {"--metres": metres, "--fill": fill, "--associate": reading.associate != "auto"}
+    refuse(of_trackers, "with --truth", "there trackers are compared")
+    reading = replace(reading, associate="never")
     import numpy as np
 
+    from graphtrack.evaluation.compare import METHODS
     from graphtrack.evaluation.compare import compare as compare_methods
     from graphtrack.io import atomic_path
     from graphtrack.model import presets
@@ -75,7 +155,7 @@ def compare(
         tracks = add_noise(
             tracks, position_std=position_noise, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng
         )
-    names = [name.strip() for name in methods.split(",") if name.strip()]
+    names = named(methods) or METHODS
     with input_warnings_as_notes(), progress_bar(tracks.n_frames) as advance:
         found = compare_methods(tracks, names, model=model, occlude_seconds=occlude, progress=advance)
     if not found.rows:

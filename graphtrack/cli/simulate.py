@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Literal
 
 import typer
 
@@ -66,6 +67,9 @@ def simulate(
     )
 
 
+_DETECTOR = "What a detector gets wrong"
+
+
 def add_noise(
     inputs: options.Inputs,
     output: options.Output,
@@ -73,26 +77,111 @@ def add_noise(
     position_noise: PositionNoise = None,
     body_kappa: BodyKappa = None,
     head_kappa: HeadKappa = None,
+    every: Annotated[
+        float | None,
+        typer.Option(
+            "--every",
+            help="Seconds between frames: the recording is sampled so, straight on between its rows.",
+            show_default=False,
+            rich_help_panel=_DETECTOR,
+        ),
+    ] = None,
+    missed: Annotated[
+        float,
+        typer.Option(
+            "--missed", help="Probability that a person is missed in a frame.", rich_help_panel=_DETECTOR
+        ),
+    ] = 0.0,
+    occlude_share: Annotated[
+        float,
+        typer.Option(
+            "--occlude-share",
+            help="Share of the people who are hidden once, at a random time.",
+            rich_help_panel=_DETECTOR,
+        ),
+    ] = 0.0,
+    occlude_seconds: Annotated[
+        float, typer.Option("--occlude-seconds", help="For how long.", rich_help_panel=_DETECTOR)
+    ] = 2.0,
+    clutter: Annotated[
+        float,
+        typer.Option(
+            "--clutter",
+            help="False detections a frame, anywhere in the box around all people.",
+            rich_help_panel=_DETECTOR,
+        ),
+    ] = 0.0,
+    clutter_count: Annotated[
+        Literal["poisson", "fixed"],
+        typer.Option(
+            "--clutter-count",
+            help="So many on average (poisson), or in each frame (fixed).",
+            rich_help_panel=_DETECTOR,
+        ),
+    ] = "poisson",
+    anonymous: Annotated[
+        bool,
+        typer.Option(
+            "--anonymous",
+            help="Leave out who is who and what is true, and shuffle each frame; --truth-output keeps the "
+            "truth. Written as .csv, .parquet or .ndjson.",
+            rich_help_panel=_DETECTOR,
+        ),
+    ] = False,
+    truth_output: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth-output",
+            help="Write where everybody is in the same frames here, for 'graphtrack score'.",
+            show_default=False,
+            rich_help_panel=_DETECTOR,
+        ),
+    ] = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Take exact tracks as the truth and write noisy observations of them, the truth beside."""
+    """Take exact tracks as the truth and write noisy observations of them, the truth beside.
+
+    False detections are tracks of their own, of one row each, with the label "false".
+    """
     import numpy as np
 
     from graphtrack.io import write
-    from graphtrack.simulation.degrade import add_noise as noisy
+    from graphtrack.io.reading import check_table_name, write_table
+    from graphtrack.simulation.detector import Detector, detect, summary_of
 
-    if position_noise is None and body_kappa is None and head_kappa is None:
-        raise InputError("no noise", "at least one of --position-noise, --body-kappa, --head-kappa")
-    options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
+    detector = Detector(missed, occlude_share, occlude_seconds, clutter, clutter_count)
+    given = (position_noise, body_kappa, head_kappa, every)
+    if detector.is_perfect and not anonymous and all(one is None for one in given):
+        raise InputError(
+            "no noise",
+            "at least one of --position-noise, --body-kappa, --head-kappa, --every, --missed, "
+            "--occlude-share, --clutter, --anonymous",
+        )
+    options.check_outputs(
+        {"--output": output, "--truth-output": truth_output}, reading.inputs(inputs), table=output
+    )
+    if anonymous:
+        check_table_name(output)
+    if truth_output is not None:
+        options.check_outputs({}, table=truth_output)
     tracks = reading.tracks(inputs)
-    found = noisy(
+    rng = np.random.default_rng(seed)
+    found = detect(
         tracks,
+        detector,
+        every=every,
         position_std=position_noise,
         body_kappa=body_kappa,
         head_kappa=head_kappa,
-        rng=np.random.default_rng(seed),
+        rng=rng,
     )
-    write(found, output)
-    console.print(
-        f"wrote {output}: {counted(len(found), 'track')}, {found.n_frames} person-frames", markup=False
-    )
+    if anonymous:
+        write_table(found.anonymous(rng), output)
+    else:
+        write(found.observed, output)
+    if every is not None:
+        console.print(f"  note: {found.truth.summary.notes[-1]}", markup=False)
+    console.print(f"wrote {output}: {summary_of(found)}", markup=False)
+    if truth_output is not None:
+        write(found.truth, truth_output)
+        console.print(f"wrote {truth_output}: the truth", markup=False)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
@@ -89,6 +90,35 @@ def tracks_of_rows(rows: Rows, options: ReadOptions) -> TrackSet:
     return with_every_frame(TrackSet.from_rows(with_identities(rows)))
 
 
+def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
+    """Write columns of the native table, such as detections without identities; whole, or not at all.
+
+    Raises
+    ------
+    InputError
+        If the file's name has not the ending of a table, or the place cannot be written to.
+    """
+    path = Path(path)
+    write = check_table_name(path)
+    with atomic_path(path) as temporary:
+        write(columns, temporary)
+
+
+def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path], None]:
+    """What writes columns to a file of that name.
+
+    Raises
+    ------
+    InputError
+        If its ending is none of a table.
+    """
+    write = format_for_writing(path).write_columns
+    if write is None:
+        names = ", ".join(s for one in formats() if one.write_columns is not None for s in one.suffixes)
+        raise InputError(f"the file name {path.name!r}", f"one of the endings {names}", path=path)
+    return write
+
+
 def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions = ReadOptions()) -> Rows:
     """Read the boxes of a file, in its order, where its format holds any.
 
@@ -103,23 +133,32 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
     InputError
         With path, line and column, what was found there and what was expected.
     """
-    source = Source.open(path)
-    chosen = detect(source) if format is None else format_named(format)
-    if chosen.read_boxes is None:
+    rows = boxes_of_file(path, format, options)
+    if rows is None:
+        chosen = _chosen(Source.open(path), format)
         names = ", ".join(one.name for one in formats() if one.read_boxes is not None)
         found = f"the format {chosen.name}, of which no boxes are read"
-        raise InputError(found, f"a format with boxes: {names}", path=source.path)
-    rows = chosen.read_boxes(source, options)
+        raise InputError(found, f"a format with boxes: {names}", path=path)
     check_identities(rows)
     check_rows(rows)
     return rows
 
 
+def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows | None:
+    """The rows of `read_boxes`, with identities or without; None if the format holds no boxes."""
+    source = Source.open(path)
+    chosen = _chosen(source, format)
+    return None if chosen.read_boxes is None else chosen.read_boxes(source, options)
+
+
+def _chosen(source: Source, format: str | None) -> Format:
+    return detect(source) if format is None else format_named(format)
+
+
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
     """The rows of a file, as its reader makes them, in metres and with times."""
     source = Source.open(path)
-    chosen = detect(source) if format is None else format_named(format)
-    return chosen.read(source, options)
+    return _chosen(source, format).read(source, options)
 
 
 def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
@@ -202,21 +241,7 @@ def write_detections(tracks: TrackSet, path: str | Path) -> None:
     InputError
         If the place cannot be written to, or its ending is of another format than the native table.
     """
-    path = Path(path)
-    write_columns = format_of_detections(path).write_columns
-    assert write_columns is not None
     columns = to_columns(tracks)
     order = np.argsort(columns["frame"], kind="stable")
     columns = {name: values[order] for name, values in columns.items() if name != "label"}
-    columns["track_id"] = np.full(len(order), -1)
-    with atomic_path(path) as temporary:
-        write_columns(columns, temporary)
-
-
-def format_of_detections(path: Path) -> Format:
-    """The format in which detections are written to a place, or an InputError as `write_detections` says."""
-    chosen = format_for_writing(path)
-    if chosen.write_columns is None:
-        endings = ", ".join(suffix for one in formats() if one.write_columns for suffix in one.suffixes)
-        raise InputError(f"detections without identities for {path.name}", f"a name that ends with {endings}")
-    return chosen
+    write_table(columns | {"track_id": np.full(len(order), -1)}, path)

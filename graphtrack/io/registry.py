@@ -46,10 +46,11 @@ class Format:
     looks_like : (first bytes, path) → whether the content is of this format
     read : (source, options) → rows, whose cells are checked
     write : (tracks, path) → None, when the format can be written; ``path`` may be written to directly
+    write_columns : (columns of the native table, path) → None, likewise; for tables, which can do without
+        identities
     beside : path → the places beside it where the reader looks for more by itself
     read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
         pixels, NaN where a row has none; for formats that hold boxes
-    write_columns : (columns of the native table, path) → None, for formats that are that table
     """
 
     name: str
@@ -58,9 +59,9 @@ class Format:
     looks_like: Callable[[bytes, Path], bool]
     read: Callable[[Source, ReadOptions], Rows]
     write: Callable[[TrackSet, Path], None] | None = None
+    write_columns: Callable[[Mapping[str, NDArray[Any]], Path], None] | None = None
     beside: Callable[[Path], tuple[Path, ...]] = lambda path: ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
-    write_columns: Callable[[Mapping[str, NDArray[Any]], Path], None] | None = None
 
 
 @cache

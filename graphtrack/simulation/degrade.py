@@ -71,7 +71,7 @@ def _noisy(
     head_kappa: float | None,
     rng: np.random.Generator,
 ) -> Track:
-    true_position = _motion(track)
+    true_position = motion(track)
     changes: dict[str, Any] = {"true_position": true_position, "velocity": None, "covariance": None}
     if position_std is not None:
         noisy = true_position + position_std * rng.standard_normal((len(track), 2))
@@ -94,7 +94,7 @@ def _noisy(
     return replace(track, **changes)
 
 
-def _motion(track: Track) -> FloatArray:
+def motion(track: Track) -> FloatArray:
     """The true positions (n, 2), or the observed ones where no truth is known."""
     return track.true_position if track.true_position is not None and track.has_truth else track.position
 
@@ -194,7 +194,7 @@ def turning(track: Track, turn_seconds: float = TURN_SECONDS) -> FloatArray:
 
     NaN where the person does not move, or is not known half of that time before and after.
     """
-    position = _motion(track)
+    position = motion(track)
     known = np.asarray(np.isfinite(position).all(axis=1))
     if not known.any():
         return np.full(len(track), np.nan)

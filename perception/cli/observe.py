@@ -103,7 +103,7 @@ def observe(
     """
     from graphtrack.errors import InputError
     from graphtrack.io import write
-    from graphtrack.io.reading import format_of_detections, write_detections
+    from graphtrack.io.reading import check_table_name, write_detections
     from perception.cli.observe_stream import observe_stream
     from perception.detection.boxes import read_boxes, write_boxes
     from perception.detection.people import Detections, PeopleTracker
@@ -150,7 +150,7 @@ def observe(
     given = None if boxes is None else read_boxes(boxes, refuse)
     identified = not given or given[0].identified
     if not (identified or streamed):
-        format_of_detections(output)
+        check_table_name(output)
     models = pipeline.Models(
         load_head_localiser(head_localiser_model),
         load_classifier("body_pose", body_pose_model),

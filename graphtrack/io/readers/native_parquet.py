@@ -117,7 +117,7 @@ def write(tracks: TrackSet, path: Path) -> None:
 
 
 def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Write columns (n,) of the native table, in their order."""
+    """Write columns of the native table, which need not have identities."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -297,9 +297,11 @@ def write(tracks: TrackSet, path: Path) -> None:
     write_columns(to_columns(tracks), path)
 
 
-def write_columns(given: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Write columns (n,) of the native table, in their order."""
-    columns = {name: _values(cells) for name, cells in given.items()}
+def write_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Write columns of the native table; without identities each object has the ``track_id`` −1."""
+    if "track_id" not in table:
+        table = {"track_id": np.full(len(table["frame"]), -1), **table}
+    columns = {name: _values(cells) for name, cells in table.items()}
     opened: Callable[..., Any] = gzip.open if path.name.lower().endswith(".gz") else open
     with opened(path, "wt", encoding="ascii", newline="\n") as stream:
         for row in zip(*columns.values(), strict=True):

@@ -1,0 +1,274 @@
+"""A plain tracker of many people: a Kalman filter each, and the Hungarian method in every frame.
+
+The scheme of SORT (Bewley et al. 2016, ICIP) on the ground instead of in boxes: constant velocity with
+white-noise acceleration, a gate on the Mahalanobis distance, birth after m hits of n frames (the M/N logic of
+Blackman and Popoli 1999, *Design and Analysis of Modern Tracking Systems*, ch. 6), death after some time
+without a hit. The confirmed choose first (the cascade of Wojke et al. 2017, ICIP). Online: what was said of a
+frame is never changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from graphtrack.association.detections import Detections, with_those_between
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.terms.motion import process_noise, transition_matrix
+from graphtrack.tracks import Track, TrackSet
+
+IntArray = NDArray[np.int64]
+
+
+def _number(default: float, low: float, high: float, unit: str = "") -> Any:
+    return field(default=default, metadata={"range": (low, high), "unit": unit})
+
+
+@dataclass(frozen=True)
+class HungarianParameters:
+    """What the tracker assumes, and when it believes in somebody.
+
+    Attributes
+    ----------
+    acceleration_density : q of white-noise acceleration, m²/s³
+    position_std : of detections that do not say how noisy they are, m on each axis
+    speed_std : of a velocity that nothing is known of, m/s on each axis
+    gate : Mahalanobis distance from which on a detection is not the person's
+    hits, frames : somebody is confirmed by so many detections within so many frames of the first
+    longest_gap : seconds between two detections of a person at most
+    coasting : seconds without a detection for which the prediction is reported as the person's place
+    """
+
+    acceleration_density: float = _number(0.06, 1e-6, 100.0, "m²/s³")
+    position_std: float = _number(0.14, 1e-4, 100.0, "m")
+    speed_std: float = _number(0.7, 0.01, 30.0, "m/s")
+    gate: float = _number(3.0, 0.1, 100.0)
+    hits: int = 2
+    frames: int = 2
+    longest_gap: float = _number(2.8, 0.0, 600.0, "s")
+    coasting: float = _number(0.4, 0.0, 600.0, "s")
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            low, high = one.metadata.get("range", (1, 1000))
+            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+                unit = one.metadata.get("unit", "")
+                raise InputError(
+                    f"{one.name} = {value!r}", f"a number in [{low:g}, {high:g}] {unit}".rstrip()
+                )
+        if self.hits > self.frames:
+            raise InputError(f"{self.hits} hits of {self.frames} frames", "as many frames as hits at least")
+
+
+@dataclass(frozen=True, eq=False)
+class Reported:
+    """What the tracker says of one frame.
+
+    Attributes
+    ----------
+    identity : (n,) of each detection; −1: of nobody who is confirmed by now
+    people : (m,) identities of all who are reported, seen or not
+    mean : (m, 4) their x, y, vx, vy
+    covariance : (m, 4, 4)
+    seen : (m,) whether they were detected
+    """
+
+    identity: IntArray
+    people: IntArray
+    mean: FloatArray
+    covariance: FloatArray
+    seen: NDArray[np.bool_]
+
+
+class HungarianTracker:
+    """Tells frame by frame who is who.
+
+    Parameters
+    ----------
+    parameters : None: the defaults, which were tuned for people at 2.5 Hz
+    """
+
+    def __init__(self, parameters: HungarianParameters | None = None) -> None:
+        self.parameters = HungarianParameters() if parameters is None else parameters
+        self._t = -np.inf
+        self._next = 0
+        self._mean, self._covariance = np.empty((0, 4)), np.empty((0, 4, 4))
+        # Of each track: identity (−1 before it is confirmed), frames since it began, hits, time of the last.
+        self._identity, self._age = np.empty(0, np.int64), np.empty(0, np.int64)
+        self._hits, self._last = np.empty(0, np.int64), np.empty(0)
+
+    def step(self, t: float, position: FloatArray, position_std: FloatArray | None = None) -> Reported:
+        """Take in the detections of a frame.
+
+        Parameters
+        ----------
+        t : seconds, later than before
+        position : (n, 2) metres; n may be 0
+        position_std : (n,) metres, 1-σ of each axis; NaN or None: the parameters'
+
+        Raises
+        ------
+        InputError
+            If time does not go on.
+        """
+        if not t > self._t:
+            raise InputError(f"a frame at {t:g} s after one at {self._t:g} s", "frames in the order of time")
+        position = np.asarray(position, dtype=float).reshape(-1, 2)
+        std = np.full(len(position), np.nan) if position_std is None else np.asarray(position_std, float)
+        variance = np.where(np.isnan(std), self.parameters.position_std, std) ** 2
+        self._keep(self._is_hopeful(t))
+        self._predict(t)
+        track_of = self._assign(position, variance)
+        hit = np.flatnonzero(track_of >= 0)
+        self._update(track_of[hit], position[hit], variance[hit])
+        self._age += 1
+        self._hits[track_of[hit]] += 1
+        self._last[track_of[hit]] = t
+        self._confirm()
+        identity = np.full(len(position), -1)
+        identity[hit] = self._identity[track_of[hit]]
+        new = np.flatnonzero(track_of < 0)
+        identity[new] = self._begin(t, position[new], variance[new])
+        self._t = t
+        return self._report(t, identity)
+
+    def _predict(self, t: float) -> None:
+        if not len(self._mean):
+            return
+        dt = t - self._t
+        transition = transition_matrix(dt)
+        self._mean = self._mean @ transition.T
+        noise = process_noise(dt, self.parameters.acceleration_density)
+        self._covariance = transition @ self._covariance @ transition.T + noise
+
+    def _assign(self, position: FloatArray, variance: FloatArray) -> IntArray:
+        """The track (n,) of each detection, −1 where it has none."""
+        track_of = np.full(len(position), -1)
+        for group in (self._identity >= 0, self._identity < 0):
+            tracks, free = np.flatnonzero(group), np.flatnonzero(track_of < 0)
+            if not len(tracks) or not len(free):
+                continue
+            # What a match saves: a pair beyond the gate saves nothing, and is none.
+            saved = self.parameters.gate**2 - self._squared_distances(tracks, position[free], variance[free])
+            rows, columns = linear_sum_assignment(np.maximum(saved, 0.0), maximize=True)
+            matched = saved[rows, columns] > 0.0
+            track_of[free[columns[matched]]] = tracks[rows[matched]]
+        return track_of
+
+    def _squared_distances(self, tracks: IntArray, position: FloatArray, variance: FloatArray) -> FloatArray:
+        """Squared Mahalanobis distances (m, n) of detections from where tracks are predicted."""
+        off = position[None] - self._mean[tracks, None, :2]
+        spread = self._covariance[tracks, None, :2, :2] + variance[None, :, None, None] * np.eye(2)
+        return np.einsum("mni,mnij,mnj->mn", off, np.linalg.inv(spread), off)
+
+    def _update(self, tracks: IntArray, position: FloatArray, variance: FloatArray) -> None:
+        if not len(tracks):
+            return
+        mean, spread = self._mean[tracks], self._covariance[tracks]
+        noise = variance[:, None, None] * np.eye(2)
+        gain = np.linalg.solve(spread[:, :2, :2] + noise, spread[:, :2, :]).transpose(0, 2, 1)
+        self._mean[tracks] = mean + np.einsum("mij,mj->mi", gain, position - mean[:, :2])
+        # Joseph's form keeps covariances symmetric and positive.
+        keep = np.eye(4) - gain @ np.eye(2, 4)
+        back = gain.transpose(0, 2, 1)
+        self._covariance[tracks] = keep @ spread @ keep.transpose(0, 2, 1) + gain @ noise @ back
+
+    def _confirm(self) -> None:
+        new = np.flatnonzero((self._identity < 0) & (self._hits >= self.parameters.hits))
+        self._identity[new] = self._next + np.arange(len(new))
+        self._next += len(new)
+
+    def _is_hopeful(self, t: float) -> NDArray[np.bool_]:
+        """Tracks (m,) that a detection at time t could be of."""
+        confirmed = self._identity >= 0
+        # Rounding must not end a gap that is just as long as allowed.
+        recent = t - self._last <= self.parameters.longest_gap + 1e-9
+        hopeful = self._age - self._hits <= self.parameters.frames - self.parameters.hits
+        return np.where(confirmed, recent, hopeful)
+
+    def _keep(self, kept: NDArray[np.bool_]) -> None:
+        for name in ("_mean", "_covariance", "_identity", "_age", "_hits", "_last"):
+            setattr(self, name, getattr(self, name)[kept])
+
+    def _begin(self, t: float, position: FloatArray, variance: FloatArray) -> IntArray:
+        """Tracks of detections that are nobody's so far; their identities, −1 unless one hit is enough."""
+        n = len(position)
+        spread = np.zeros((n, 4, 4))
+        spread[:, [0, 1], [0, 1]] = variance[:, None]
+        spread[:, [2, 3], [2, 3]] = self.parameters.speed_std**2
+        self._mean = np.concatenate([self._mean, np.column_stack([position, np.zeros((n, 2))])])
+        self._covariance = np.concatenate([self._covariance, spread])
+        self._identity = np.append(self._identity, np.full(n, -1))
+        self._age = np.append(self._age, np.ones(n, np.int64))
+        self._hits = np.append(self._hits, np.ones(n, np.int64))
+        self._last = np.append(self._last, np.full(n, t))
+        self._confirm()
+        return self._identity[len(self._identity) - n :]
+
+    def _report(self, t: float, identity: IntArray) -> Reported:
+        shown = (self._identity >= 0) & (t - self._last <= self.parameters.coasting + 1e-9)
+        return Reported(
+            identity,
+            self._identity[shown],
+            self._mean[shown],
+            self._covariance[shown],
+            self._last[shown] == t,
+        )
+
+
+def track_detections(detections: Detections, parameters: HungarianParameters | None = None) -> TrackSet:
+    """Track the people of a recording frame by frame, each frame from those before it alone.
+
+    Returns
+    -------
+    TrackSet
+        Filtered positions and velocities, with their uncertainties; ``observed`` is 0 where a position is a
+        prediction. Ids count from 0 in the order of confirmation.
+    """
+    tracker = HungarianTracker(parameters)
+    seen, first = np.unique(detections.frame, return_index=True)
+    end = dict(
+        zip(seen.tolist(), zip(first, np.append(first[1:], len(detections)), strict=True), strict=True)
+    )
+    frames = with_those_between(seen)
+    times = np.interp(frames, seen, detections.t[first])
+    std = detections.channels.get("position_std")
+    rows: list[tuple[int, float, Reported]] = []
+    for frame, t in zip(frames.tolist(), times.tolist(), strict=True):
+        here = slice(*end.get(frame, (0, 0)))
+        found = tracker.step(t, detections.position[here], None if std is None else std[here])
+        rows.append((frame, t, found))
+    return _tracks(rows)
+
+
+def _tracks(rows: list[tuple[int, float, Reported]]) -> TrackSet:
+    counts = [len(found.people) for *_, found in rows]
+    people = np.concatenate([found.people for *_, found in rows])
+    frame = np.repeat([frame for frame, *_ in rows], counts)
+    t = np.repeat([t for _, t, _ in rows], counts)
+    mean = np.concatenate([found.mean for *_, found in rows])
+    spread = np.concatenate([found.covariance for *_, found in rows])
+    observed = np.concatenate([found.seen for *_, found in rows]).astype(float)
+    tracks = []
+    for identity in np.unique(people).tolist():
+        own = np.flatnonzero(people == identity)
+        covariance = np.full((len(own), 6, 6), np.nan)
+        covariance[:, :4, :4] = spread[own]
+        tracks.append(
+            Track(
+                identity,
+                frame[own],
+                t[own],
+                mean[own, :2],
+                velocity=mean[own, 2:],
+                covariance=covariance,
+                observed=observed[own],
+            )
+        )
+    return TrackSet(tuple(tracks))

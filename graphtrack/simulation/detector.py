@@ -1,0 +1,303 @@
+"""What a detector of people makes of a recording whose truth is known: noise, misses, false detections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.association.detections import with_those_between
+from graphtrack.bounds import LARGEST_ID, check_positive
+from graphtrack.display import counted
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import BoolArray, FloatArray, wrap
+from graphtrack.io.given import tracks_of
+from graphtrack.simulation.degrade import add_noise, motion, withhold
+from graphtrack.table.columns import to_columns
+from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.io.given import Given
+
+FALSE = "false"
+"""Label of a false detection, where identities are kept."""
+
+SEEN = (
+    "position",
+    "position_std",
+    "pixel",
+    "body",
+    "body_kappa",
+    "body_likelihood",
+    "head",
+    "head_kappa",
+    "head_likelihood",
+)
+"""What is not observed of somebody who is not detected."""
+
+_OBSERVED_COLUMNS = ("frame", "t", "x", "y", "body_deg", "head_deg")
+"""Columns of a detection without an identity: nothing of the truth, nor of how noisy it was made."""
+
+ClutterCount = Literal["poisson", "fixed"]
+
+
+@dataclass(frozen=True)
+class Detector:
+    """What a detector gets wrong.
+
+    Attributes
+    ----------
+    missed : probability that a person in view is not detected in a frame
+    occluded_share : share of the people whose tracks are longer than ``occluded_seconds`` who are hidden once
+    occluded_seconds : for how long, s
+    clutter : false detections a frame
+    clutter_count : "poisson": so many on average; "fixed": exactly so many, a whole number
+    """
+
+    missed: float = 0.0
+    occluded_share: float = 0.0
+    occluded_seconds: float = 2.0
+    clutter: float = 0.0
+    clutter_count: ClutterCount = "poisson"
+
+    def __post_init__(self) -> None:
+        highest = {"missed": 1.0, "occluded_share": 1.0, "occluded_seconds": 1e6, "clutter": 1e5}
+        for name, most in highest.items():
+            value = getattr(self, name)
+            if not (np.isfinite(value) and 0.0 <= value <= most):
+                raise InputError(f"{name} = {value!r}", f"a number from 0 to {most:g}")
+        if self.clutter_count not in get_args(ClutterCount):
+            raise InputError(f"clutter_count = {self.clutter_count!r}", "poisson or fixed")
+        if self.clutter_count == "fixed" and self.clutter != round(self.clutter):
+            raise InputError(f"clutter = {self.clutter:g}", "a whole number where the count is fixed")
+
+    @property
+    def is_perfect(self) -> bool:
+        """Whether it gets nothing wrong."""
+        return not (self.missed or self.occluded_share or self.clutter)
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """What a detector made of a recording.
+
+    Attributes
+    ----------
+    observed : every person with what was seen of them, NaN where they were not detected, the truth beside;
+        after them the false detections, each a track of its own with one row and the label `FALSE`
+    truth : where everybody is in the same frames, whether detected or not
+    """
+
+    observed: TrackSet
+    truth: TrackSet
+
+    @property
+    def false(self) -> int:
+        """How many detections are false."""
+        return sum(track.label == FALSE for track in self.observed)
+
+    @property
+    def detections(self) -> int:
+        """How many detections there are, false ones among them."""
+        return sum(int(np.isfinite(track.position).all(axis=1).sum()) for track in self.observed)
+
+    def anonymous(self, rng: np.random.Generator) -> dict[str, NDArray[Any]]:
+        """The detections without identities: columns of the native table, a row for each.
+
+        By frames, and within a frame in random order. Place, time and what was seen of body and head stay;
+        nothing of the truth does.
+
+        Raises
+        ------
+        InputError
+            If nobody was detected.
+        """
+        columns = to_columns(self.observed)
+        rows = np.flatnonzero(np.isfinite(columns["x"]))
+        if not len(rows):
+            raise InputError("nobody who was detected", "a detection at least; miss fewer")
+        rows = rng.permutation(rows)
+        rows = rows[np.argsort(columns["frame"][rows], kind="stable")]
+        kept = {name: columns[name][rows] for name in _OBSERVED_COLUMNS if name in columns}
+        return {name: values for name, values in kept.items() if not np.isnan(values).all()}
+
+
+def detect(
+    tracks: Given,
+    detector: Detector = Detector(),
+    *,
+    every: float | None = None,
+    position_std: float | None = None,
+    body_kappa: float | None = None,
+    head_kappa: float | None = None,
+    rng: np.random.Generator,
+) -> Detected:
+    """Observe people whose truth is known as a detector would.
+
+    False detections lie anywhere in the box around all true positions of the recording, each as probably as
+    any other, in every frame from the first to the last. An occlusion lies anywhere within its person's
+    track, whose first and last frames it spares.
+
+    Parameters
+    ----------
+    tracks : what is known, in any form that `graphtrack.solve` takes
+    detector : what is missed, hidden and false
+    every : seconds between the frames, see `sampled`; None: the recording's own frames
+    position_std, body_kappa, head_kappa : the noise, as in `add_noise`
+    rng : source of all that is random
+
+    Raises
+    ------
+    InputError
+        For amounts that are none, and if nobody is anywhere.
+    """
+    exact = tracks_of(tracks)
+    if every is not None:
+        exact = sampled(exact, every)
+    noisy = add_noise(exact, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng)
+    hidden = _hidden(noisy, detector, rng)
+    people = [_unseen(track, detector.missed, hidden, rng) for track in noisy]
+    return Detected(
+        noisy.with_tracks([*people, *_false_detections(noisy, people, detector, rng)]),
+        exact.map(_as_truth),
+    )
+
+
+def sampled(tracks: TrackSet, every: float) -> TrackSet:
+    """People at regular times, from the first of the recording on; frames are numbered from 0.
+
+    Between two rows of a person everything goes straight on: positions on a line, angles the shorter way
+    round. Rows without a position are passed over. Places, orientations and the truth of both are sampled,
+    nothing else. Who is not there at any of the times is left out, which the notes say.
+
+    Parameters
+    ----------
+    tracks : with times, s
+    every : seconds from a frame to the next
+
+    Raises
+    ------
+    InputError
+        For a time that is not positive, and if nobody is there at any of them.
+    """
+    check_positive("every", every, 1e6)
+    times = [track.t for track in tracks]
+    if not times:
+        raise InputError("no tracks", "at least one")
+    first, last = min(t[0] for t in times), max(t[-1] for t in times)
+    count = (last - first) / every
+    if count > 1e7:
+        raise InputError(f"every = {every:g} s over {last - first:g} s", "ten million frames at most")
+    grid = first + every * np.arange(int(np.floor(count + 1e-6)) + 1)
+    found = [one for track in tracks if (one := _sampled_track(track, grid, every)) is not None]
+    if not found:
+        raise InputError(f"nobody at any time every {every:g} s", "a shorter time between the frames")
+    note = f"sampled every {every:g} s: {counted(len(grid), 'frame')}"
+    if len(found) < len(tracks):
+        note += f", {counted(len(tracks) - len(found), 'track')} between them left out"
+    summary = replace(tracks.summary, notes=(*tracks.summary.notes, note))
+    return TrackSet(tuple(found), tracks.camera, summary)
+
+
+def _sampled_track(track: Track, grid: FloatArray, every: float) -> Track | None:
+    # Rounding must not put a time that is just the first or the last outside.
+    slack = 1e-6 * every
+    place = np.asarray(np.isfinite(motion(track)).all(axis=1))
+    if not place.any():
+        return None
+    there = track.t[place]
+    frame = np.flatnonzero((grid >= there[0] - slack) & (grid <= there[-1] + slack))
+    if not len(frame):
+        return None
+    channels: dict[str, Any] = {}
+    for name in ("position", "true_position", "body", "head", "true_body", "true_head"):
+        values = getattr(track, name)
+        if values is not None:
+            channels[name] = _between(track.t, values, grid[frame], slack, angle=values.ndim == 1)
+    return Track(track.track_id, frame, grid[frame], label=track.label, **channels)
+
+
+def _between(t: FloatArray, values: FloatArray, at: FloatArray, slack: float, *, angle: bool) -> FloatArray:
+    known = np.asarray(np.isfinite(values.reshape(len(t), -1)).all(axis=1))
+    columns = values[known].reshape(known.sum(), -1)
+    if not len(columns):
+        return np.full((len(at), *values.shape[1:]), np.nan)
+    if angle:
+        columns = np.unwrap(columns, axis=0)
+    inside = (at >= t[known][0] - slack) & (at <= t[known][-1] + slack)
+    found = np.column_stack([np.interp(at, t[known], column) for column in columns.T])
+    found[~inside] = np.nan
+    return wrap(found[:, 0]) if angle else found
+
+
+def _as_truth(track: Track) -> Track:
+    """The track with its true values in place of what was observed, and nothing else."""
+    true = {name: getattr(track, f"true_{name}") for name in ("body", "head")}
+    values = {name: getattr(track, name) if value is None else value for name, value in true.items()}
+    return Track(track.track_id, track.frame, track.t, motion(track), label=track.label, **values)
+
+
+def _hidden(tracks: TrackSet, detector: Detector, rng: np.random.Generator) -> Mapping[int, BoolArray]:
+    """track_id → (n,) where the person is hidden, of those who are at some time."""
+    seconds = detector.occluded_seconds
+    long_enough = [track for track in tracks if track.t[-1] - track.t[0] > seconds]
+    count = round(detector.occluded_share * len(long_enough)) if seconds > 0.0 else 0
+    windows = {}
+    for place in rng.permutation(len(long_enough))[:count].tolist():
+        track = long_enough[place]
+        begin = rng.uniform(track.t[0], track.t[-1] - seconds)
+        window = (track.t > begin) & (track.t < begin + seconds)
+        window[[0, -1]] = False
+        windows[track.track_id] = window
+    return windows
+
+
+def _unseen(track: Track, missed: float, hidden: Mapping[int, BoolArray], rng: np.random.Generator) -> Track:
+    window = rng.random(len(track)) < missed
+    if track.track_id in hidden:
+        window |= hidden[track.track_id]
+    return withhold(track, window, SEEN)
+
+
+def _false_detections(
+    exact: TrackSet, people: list[Track], detector: Detector, rng: np.random.Generator
+) -> list[Track]:
+    """Tracks of one row each, with ids after those of the people and the channels that theirs have."""
+    if not detector.clutter:
+        return []
+    places = np.concatenate([motion(track) for track in exact])
+    places = places[np.isfinite(places).all(axis=1)]
+    if not len(places):
+        raise InputError("no position", "where people are, in one frame at least")
+    low, high = places.min(axis=0), places.max(axis=0)
+    frames, first = np.unique(np.concatenate([track.frame for track in exact]), return_index=True)
+    t = np.concatenate([track.t for track in exact])[first]
+    every_frame = with_those_between(frames)
+    times = np.interp(every_frame, frames, t)
+    if detector.clutter_count == "fixed":
+        count = np.full(len(every_frame), round(detector.clutter))
+    else:
+        count = rng.poisson(detector.clutter, len(every_frame))
+    row = np.repeat(np.arange(len(every_frame)), count)
+    identity = max(track.track_id for track in exact) + 1
+    if identity + len(row) > LARGEST_ID:
+        raise InputError(f"track_id {identity - 1}", "ids that leave room for those of false detections")
+    position = rng.uniform(low, high, (len(row), 2))
+    std = [track.position_std for track in people if track.position_std is not None]
+    known = np.concatenate(std)[np.isfinite(np.concatenate(std))] if std else np.empty(0)
+    given: dict[str, Any] = {"position_std": known[:1]} if len(known) else {}
+    return [
+        Track(identity + k, every_frame[[i]], times[[i]], position[[k]], label=FALSE, **given)
+        for k, i in enumerate(row.tolist())
+    ]
+
+
+def summary_of(found: Detected) -> str:
+    """How many people were there, and how many detections and false ones came out, in words."""
+    return (
+        f"{counted(len(found.truth), 'track')}, {found.truth.n_frames} person-frames; "
+        f"{counted(found.detections, 'detection')}, {found.false} of them false"
+    )
