@@ -16,7 +16,6 @@ DOCUMENTS = sorted(ROOT.glob("docs/*.md"))
 PACKAGES = ("graphtrack", "perception")
 LONGEST = 400
 LONGER = {
-    "graphtrack/inference/online.py": "one class, of which a third is what its arguments and results mean",
     "graphtrack/model/kernels/program.py": "generated",
 }
 """Modules of more lines than `LONGEST`, and why."""

@@ -63,6 +63,7 @@ def associate_detections(
     for k in range(ROUNDS):
         if k:
             search.adopt(search.learned() if scene is None else scene)
+        search.join_generously()
         for sweep in range(SWEEPS):
             progress(k * SWEEPS + sweep, ROUNDS * SWEEPS)
             if not search.sweep():
@@ -106,6 +107,19 @@ class _Search(Moves):
         rate, spread = duplicates.learned(seen.step, seen.position, identity, self.scene)
         scene = replace(self.scene, duplicate_rate=rate, duplicate_spread=spread)
         return learning.learned(self.chains, identity, scene, self._std, self.packed.frame_seconds)
+
+    def join_generously(self) -> None:
+        """One sweep in which to come and to go costs nothing.
+
+        Two detections alone are seldom worth a birth and a death, so that nobody would ever get a third; what
+        is not worth them in the end is parted again by the sweeps that follow.
+        """
+        packed = self.packed
+        self.packed = packed._replace(log_birth=np.log(self.scene.clutter_density), log_death=0.0)
+        refresh(self.chains, 0, len(self.chains.t), self.packed)
+        self.sweep()
+        self.packed = packed
+        refresh(self.chains, 0, len(self.chains.t), self.packed)
 
     def sweep(self) -> int:
         """Every move once, from the first frame to the last; the number of links that changed."""

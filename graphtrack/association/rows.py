@@ -60,7 +60,8 @@ def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.l
 
 
 def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest: float) -> Track:
-    short = np.diff(track.t) <= longest * (1.0 + 1e-9)
+    # Between two detections two steps apart somebody was hidden for one.
+    short = np.diff(track.t) - np.diff(t).min() <= longest * (1.0 + 1e-9)
     gaps = [pair for pair, fill in zip(pairwise(track.frame.tolist()), short, strict=True) if fill]
     # Frames in which nobody at all was seen are none of the recording's: they lie a step apart.
     between = [np.arange(a, b, step) for a, b in gaps]
