@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association import duplicates, learning
+from graphtrack.association import duplicates, facing, learning
 from graphtrack.association.kernels import Chains, IntArray, unlinked
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
@@ -28,7 +28,7 @@ class History:
 
     def __init__(self) -> None:
         self.t, self.std = np.zeros(0), np.zeros(0)
-        self.position = np.zeros((0, 2))
+        self.position, self.facing = np.zeros((0, 2)), np.zeros((0, 2))
         self.frame, self.owner = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self.count, self.times = 0, 0
 
@@ -38,6 +38,7 @@ class History:
             "t": chains.t,
             "std": std,
             "position": chains.position,
+            "facing": chains.facing,
             "frame": chains.frame,
             "owner": owner,
         }
@@ -67,7 +68,7 @@ class History:
     def learned(self, scene: SceneParameters, step_seconds: float) -> SceneParameters:
         """The parameters that the remembered tracks speak for."""
         self.times += 1
-        chains = unlinked(self.t, self.frame - self.frame[0], self.position)
+        chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
         chains.gain[:] = 0.0
         chains.variance[:] = np.where(np.isnan(self.std), scene.position_std, self.std) ** 2
         _, owner = np.unique(self.owner, return_inverse=True)
@@ -77,7 +78,8 @@ class History:
         chains.preceding[order[1:][same]] = order[:-1][same]
         rate, spread = duplicates.learned(chains.frame, self.position, identity, scene)
         scene = replace(scene, duplicate_rate=rate, duplicate_spread=spread)
-        return learning.learned(chains, identity, scene, self.std, step_seconds)
+        scene = learning.learned(chains, identity, scene, self.std, step_seconds)
+        return facing.learned(chains, identity, scene)
 
 
 def packed(values: NDArray[Any]) -> list[Any]:

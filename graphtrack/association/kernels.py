@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.kernels.bessel import log_i0e
 from graphtrack.model.kernels.compiled import compiled
 
 IntArray = NDArray[np.int64]
@@ -36,6 +37,17 @@ class Scene(NamedTuple):
     longest_gap: float
     frame_seconds: float
     look_ahead: float
+    body_variance: float
+    body_turn: float  # variance a second
+    body_outliers: float
+    head_variance: float
+    head_turn: float
+    head_outliers: float
+    heading_variance: float
+    heading_outliers: float
+    looks_offset: float = 0.0
+    looks_slope: float = 0.0
+    looks_outliers: float = 1.0
 
 
 class Chains(NamedTuple):
@@ -46,6 +58,8 @@ class Chains(NamedTuple):
     position: FloatArray  # (n, 2) metres
     variance: FloatArray  # (n,) m² of each axis
     gain: FloatArray  # (n,) log of how much more likely as a person's than as a false one, position aside
+    facing: FloatArray  # (n, 2) radians, observed body and head; NaN: not observed
+    looks: FloatArray  # (n, d) whitened descriptors, NaN where one is missing; (n, 0) where there are none
     following: IntArray  # (n,) the next detection of the same person, or −1
     preceding: IntArray  # (n,) the one before, or −1
     state: FloatArray  # (n, 7) filtered there: x, y, vx, vy, and the covariance p, pv, v of each axis
@@ -53,12 +67,23 @@ class Chains(NamedTuple):
     total: FloatArray  # (n,) of the track up to there
 
 
-def unlinked(t: FloatArray, frame: IntArray, position: FloatArray) -> Chains:
-    """Detections that are nobody's yet; their variances and gains are to be set."""
+def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: FloatArray) -> Chains:
+    """Detections that are nobody's yet; their variances, gains and looks are to be set."""
     n, nobody = len(t), np.full(len(t), -1)
-    empty, zeros = np.empty(n), np.zeros(n)
+    zeros = np.zeros(n)
     return Chains(
-        t, frame, position, empty, empty.copy(), nobody, nobody.copy(), np.zeros((n, 7)), zeros, zeros.copy()
+        t,
+        frame,
+        position,
+        np.empty(n),
+        np.empty(n),
+        facing,
+        np.empty((n, 0)),
+        nobody,
+        nobody.copy(),
+        np.zeros((n, 7)),
+        zeros,
+        zeros.copy(),
     )
 
 
@@ -82,8 +107,8 @@ def begin(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
 
 
 @compiled
-def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
-    """The state after detection m of somebody whose state was ``before`` at detection k; its evidence."""
+def move(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
+    """The state after detection m of somebody whose state was ``before`` at k; log density of its place."""
     dt, q = chains.t[m] - chains.t[k], scene.density
     p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
     pv = before[5] + dt * before[6] + 0.5 * q * dt * dt
@@ -95,8 +120,63 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
     state[0], state[1] = x + gain * off_x, y + gain * off_y
     state[2], state[3] = before[2] + turn * off_x, before[3] + turn * off_y
     state[4], state[5], state[6] = p * (1.0 - gain), pv * (1.0 - gain), v - turn * pv
-    density = -math.log(2.0 * math.pi * spread) - 0.5 * (off_x * off_x + off_y * off_y) / spread
-    return density + chains.gain[m] + missed(chains.frame[m] - chains.frame[k] - 1, scene)
+    return -math.log(2.0 * math.pi * spread) - 0.5 * (off_x * off_x + off_y * off_y) / spread
+
+
+@compiled
+def angle_ratio(deviation: float, variance: float, outliers: float) -> float:
+    """Log of how much more probable an angle's deviation is than by chance: von Mises, with outliers."""
+    if outliers >= 1.0 or math.isnan(deviation):
+        return 0.0
+    kappa = 1.0 / variance
+    density = math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
+    return math.log((1.0 - outliers) * density + outliers)
+
+
+@compiled
+def looks_ratio(chains: Chains, k: int, m: int, scene: Scene) -> float:
+    """Log likelihood ratio of how two detections look; see `AppearanceModel`."""
+    if scene.looks_outliers >= 1.0:
+        return 0.0
+    square = 0.0
+    for i in range(chains.looks.shape[1]):
+        square += (chains.looks[k, i] - chains.looks[m, i]) ** 2
+    if math.isnan(square):
+        return 0.0
+    score = scene.looks_offset - scene.looks_slope * math.log(max(square, 1e-12))
+    odds = math.exp(min(max(score, -50.0), 50.0))
+    sure, unsure = 1.0 - scene.looks_outliers, scene.looks_outliers
+    return math.log((sure * odds + unsure) / (sure + unsure * odds))
+
+
+@compiled
+def resemblance(chains: Chains, k: int, m: int, scene: Scene, state: FloatArray) -> float:
+    """Log likelihood ratio of what detections k and m of one person show beside their places.
+
+    Bodies and heads turn little, bodies face where people go, who are in ``state`` at m, and looks stay.
+    """
+    dt = chains.t[m] - chains.t[k]
+    body, head = chains.facing[m, 0], chains.facing[m, 1]
+    variance = scene.body_variance + dt * scene.body_turn
+    ratio = angle_ratio(body - chains.facing[k, 0], variance, scene.body_outliers)
+    variance = scene.head_variance + dt * scene.head_turn
+    ratio += angle_ratio(head - chains.facing[k, 1], variance, scene.head_outliers)
+    if scene.heading_outliers < 1.0 and not math.isnan(body):
+        square = max(state[2] * state[2] + state[3] * state[3], 1e-6)
+        # Who hardly moves goes nowhere in particular.
+        variance = scene.heading_variance + state[6] / square
+        if variance < 10.0:
+            deviation = body - math.atan2(state[3], state[2])
+            ratio += angle_ratio(deviation, variance, scene.heading_outliers)
+    return ratio + looks_ratio(chains, k, m, scene)
+
+
+@compiled
+def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
+    """The state after detection m of somebody whose state was ``before`` at detection k; its evidence."""
+    density = move(chains, before, k, m, scene, state)
+    skipped = missed(chains.frame[m] - chains.frame[k] - 1, scene)
+    return density + chains.gain[m] + skipped + resemblance(chains, k, m, scene, state)
 
 
 @compiled
@@ -269,8 +349,7 @@ def innovations(chains: Chains, scene: Scene) -> tuple[float, int]:
             begin(chains, m, scene, chains.state[m])
             continue
         here = chains.state[k].copy()
-        density = follow(chains, here, k, m, scene, chains.state[m])
-        total += density - chains.gain[m] - missed(chains.frame[m] - chains.frame[k] - 1, scene)
+        total += move(chains, here, k, m, scene, chains.state[m])
         count += 1
     return total, count
 

@@ -14,12 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association import duplicates, learning
+from graphtrack.association import duplicates, facing, learning, looks
+from graphtrack.association.appearance import AppearanceModel
 from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import Scene, refresh, unlinked
 from graphtrack.association.moves import Moves
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
+
+APPEARANCE = "input_appearance"
+"""The channel of descriptors of what detections look like, (n, d)."""
 
 SWEEPS = 6
 """Over the recording at most, for one set of parameters."""
@@ -81,11 +85,15 @@ class _Search(Moves):
         self.detections = detections
         std = detections.channels.get("position_std")
         self._std = np.full(n, np.nan) if std is None else std
-        chains = unlinked(detections.t, detections.step, np.ascontiguousarray(detections.position))
+        channels = detections.channels
+        angles = facing.observed(channels, n)
+        chains = unlinked(detections.t, detections.step, np.ascontiguousarray(detections.position), angles)
         super().__init__(chains, Scene(*scene.packed(detections.step_seconds)))
         _, self._first = np.unique(chains.frame, return_index=True)
         self._end = np.append(self._first[1:], n)
-        self._duplicates = np.zeros(n)
+        self._duplicates, self._score = np.zeros(n), channels.get("score")
+        self._descriptors = channels.get(APPEARANCE)
+        self._looks: AppearanceModel | None = None
         self.adopt(scene)
 
     def adopt(self, scene: SceneParameters) -> None:
@@ -96,9 +104,15 @@ class _Search(Moves):
             detections = self.detections
             self._duplicates = duplicates.density(detections.step, detections.position, identity, scene)
         self.packed = Scene(*scene.packed(self.detections.step_seconds))
+        if self._looks is not None and self._descriptors is not None:
+            self.chains, self.packed = looks.compared(
+                self.chains, self.packed, self._looks, self._descriptors
+            )
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
         false = scene.clutter_density + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
+        if self._score is not None and (identity >= 0).any():
+            self.chains.gain[:] += looks.score_ratio(self._score, identity)
         refresh(self.chains, 0, len(self.chains.t), self.packed)
 
     def learned(self) -> SceneParameters:
@@ -106,6 +120,9 @@ class _Search(Moves):
         identity, seen = self.identities(), self.detections
         rate, spread = duplicates.learned(seen.step, seen.position, identity, self.scene)
         scene = replace(self.scene, duplicate_rate=rate, duplicate_spread=spread)
+        if self._descriptors is not None:
+            self._looks = looks.learned(self.chains, identity, self._descriptors)
+        scene = facing.learned(self.chains, identity, scene)
         return learning.learned(self.chains, identity, scene, self._std, self.packed.frame_seconds)
 
     def join_generously(self) -> None:

@@ -113,7 +113,8 @@ class OnlineAssociation(Moves):
         self.given, self.lag = scene, lag
         self.scene = SceneParameters() if scene is None else scene
         empty, none = np.zeros(0), np.zeros(0, np.int64)
-        super().__init__(unlinked(empty, none, np.zeros((0, 2))), Scene(*self.scene.packed(1.0)))
+        nowhere = np.zeros((0, 2))
+        super().__init__(unlinked(empty, none, nowhere, nowhere.copy()), Scene(*self.scene.packed(1.0)))
         self._notes = _Notes.of(empty)
         self._first: list[int] = []  # detection of each frame that can be revised, oldest first
         self._history = History()
@@ -189,7 +190,13 @@ class OnlineAssociation(Moves):
         """The track ids of those who may be found again."""
         return set(self._notes.said.tolist())
 
-    def update(self, t: float, position: FloatArray, std: FloatArray | None = None) -> Decision:
+    def update(
+        self,
+        t: float,
+        position: FloatArray,
+        std: FloatArray | None = None,
+        facing: FloatArray | None = None,
+    ) -> Decision:
         """Take in a frame's detections.
 
         Parameters
@@ -197,6 +204,7 @@ class OnlineAssociation(Moves):
         t : seconds, after those of the update before
         position : (n, 2) metres; n may be 0
         std : (n,) metres, NaN where unknown
+        facing : (n, 2) radians, body and head as they were observed; NaN: not observed
 
         Raises
         ------
@@ -212,7 +220,9 @@ class OnlineAssociation(Moves):
             self._intervals = [*self._intervals[-24:], t - self._last]
         self._last = t
         self._forget(t)
-        first = self._append(t, position, np.full(n, np.nan) if std is None else np.asarray(std, float))
+        std = np.full(n, np.nan) if std is None else np.asarray(std, float)
+        angles = np.full((n, 2), np.nan) if facing is None else np.asarray(facing, float)
+        first = self._append(t, position, std, angles)
         self.updates += 1
         self._learn()
         self._prepare()
@@ -236,10 +246,10 @@ class OnlineAssociation(Moves):
 
     # -- one step ------------------------------------------------------------------------------------------
 
-    def _append(self, t: float, position: FloatArray, std: FloatArray) -> int:
+    def _append(self, t: float, position: FloatArray, std: FloatArray, facing: FloatArray) -> int:
         """Put a frame's detections behind the others; where they begin."""
         chains, n, first = self.chains, len(position), len(self.chains.t)
-        new = unlinked(np.full(n, t), np.full(n, self.updates), position)
+        new = unlinked(np.full(n, t), np.full(n, self.updates), position, facing)
         self.chains = Chains(*(np.concatenate(both) for both in zip(chains, new, strict=True)))
         self.link_p = np.concatenate([self.link_p, np.ones(n)])
         self._notes = self._notes.extended(_Notes.of(std))

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from graphtrack.association.detections import Detections, frames_between
-from graphtrack.association.offline import associate_detections
+from graphtrack.association.offline import APPEARANCE, associate_detections
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.table.rows import Rows
@@ -17,7 +17,15 @@ from graphtrack.tracks import Track, TrackSet
 FALSE = "taken for false detections"
 NOWHERE = "detections without a position"
 
-_ALONG = ("position_std",)
+_ALONG = (
+    "position_std",
+    "score",
+    "body",
+    "head",
+    "body_likelihood",
+    "head_likelihood",
+    APPEARANCE,
+)
 """Channels that the evidence reads beside the position."""
 
 

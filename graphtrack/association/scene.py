@@ -31,6 +31,12 @@ class SceneParameters:
     birth_density : people who come into view, a second and square metre
     death_rate : 1/s at which people leave
     longest_gap : seconds after which nobody is found again
+    body_std, head_std : of the change of an observed angle from one detection to the next, rad
+    body_turn, head_turn : of what is added a second, rad/√s
+    body_outliers, head_outliers : share of detections whose angle has nothing to do with the one before; 1:
+        angles say nothing of who is who
+    heading_std : of the body from where the person goes, rad
+    heading_outliers : share of detections whose body has nothing to do with it; 1: it says nothing
     longest_filled : gaps of so many seconds are filled with where the person must have been
     look_ahead : detections of a track after a cut that say whose they are
     """
@@ -47,6 +53,14 @@ class SceneParameters:
     birth_density: float = _number(1e-3, 1e-9, 100.0, "1/(m² s)")
     death_rate: float = _number(0.05, 1e-6, 10.0, "1/s")
     longest_gap: float = _number(6.0, 0.05, 60.0, "s")
+    body_std: float = _number(0.3, 0.02, 3.0, "rad")
+    body_turn: float = _number(0.5, 0.01, 10.0, "rad/√s")
+    body_outliers: float = _number(1.0, 0.01, 1.0)
+    head_std: float = _number(0.4, 0.02, 3.0, "rad")
+    head_turn: float = _number(0.8, 0.01, 10.0, "rad/√s")
+    head_outliers: float = _number(1.0, 0.01, 1.0)
+    heading_std: float = _number(0.4, 0.05, 3.0, "rad")
+    heading_outliers: float = _number(1.0, 0.01, 1.0)
     longest_filled: float = _number(2.0, 0.0, 60.0, "s")
     look_ahead: int = 8
 
@@ -72,4 +86,12 @@ class SceneParameters:
             self.longest_gap,
             frame_seconds,
             float(self.look_ahead),
+            self.body_std**2,
+            self.body_turn**2,
+            self.body_outliers,
+            self.head_std**2,
+            self.head_turn**2,
+            self.head_outliers,
+            self.heading_std**2,
+            self.heading_outliers,
         )

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from graphtrack.association.facing import observed
 from graphtrack.association.online import Decision, OnlineAssociation, Revision
 from graphtrack.association.scene import SceneParameters
 from graphtrack.errors import InputError
@@ -119,7 +120,7 @@ class OnlineTracker:
         # Nobody knows better how noisy they are than who saw them follow each other.
         seen = [replace(one, position_std=one.position_std or self.scene.position_std) for one in seen]
         association = self._association
-        decision = association.update(t, position, np.array(std))
+        decision = association.update(t, position, np.array(std), _facing(seen))
         number = association.updates - 1
         self._seen |= {(number, place): one for place, one in enumerate(seen)}
         owners, hidden = association.open_detections(), association.hidden()
@@ -253,3 +254,17 @@ class _Person:
     smoother: OnlineSmoother
     estimate: Estimate | None = None
     keys: list[Key] = field(default_factory=list)
+
+
+def _facing(seen: Sequence[Observation]) -> FloatArray:
+    """Observed body and head, (n, 2) radians; NaN where there is none."""
+    channels: dict[str, FloatArray] = {}
+    for name in ("body", "head"):
+        angles = [getattr(one, name) for one in seen]
+        channels[name] = np.array([math.nan if angle is None else angle for angle in angles])
+        classes = [getattr(one, f"{name}_likelihood") for one in seen]
+        size = next((len(one) for one in classes if one is not None), 0)
+        if size:
+            none = (math.nan,) * size
+            channels[f"{name}_likelihood"] = np.array([none if one is None else one for one in classes])
+    return observed(channels, len(seen))

@@ -19,7 +19,6 @@ from graphtrack.baselines.particle.data import prepare
 from graphtrack.baselines.particle.densities import (
     add_pose_log_density,
     add_position_log_density,
-    log_i0e,
     sample_von_mises,
 )
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter, particle_smoother
@@ -44,6 +43,7 @@ from graphtrack.geometry.angles import (
 )
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import LikelihoodParameters, Model, MotionParameters, Parameters, States, Step, Term
+from graphtrack.model.kernels.bessel import log_i0e
 from graphtrack.particles import (
     effective_sample_size,
     generator,

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from graphtrack.baselines.particle.data import PackedMotion
-from graphtrack.baselines.particle.densities import log_i0e
 from graphtrack.baselines.particle.kernels import carry, motion_pull
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.kernels.bessel import log_i0e
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.particles import normalise
 
