@@ -9,18 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import i0e
 
-from graphtrack.association.kernels import Chains
+from graphtrack.association.kernels import Chains, Scene, facing_evidence
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray, class_centres
 
 IntArray = NDArray[np.int64]
 
 _LEAST = 20
-"""Pairs of detections below which angles say nothing."""
+"""Neighbours in tracks below which angles say nothing."""
 _OUTLIERS = (0.02, 0.9)
-"""Shares of outliers that can be learned; beyond the last one angles say nothing."""
+"""Shares of outliers that can be learned: angles are never thought sure."""
 
 
 def observed(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
@@ -44,48 +43,46 @@ def observed(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
     return found
 
 
-def learned(chains: Chains, identity: IntArray, scene: SceneParameters) -> SceneParameters:
+def learned(chains: Chains, scene: SceneParameters, seconds: float) -> SceneParameters:
     """The parameters of angles under which the tracks' are most probable.
 
     Parameters
     ----------
-    chains : the tracks, filtered
-    identity : (n,) of each detection; −1: false
+    chains : the tracks; their states are filtered anew
     scene : the parameters before
+    seconds : from a frame to the next
     """
-    later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
-    earlier = chains.preceding[later]
-    dt = chains.t[later] - chains.t[earlier]
-    changes: dict[str, Any] = {}
-    for column, name in enumerate(("body", "head")):
-        turned = chains.facing[later, column] - chains.facing[earlier, column]
-        known = np.isfinite(turned)
-        std, turn, outliers = _fitted(turned[known], dt[known])
-        changes |= {f"{name}_std": std, f"{name}_turn": turn, f"{name}_outliers": outliers}
-    velocity = chains.state[later, 2:4]
-    square = np.maximum(np.sum(velocity**2, axis=1), 1e-6)
-    unsure = chains.state[later, 6] / square
-    deviation = chains.facing[later, 0] - np.arctan2(velocity[:, 1], velocity[:, 0])
-    known = np.isfinite(deviation) & (unsure < 0.5)
-    std, _, outliers = _fitted(deviation[known], np.zeros(known.sum()))
-    return replace(scene, **changes, heading_std=std, heading_outliers=outliers)
+    later = np.flatnonzero(chains.preceding >= 0)
+    both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])
+    neutral: dict[str, Any] = {"body_outliers": 1.0, "head_outliers": 1.0}
+    for column, names in enumerate((("body_std", "body_turn", "heading_std"), ("head_std", "head_turn"))):
+        if both[:, column].sum() >= _LEAST:
+            others = replace(scene, **neutral)
+            found = _fitted(chains, others, names, f"{names[0][:4]}_outliers", seconds)
+            scene = replace(scene, **found)
+    return scene
 
 
-def _fitted(deviation: FloatArray, dt: FloatArray) -> tuple[float, float, float]:
-    """Standard deviation (rad), growth (rad/√s) and outliers under which deviations are most probable."""
-    if len(deviation) < _LEAST:
-        return 0.3, 0.5, 1.0
+def _fitted(
+    chains: Chains, scene: SceneParameters, names: tuple[str, ...], outliers: str, seconds: float
+) -> dict[str, Any]:
+    """Spreads and share of outliers of one kind of angle that make it most probable."""
+    ranges = [SceneParameters.__dataclass_fields__[name].metadata["range"] for name in names]
+    low, high = np.array(ranges).T
+
+    def parameters(given: FloatArray) -> dict[str, Any]:
+        spreads = np.clip(np.exp(given[:-1]), low, high).tolist()
+        return dict(zip(names, spreads, strict=True)) | {outliers: float(np.clip(given[-1], *_OUTLIERS))}
 
     def cost(given: FloatArray) -> float:
-        std, turn = np.exp(np.clip(given[:2], np.log(0.05), np.log(2.5)))
-        outliers = np.clip(given[2], *_OUTLIERS)
-        kappa = 1.0 / (std**2 + turn**2 * dt)
-        density = np.exp(kappa * (np.cos(deviation) - 1.0)) / i0e(kappa)
-        # A few pairs' worth of doubt.
-        doubt = 2.0 * np.log(outliers) + 2.0 * np.log1p(-outliers)
-        return float(-np.log((1.0 - outliers) * density + outliers).sum() - doubt)
+        found = parameters(given)
+        share = found[outliers]
+        # A few angles' worth of doubt.
+        doubt = 2.0 * np.log(share) + 2.0 * np.log1p(-share)
+        return -facing_evidence(chains, Scene(*replace(scene, **found).packed(seconds))) - float(doubt)
 
-    found = minimize(cost, [np.log(0.3), np.log(0.3), 0.3], method="Nelder-Mead", options={"maxfev": 120})
-    std, turn = np.exp(np.clip(found.x[:2], np.log(0.05), np.log(2.5))).tolist()
-    outliers = float(np.clip(found.x[2], *_OUTLIERS))
-    return std, turn, 1.0 if outliers >= _OUTLIERS[1] else outliers
+    start = [*np.log([getattr(SceneParameters(), name) for name in names]), 0.2]
+    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 40 * len(start), "fatol": 0.1})
+    best = parameters(found.x)
+    # Nothing is gained where the tracks' angles are no more probable than any.
+    return best | ({outliers: 1.0} if found.fun > 0.0 else {})

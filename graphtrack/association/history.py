@@ -79,7 +79,7 @@ class History:
         rate, spread = duplicates.learned(chains.frame, self.position, identity, scene)
         scene = replace(scene, duplicate_rate=rate, duplicate_spread=spread)
         scene = learning.learned(chains, identity, scene, self.std, step_seconds)
-        return facing.learned(chains, identity, scene)
+        return facing.learned(chains, scene, step_seconds)
 
 
 def packed(values: NDArray[Any]) -> list[Any]:

@@ -24,6 +24,13 @@ GATE = 6.0
 """Standard deviations beyond which a detection is nobody's."""
 
 
+STATE = 11
+"""Numbers in a filtered state: x, y, vx, vy, the covariance p, pv, v of each axis, and the directions of body
+and head as vectors (x, y) whose length is their concentration; 0: not known."""
+BODY, HEAD = 7, 9
+"""Where the last two begin."""
+
+
 class Scene(NamedTuple):
     """`SceneParameters.packed`."""
 
@@ -44,7 +51,6 @@ class Scene(NamedTuple):
     head_turn: float
     head_outliers: float
     heading_variance: float
-    heading_outliers: float
     looks_offset: float = 0.0
     looks_slope: float = 0.0
     looks_outliers: float = 1.0
@@ -62,7 +68,7 @@ class Chains(NamedTuple):
     looks: FloatArray  # (n, d) whitened descriptors, NaN where one is missing; (n, 0) where there are none
     following: IntArray  # (n,) the next detection of the same person, or −1
     preceding: IntArray  # (n,) the one before, or −1
-    state: FloatArray  # (n, 7) filtered there: x, y, vx, vy, and the covariance p, pv, v of each axis
+    state: FloatArray  # (n, STATE) filtered there, see `STATE`
     evidence: FloatArray  # (n,) of the detection given those before
     total: FloatArray  # (n,) of the track up to there
 
@@ -81,7 +87,7 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
         np.empty((n, 0)),
         nobody,
         nobody.copy(),
-        np.zeros((n, 7)),
+        np.zeros((n, STATE)),
         zeros,
         zeros.copy(),
     )
@@ -95,15 +101,6 @@ def missed(frames: int, scene: Scene) -> float:
     chance = frames * scene.log_missed
     hidden = scene.log_hidden - frames * scene.frame_seconds / scene.hidden_seconds
     return np.logaddexp(chance, hidden)
-
-
-@compiled
-def begin(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
-    """The state of somebody first seen at detection k; its evidence."""
-    state[0], state[1] = chains.position[k, 0], chains.position[k, 1]
-    state[2] = state[3] = state[5] = 0.0
-    state[4], state[6] = chains.variance[k], scene.speed_variance
-    return scene.log_birth + chains.gain[k]
 
 
 @compiled
@@ -124,16 +121,6 @@ def move(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state
 
 
 @compiled
-def angle_ratio(deviation: float, variance: float, outliers: float) -> float:
-    """Log of how much more probable an angle's deviation is than by chance: von Mises, with outliers."""
-    if outliers >= 1.0 or math.isnan(deviation):
-        return 0.0
-    kappa = 1.0 / variance
-    density = math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
-    return math.log((1.0 - outliers) * density + outliers)
-
-
-@compiled
 def looks_ratio(chains: Chains, k: int, m: int, scene: Scene) -> float:
     """Log likelihood ratio of how two detections look; see `AppearanceModel`."""
     if scene.looks_outliers >= 1.0:
@@ -150,25 +137,65 @@ def looks_ratio(chains: Chains, k: int, m: int, scene: Scene) -> float:
 
 
 @compiled
-def resemblance(chains: Chains, k: int, m: int, scene: Scene, state: FloatArray) -> float:
-    """Log likelihood ratio of what detections k and m of one person show beside their places.
+def see_angle(
+    angle: float, prior_x: float, prior_y: float, noise: float, outliers: float, state: FloatArray, place: int
+) -> float:
+    """Take an observed angle into the direction at ``place`` of a state; its log ratio to one by chance.
 
-    Bodies and heads turn little, bodies face where people go, who are in ``state`` at m, and looks stay.
+    Parameters
+    ----------
+    angle : radians; NaN: not observed
+    prior_x, prior_y : the direction that is expected, with its concentration
+    noise : variance of the observation
+    outliers : share of observations that have nothing to do with the direction; 1: none is looked at
+    """
+    if outliers >= 1.0 or math.isnan(angle):
+        return 0.0
+    kappa, share, ratio = math.hypot(prior_x, prior_y), 1.0 - outliers, 0.0
+    if kappa > 1e-6:
+        kappa = 1.0 / (1.0 / kappa + noise)
+        deviation = angle - math.atan2(prior_y, prior_x)
+        density = share * math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
+        ratio = math.log(density + outliers)
+        share = density / (density + outliers)
+    state[place] += share * math.cos(angle) / noise
+    state[place + 1] += share * math.sin(angle) / noise
+    return ratio
+
+
+@compiled
+def see_facing(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
+    """Take body and head of detection m into the state; their log likelihood ratio.
+
+    They turn little since detection k, where the state was ``before``, and the body faces where the person
+    goes, who moves as the state says.
     """
     dt = chains.t[m] - chains.t[k]
-    body, head = chains.facing[m, 0], chains.facing[m, 1]
-    variance = scene.body_variance + dt * scene.body_turn
-    ratio = angle_ratio(body - chains.facing[k, 0], variance, scene.body_outliers)
-    variance = scene.head_variance + dt * scene.head_turn
-    ratio += angle_ratio(head - chains.facing[k, 1], variance, scene.head_outliers)
-    if scene.heading_outliers < 1.0 and not math.isnan(body):
-        square = max(state[2] * state[2] + state[3] * state[3], 1e-6)
+    for place, turn in ((BODY, scene.body_turn), (HEAD, scene.head_turn)):
+        x, y = before[place], before[place + 1]
+        less = 1.0 / (1.0 + math.hypot(x, y) * turn * dt)
+        state[place], state[place + 1] = less * x, less * y
+    x, y = state[BODY], state[BODY + 1]
+    square = state[2] * state[2] + state[3] * state[3]
+    if square > 1e-4:
         # Who hardly moves goes nowhere in particular.
-        variance = scene.heading_variance + state[6] / square
-        if variance < 10.0:
-            deviation = body - math.atan2(state[3], state[2])
-            ratio += angle_ratio(deviation, variance, scene.heading_outliers)
-    return ratio + looks_ratio(chains, k, m, scene)
+        length = 1.0 / ((scene.heading_variance + state[6] / square) * math.sqrt(square))
+        x, y = x + length * state[2], y + length * state[3]
+    ratio = see_angle(chains.facing[m, 0], x, y, scene.body_variance, scene.body_outliers, state, BODY)
+    x, y = state[HEAD], state[HEAD + 1]
+    return ratio + see_angle(chains.facing[m, 1], x, y, scene.head_variance, scene.head_outliers, state, HEAD)
+
+
+@compiled
+def begin(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
+    """The state of somebody first seen at detection k; its evidence."""
+    state[0], state[1] = chains.position[k, 0], chains.position[k, 1]
+    state[2] = state[3] = state[5] = 0.0
+    state[4], state[6] = chains.variance[k], scene.speed_variance
+    state[BODY:] = 0.0
+    see_angle(chains.facing[k, 0], 0.0, 0.0, scene.body_variance, scene.body_outliers, state, BODY)
+    see_angle(chains.facing[k, 1], 0.0, 0.0, scene.head_variance, scene.head_outliers, state, HEAD)
+    return scene.log_birth + chains.gain[k]
 
 
 @compiled
@@ -176,7 +203,8 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
     """The state after detection m of somebody whose state was ``before`` at detection k; its evidence."""
     density = move(chains, before, k, m, scene, state)
     skipped = missed(chains.frame[m] - chains.frame[k] - 1, scene)
-    return density + chains.gain[m] + skipped + resemblance(chains, k, m, scene, state)
+    shown = see_facing(chains, before, k, m, scene, state) + looks_ratio(chains, k, m, scene)
+    return density + chains.gain[m] + skipped + shown
 
 
 @compiled
@@ -224,7 +252,7 @@ def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
 
     After ``look_ahead`` detections what is remembered is taken: nothing is left of where the track came from.
     """
-    total, seen, here = 0.0, 0, np.empty(7)
+    total, seen, here = 0.0, 0, np.empty(STATE)
     m = chains.following[k]
     while m >= 0 and seen < scene.look_ahead:
         here[:] = state
@@ -248,7 +276,7 @@ def ending(chains: Chains, k: int, scene: Scene) -> float:
 @compiled
 def born(chains: Chains, k: int, scene: Scene) -> float:
     """Evidence of the track from detection k on, as of somebody new; 0 if false ones are more probable."""
-    state = np.empty(7)
+    state = np.empty(STATE)
     value = begin(chains, k, scene, state)
     return max(0.0, value + run_on(chains, state, k, scene))
 
@@ -256,7 +284,7 @@ def born(chains: Chains, k: int, scene: Scene) -> float:
 @compiled
 def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scene) -> FloatArray:
     """How much evidence (heads, tails) each link of a track's head to a tail brings over none."""
-    gains, state = np.full((len(heads), len(tails)), NOTHING), np.empty(7)
+    gains, state = np.full((len(heads), len(tails)), NOTHING), np.empty(STATE)
     alone, near = np.empty(len(tails)), np.empty(len(tails), np.int64)
     for j in range(len(tails)):
         alone[j] = born(chains, tails[j], scene)
@@ -284,7 +312,7 @@ def gains_of_detections(
     heads, tails : (tracks,) the last detection before the frame and the first after it, linked; −1: none
     detections : of the frame, linked to nothing
     """
-    gains, state, here = np.full((len(heads), len(detections)), NOTHING), np.empty(7), np.empty(7)
+    gains, state, here = np.full((len(heads), len(detections)), NOTHING), np.empty(STATE), np.empty(STATE)
     alone, near, next_one = np.empty(len(detections)), np.arange(len(detections)), np.empty(1, np.int64)
     is_next = np.empty(1, np.int64)
     for j in range(len(detections)):
@@ -389,3 +417,18 @@ def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> No
     for k in range(len(root)):
         if chains.following[k] < 0:
             value[root[k]] = chains.total[k] + ending(chains, k, scene)
+
+
+@compiled
+def facing_evidence(chains: Chains, scene: Scene) -> float:
+    """Sum of the log likelihood ratios of all angles along the chains, which are filtered again."""
+    total = 0.0
+    for m in range(len(chains.t)):
+        k = chains.preceding[m]
+        if k < 0:
+            begin(chains, m, scene, chains.state[m])
+            continue
+        here = chains.state[k].copy()
+        move(chains, here, k, m, scene, chains.state[m])
+        total += see_facing(chains, here, k, m, scene, chains.state[m])
+    return total

@@ -122,7 +122,7 @@ class _Search(Moves):
         scene = replace(self.scene, duplicate_rate=rate, duplicate_spread=spread)
         if self._descriptors is not None:
             self._looks = looks.learned(self.chains, identity, self._descriptors)
-        scene = facing.learned(self.chains, identity, scene)
+        scene = facing.learned(self.chains, scene, self.packed.frame_seconds)
         return learning.learned(self.chains, identity, scene, self._std, self.packed.frame_seconds)
 
     def join_generously(self) -> None:

@@ -31,12 +31,11 @@ class SceneParameters:
     birth_density : people who come into view, a second and square metre
     death_rate : 1/s at which people leave
     longest_gap : seconds after which nobody is found again
-    body_std, head_std : of the change of an observed angle from one detection to the next, rad
-    body_turn, head_turn : of what is added a second, rad/√s
-    body_outliers, head_outliers : share of detections whose angle has nothing to do with the one before; 1:
-        angles say nothing of who is who
+    body_std, head_std : of observed angles, rad
+    body_turn, head_turn : what bodies and heads turn, rad/√s
+    body_outliers, head_outliers : share of observed angles that have nothing to do with the person; 1: angles
+        say nothing of who is who
     heading_std : of the body from where the person goes, rad
-    heading_outliers : share of detections whose body has nothing to do with it; 1: it says nothing
     longest_filled : gaps of so many seconds are filled with where the person must have been
     look_ahead : detections of a track after a cut that say whose they are
     """
@@ -60,7 +59,6 @@ class SceneParameters:
     head_turn: float = _number(0.8, 0.01, 10.0, "rad/√s")
     head_outliers: float = _number(1.0, 0.01, 1.0)
     heading_std: float = _number(0.4, 0.05, 3.0, "rad")
-    heading_outliers: float = _number(1.0, 0.01, 1.0)
     longest_filled: float = _number(2.0, 0.0, 60.0, "s")
     look_ahead: int = 8
 
@@ -93,5 +91,4 @@ class SceneParameters:
             self.head_turn**2,
             self.head_outliers,
             self.heading_std**2,
-            self.heading_outliers,
         )
