@@ -54,6 +54,7 @@ class Scene(NamedTuple):
     looks_offset: float = 0.0
     looks_slope: float = 0.0
     looks_outliers: float = 1.0
+    trust: float = 0.0  # log odds that two detections of one given identity are one person's
 
 
 class Chains(NamedTuple):
@@ -66,6 +67,7 @@ class Chains(NamedTuple):
     gain: FloatArray  # (n,) log of how much more likely as a person's than as a false one, position aside
     facing: FloatArray  # (n, 2) radians, observed body and head; NaN: not observed
     looks: FloatArray  # (n, d) whitened descriptors, NaN where one is missing; (n, 0) where there are none
+    given: IntArray  # (n,) identities that somebody gave them and that mostly are right; −1: none
     following: IntArray  # (n,) the next detection of the same person, or −1
     preceding: IntArray  # (n,) the one before, or −1
     state: FloatArray  # (n, STATE) filtered there, see `STATE`
@@ -85,6 +87,7 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
         np.empty(n),
         facing,
         np.empty((n, 0)),
+        nobody.copy(),
         nobody,
         nobody.copy(),
         np.zeros((n, STATE)),
@@ -204,7 +207,8 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
     density = move(chains, before, k, m, scene, state)
     skipped = missed(chains.frame[m] - chains.frame[k] - 1, scene)
     shown = see_facing(chains, before, k, m, scene, state) + looks_ratio(chains, k, m, scene)
-    return density + chains.gain[m] + skipped + shown
+    trusted = scene.trust if chains.given[k] >= 0 and chains.given[k] == chains.given[m] else 0.0
+    return density + chains.gain[m] + skipped + shown + trusted
 
 
 @compiled

@@ -32,6 +32,10 @@ ROUNDS = 3
 """Times that the scene's parameters are learned from the tracks, which are found anew with them."""
 
 
+TRUST = 4.0
+"""Log odds that a tracker's next detection of somebody is of the same person: it jumps at one in fifty."""
+
+
 @dataclass(frozen=True, eq=False)
 class Association:
     """Who is who.
@@ -77,6 +81,52 @@ def associate_detections(
     return Association(identity, search.probabilities(), search.scene, search.evidence())
 
 
+def repair_detections(
+    detections: Detections, given: NDArray[np.int64], scene: SceneParameters | None = None
+) -> Association:
+    """Keep a tracker's identities, but part those who were taken for one, and join who was taken for two.
+
+    Parameters
+    ----------
+    detections : of the whole recording
+    given : (n,) identities from 0; −1: none
+    scene : its parameters; None: they are learned from the tracks
+
+    Returns
+    -------
+    Association
+        In which nothing is false: each detection keeps the identity that most of its track had, or gets a
+        new one where another track has more of that.
+    """
+    search = _Search(detections, learning.first_guess(detections) if scene is None else scene)
+    search.begin_with(given)
+    for _ in range(ROUNDS):
+        search.adopt(search.learned() if scene is None else scene)
+        for _ in range(SWEEPS):
+            if not search.sweep():
+                break
+    root, _ = search.roots()
+    identity = _renamed(root, given)
+    return Association(identity, search.probabilities(), search.scene, search.evidence())
+
+
+def _renamed(track: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Identities (n,) of tracks (n,): the given one that most of a track has, for who has most of it."""
+    pairs, counts = np.unique(np.column_stack([track, given]), axis=0, return_counts=True)
+    name: dict[int, int] = {}
+    taken: set[int] = set()
+    for place in np.argsort(-counts, kind="stable").tolist():
+        one, identity = pairs[place].tolist()
+        if identity >= 0 and one not in name and identity not in taken:
+            name[one] = identity
+            taken.add(identity)
+    free = int(given.max()) + 1
+    for one in np.unique(track).tolist():
+        if one not in name:
+            name[one], free = free, free + 1
+    return np.array([name[one] for one in track.tolist()])
+
+
 class _Search(Moves):
     """The explanation of a whole recording."""
 
@@ -94,7 +144,20 @@ class _Search(Moves):
         self._duplicates, self._score = np.zeros(n), channels.get("score")
         self._descriptors = channels.get(APPEARANCE)
         self._looks: AppearanceModel | None = None
+        self._trust = 0.0
         self.adopt(scene)
+
+    def begin_with(self, given: NDArray[np.int64]) -> None:
+        """Start from the tracks of somebody's identities (n,), from 0, and trust them; −1: none."""
+        order = np.lexsort((np.arange(len(given)), given))
+        same = (given[order[1:]] == given[order[:-1]]) & (given[order[1:]] >= 0)
+        # Of two in a frame only one can be linked.
+        same &= self.chains.frame[order[1:]] > self.chains.frame[order[:-1]]
+        self.chains.following[order[:-1][same]] = order[1:][same]
+        self.chains.preceding[order[1:][same]] = order[:-1][same]
+        self.chains.given[:] = given
+        self._trust = TRUST
+        self.adopt(self.scene)
 
     def adopt(self, scene: SceneParameters) -> None:
         """Go on with other parameters, and with who is near whom as it is known by now."""
@@ -103,7 +166,8 @@ class _Search(Moves):
         if (identity >= 0).any():
             detections = self.detections
             self._duplicates = duplicates.density(detections.step, detections.position, identity, scene)
-        self.packed = Scene(*scene.packed(self.detections.step_seconds))
+        packed = Scene(*scene.packed(self.detections.step_seconds))
+        self.packed = packed._replace(trust=self._trust)
         if self._looks is not None and self._descriptors is not None:
             self.chains, self.packed = looks.compared(
                 self.chains, self.packed, self._looks, self._descriptors

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from graphtrack.association.detections import Detections, frames_between
-from graphtrack.association.offline import APPEARANCE, associate_detections
+from graphtrack.association.offline import APPEARANCE, associate_detections, repair_detections
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.table.rows import Rows
@@ -37,20 +37,51 @@ def with_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
     rows : on the ground, with times; their own identities do not matter
     scene : its parameters; None: they are learned
     """
-    rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
-    channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
-    detections = Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
+    rows, detections = _detections(rows)
     found = associate_detections(detections, scene)
     identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
     identity[detections.row], probability[detections.row] = found.identity, found.probability
     people, false = int(identity.max()) + 1, int((identity < 0).sum())
     rows = replace(rows, track_id=identity + 1, has_identity=True, labels={})
     # Nobody knows better how noisy they are than who saw them follow each other.
-    std = channels.get("position_std", np.full(len(rows), np.nan))
+    std = rows.channels.get("position_std", np.full(len(rows), np.nan))
     std = np.where(np.isnan(std), found.scene.position_std, std)
     rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)), position_std=std)
     note = f"associated {len(rows)} detections: {people} people; {false} {FALSE}"
     return rows.keep(identity >= 0, FALSE).with_notes(note)
+
+
+def with_repaired_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
+    """The rows of a tracker, parted where it jumped from one person to another, and joined where it lost one.
+
+    Parameters
+    ----------
+    rows : on the ground, with times and identities; those with the identity −1 have none
+    scene : its parameters; None: they are learned
+    """
+    rows, detections = _detections(rows)
+    known, place = np.unique(rows.track_id, return_inverse=True)
+    given = np.where(rows.track_id == -1, -1, place)[detections.row]
+    found = repair_detections(detections, given, scene)
+    # New people get the numbers after the highest.
+    names = np.concatenate([known, known.max() + 1 + np.arange(len(rows))])
+    track_id, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
+    track_id[detections.row], probability[detections.row] = names[found.identity], found.probability
+    moved = int((track_id != rows.track_id).sum())
+    before, after = len(known[known != -1]), len(np.unique(track_id))
+    labels = {one: rows.labels[one] for one in np.unique(track_id).tolist() if one in rows.labels}
+    rows = replace(rows, track_id=track_id, has_identity=True, labels=labels)
+    rows = rows.with_channels(identity_p=probability, observed=np.ones(len(rows)))
+    return rows.with_notes(
+        f"repaired {before} tracks: now {after}; {moved} of {len(rows)} rows changed hands"
+    )
+
+
+def _detections(rows: Rows) -> tuple[Rows, Detections]:
+    """The rows that have a position, and what the evidence reads of them."""
+    rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
+    channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
+    return rows, Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
 
 
 def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.longest_filled) -> TrackSet:

@@ -91,7 +91,7 @@ def track_stream(
         forget = associate == "always"
         return lines, Scenes(lambda: OnlineTracker(model, **options), fps, note, forget=forget), restore
 
-    known = {"never": False, "always": True, "auto": None}[associate]
+    known = {"never": False, "always": True}.get(associate)
     warm_up(model, chosen)
     if state is None:
         lines, rows, _ = answering(lines_of(stream, 1), known)

@@ -120,10 +120,11 @@ Classes = Annotated[
     ),
 ]
 Associate = Annotated[
-    Literal["auto", "never", "always"],
+    Literal["auto", "never", "always", "repair"],
     typer.Option(
         "--associate",
-        help="Who is who: auto, where the file has no identities; always, forgetting those it has; never.",
+        help="Who is who: auto, where the file has no identities; always, forgetting those it has; repair, "
+        "parting and joining the tracks it has where they are wrong; never.",
         rich_help_panel=_READING,
     ),
 ]

@@ -84,6 +84,8 @@ def track(
     )
     chosen = Model.named(model)
     kept = _seconds(lag)
+    if reading.associate == "repair":
+        raise InputError("--associate repair", "graphtrack smooth: to repair tracks is to look ahead")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
         _refuse_with_stream({"output": output} | reading.given())

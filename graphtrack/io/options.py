@@ -11,7 +11,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 
-Associate = Literal["auto", "never", "always"]
+Associate = Literal["auto", "never", "always", "repair"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,8 @@ class ReadOptions:
     oxts, ego_calibration : paths of KITTI's ego motion and calibration
     classes : the classes of object to read, where a file has several
     associate : "auto": rows without identities become tracks, see `association`; "always": those with
-        identities too, which are forgotten; "never": rows without identities are an error
+        identities too, which are forgotten; "repair": these are kept but where the evidence is against them;
+        "never": rows without identities are an error
     """
 
     fps: float | None = None

@@ -83,11 +83,13 @@ def has_detections(rows: Rows, options: ReadOptions) -> bool:
 
 def tracks_of_rows(rows: Rows, options: ReadOptions) -> TrackSet:
     """The tracks of a file's rows, whose identities are found out where that is asked for."""
-    if not has_detections(rows, options):
+    associates = has_detections(rows, options)
+    if not associates and options.associate != "repair":
         return with_speeds_checked(TrackSet.from_rows(rows), rows.path)
-    from graphtrack.association.rows import with_every_frame, with_identities
+    from graphtrack.association.rows import with_every_frame, with_identities, with_repaired_identities
 
-    return with_every_frame(TrackSet.from_rows(with_identities(rows)))
+    found = with_identities(rows) if associates else with_repaired_identities(rows)
+    return with_every_frame(TrackSet.from_rows(found))
 
 
 def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:

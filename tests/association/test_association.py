@@ -14,7 +14,7 @@ import graphtrack as gt
 from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import GATE, Scene, missed
 from graphtrack.association.moves import match
-from graphtrack.association.offline import associate_detections
+from graphtrack.association.offline import associate_detections, repair_detections
 from graphtrack.association.scene import SceneParameters
 
 
@@ -183,3 +183,32 @@ def test_the_published_trackers_are_reached_on_real_detections(data_dir: Path) -
     found = gt.smooth(gt.read(folder / "det.txt", **options), "position")
     together = gt.score(found, gt.read(folder / "gt.txt", **options), metres=1.0).together
     assert together.idf1 > 0.5 and together.mota > 0.25
+
+
+def test_a_tracker_that_swaps_two_people_and_loses_one_is_repaired() -> None:
+    detections, whose = street(np.random.default_rng(11), people=8, frames=50, noise=0.05)
+    given, half = whose.copy(), 25
+    ids, counts = np.unique(whose[detections.frame < half], return_counts=True)
+    one, other = ids[np.argsort(-counts)][:2].tolist()
+    late = detections.frame >= half
+    given[late & (whose == one)], given[late & (whose == other)] = other, one
+    lost = int(np.argmax(np.bincount(whose)))
+    given[late & (whose == lost)] = 99
+    assert idf1(given, whose) < 0.97
+    found = repair_detections(detections, given)
+    assert idf1(found.identity, whose) == 1.0
+    # Who was right stays who they were.
+    right = ~np.isin(whose, [one, other, lost])
+    np.testing.assert_array_equal(found.identity[right], given[right])
+
+
+def test_a_table_is_repaired_and_loses_nothing(tmp_path: Path) -> None:
+    detections, whose = street(np.random.default_rng(12), people=6, frames=40, noise=0.05)
+    table = table_of(detections)
+    table["track_id"] = np.where((whose == 2) & (detections.frame > 15), 40, whose)
+    table.to_csv(tmp_path / "tracks.csv", index=False)
+    tracks = gt.read(tmp_path / "tracks.csv", associate="repair")
+    assert len(tracks) == len(np.unique(whose))
+    observed = sum(int(np.isfinite(track.position[:, 0]).sum()) for track in tracks)
+    assert observed == len(detections)
+    assert "repaired 7 tracks: now 6" in " ".join(tracks.summary.notes)
