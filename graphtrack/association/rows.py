@@ -59,7 +59,8 @@ def with_repaired_identities(rows: Rows, scene: SceneParameters | None = None) -
     rows : on the ground, with times and identities; those with the identity −1 have none
     scene : its parameters; None: they are learned
     """
-    rows, detections = _detections(rows)
+    # Who is joined of two tracks need not stand in the order of frames.
+    rows, detections = _detections(rows.taken(np.argsort(rows.frame, kind="stable")))
     known, place = np.unique(rows.track_id, return_inverse=True)
     given = np.where(rows.track_id == -1, -1, place)[detections.row]
     found = repair_detections(detections, given, scene)

@@ -76,14 +76,18 @@ class Rows:
         count = int(len(self) - mask.sum())
         if not count:
             return self
-        kept, line_of = np.flatnonzero(mask), self.line_of
+        refused = dict(Counter(self.refused) + Counter({reason: count}))
+        return replace(self.taken(np.flatnonzero(mask)), refused=refused)
+
+    def taken(self, places: NDArray[np.int64]) -> Rows:
+        """The rows at some places, in that order."""
+        line_of = self.line_of
         return replace(
             self,
-            track_id=self.track_id[kept],
-            frame=self.frame[kept],
-            channels={name: value[kept] for name, value in self.channels.items()},
-            line_of=lambda i: line_of(int(kept[i])),
-            refused=dict(Counter(self.refused) + Counter({reason: count})),
+            track_id=self.track_id[places],
+            frame=self.frame[places],
+            channels={name: value[places] for name, value in self.channels.items()},
+            line_of=lambda i: line_of(int(places[i])),
         )
 
     def with_times(self, fps: float) -> Rows:
@@ -111,14 +115,8 @@ def in_order(rows: Rows) -> Rows:
         note = f"the frames of {unsorted_tracks} of the tracks were out of order and have been sorted"
         rows = rows.with_notes(note)
         warnings.warn(f"{rows.path}: {note}", InputWarning, stacklevel=2)
-    order, line_of = np.lexsort((rows.frame, rows.track_id)), rows.line_of
-    rows = replace(
-        rows,
-        track_id=rows.track_id[order],
-        frame=rows.frame[order],
-        channels={name: value[order] for name, value in rows.channels.items()},
-        line_of=lambda i: line_of(int(order[i])),
-    )
+    order = np.lexsort((rows.frame, rows.track_id))
+    rows = rows.taken(order)
     late = (np.diff(rows.track_id) == 0) & (np.diff(rows.channels["t"]) <= 0.0)
     if late.any():
         # The first of them in the file.

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
+import numpy as np
+
 from graphtrack.association.detections import Detections
-from graphtrack.association.tracks import associate
+from graphtrack.association.recorded import track_rows
+from graphtrack.association.rows import with_every_frame, with_identities
+from graphtrack.association.tracker import OnlineTracker
 from graphtrack.baselines.hungarian import HungarianParameters, track_detections
 from graphtrack.errors import InputError
 from graphtrack.evaluation.tracking.peers import TUNED, PeerName, PeerParameters, load, track_boxes
 from graphtrack.inference.offline import solve
 from graphtrack.inference.solution import Solution
 from graphtrack.model import Model
+from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 
-TRACKERS = ("associate", "hungarian")
+TRACKERS = ("associate", "online", "hungarian")
 """Those that need no other package."""
 
 
@@ -59,14 +65,29 @@ class Associated:
 
     def track(self, detections: Detections) -> TrackSet:
         """All people at once, each from first to last."""
-        x, y = detections.position.T
-        table = {"frame": detections.frame, "t": detections.t, "x": x, "y": y}
-        std = detections.channels.get("position_std")
         try:
-            found = associate(table if std is None else {**table, "pos_std": std})
+            found = TrackSet.from_rows(with_identities(_rows(detections)))
         except InputError:  # of detections, which have places and times: nobody is there
             return TrackSet(())
-        return smoothed(found, self.model)
+        return smoothed(with_every_frame(found), self.model)
+
+
+@dataclass(frozen=True)
+class Online:
+    """`OnlineTracker`, as `graphtrack track` has it: what it said at once."""
+
+    model: Model
+
+    name = "online"
+    online = True
+    information = "past only; predicted while rather missed than gone"
+
+    def track(self, detections: Detections) -> TrackSet:
+        """Frame by frame."""
+        try:
+            return track_rows(_rows(detections), OnlineTracker(self.model))
+        except InputError:  # nobody was said to be there
+            return TrackSet(())
 
 
 @dataclass(frozen=True)
@@ -110,6 +131,22 @@ class Peer:
         return track_boxes(detections, self.parameters, make, boxes_of)
 
 
+def _rows(detections: Detections) -> Rows:
+    """Detections as a reader makes them."""
+    seen = {"t": detections.t, "position": detections.position}
+    channels = {name: values for name, values in detections.channels.items() if name != "box"}
+    nobody = np.full(len(detections), -1)
+    return Rows(
+        Path("detections"),
+        "memory",
+        nobody,
+        detections.frame,
+        channels | seen,
+        line_of=lambda row: row + 1,
+        has_identity=False,
+    )
+
+
 def smoothed(tracks: TrackSet, model: Model) -> TrackSet:
     """Tracks smoothed, their gaps filled; one that cannot be smoothed stays as it is."""
     found = solve(tracks, model)
@@ -121,6 +158,7 @@ def smoothed(tracks: TrackSet, model: Model) -> TrackSet:
 registry: Mapping[str, Callable[[Model], TrackingMethod]] = MappingProxyType(
     {
         "associate": Associated,
+        "online": Online,
         "hungarian": lambda model: Hungarian(),
         "bytetrack": lambda model: Peer("bytetrack", TUNED["bytetrack"]),
         "ocsort": lambda model: Peer("ocsort", TUNED["ocsort"]),

@@ -32,7 +32,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.simulation.crowd import Place, crowd
 from graphtrack.simulation.detector import Detector, detect
 
-OWN = ("associate", "hungarian")
+OWN = ("associate", "online", "hungarian")
 NONE = np.empty(0, np.int64)
 
 
