@@ -24,6 +24,7 @@ from graphtrack.evaluation.reproduce.experiment import (
 )
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
+from graphtrack.evaluation.reproduce.resampling import deviation
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import track_online
 from graphtrack.inference.online import OnlineEngine
@@ -215,9 +216,9 @@ def _record(gain: Gain, name: str) -> dict[str, Cell]:
         "method": gain.method,
         "tracks": len(gain.error),
         "MSE gain, median": float(np.median(gain.error)),
-        "MSE gain, std": float(np.std(gain.error)),
+        "MSE gain, std": deviation(gain.error),
         "CLL gain, median": float(np.median(gain.likelihood)),
-        "CLL gain, std": float(np.std(gain.likelihood)),
+        "CLL gain, std": deviation(gain.likelihood),
     }
 
 
@@ -281,7 +282,7 @@ def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
             for k, method in enumerate(DRAWN):
                 own = [gain for gain in found if gain.method == method and gain.rate == rate]
                 values = [getattr(gain, measure) for gain in own]
-                middle, spread = np.array([(np.median(v), np.std(v)) for v in values]).T
+                middle, spread = np.array([(np.median(v), deviation(v)) for v in values]).T
                 with_whiskers(axes, x + 0.12 * (k - 2.5), middle, spread, method, line=False)
             axes.set_xticks(x, [corpus.name.replace(" ", "\n", 1) for corpus in examples])
             tidy(axes, grid="y")
@@ -301,4 +302,5 @@ EXPERIMENT = Experiment(
         + 2 * len(GRAPHS) * len(NUMERALS) * len(RATES) * tracks_of_graph(settings)
     ),
     run,
+    "60 tracks of each behaviour for the filters, 1 for the graphs",
 )

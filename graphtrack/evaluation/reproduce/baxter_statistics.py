@@ -163,5 +163,9 @@ def work(settings: Settings) -> int:
 
 
 EXPERIMENT = Experiment(
-    "baxter-statistics", "000 Fig. 2: deviation of the head from the direction of travel", work, run
+    "baxter-statistics",
+    "000 Fig. 2: deviation of the head from the direction of travel",
+    work,
+    run,
+    "60 simulated people; the recordings are whole",
 )
