@@ -142,7 +142,7 @@ def write_page(found: Fit, path: Path) -> None:
     from graphtrack.report.content import DataTable, Note, Report, Section
     from graphtrack.report.html import write_report
 
-    items = (
+    items: tuple[Note | DataTable, ...] = (
         *[Note(line) for line in (*advice(found), caption(found))],
         DataTable.from_records("What changed", parameter_rows(found)),
         DataTable.from_records("What it bought: log density a frame", score_rows(found)),

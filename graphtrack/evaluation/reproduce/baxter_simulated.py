@@ -254,6 +254,10 @@ def _beside(found: Sequence[Gain]) -> Table:
     )
 
 
+_ACROSS = 4
+"""How much larger metres across the way are drawn: to scale, turns could hardly be seen."""
+
+
 def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
     from graphtrack.evaluation.reproduce.style import with_whiskers
     from graphtrack.report.style import NEUTRAL_COLOUR, TRUTH_COLOUR, new_figure, tidy
@@ -269,10 +273,16 @@ def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
         axes.plot(*(turn @ truth.T), color=TRUTH_COLOUR, linewidth=1.0)
         axes.set_title(corpus.name, fontsize=9)
         axes.set_ylim(-8.0, 8.0)
+        axes.set_aspect(_ACROSS)
         axes.set_xticks([0, 30, 60])
         axes.tick_params(labelsize=7)
         tidy(axes)
-    paths.suptitle("A track of each behaviour: truth and observations (m)", fontsize=10, x=0.01, ha="left")
+    paths.suptitle(
+        f"A track of each behaviour: truth and observations (m), drawn {_ACROSS} times larger across",
+        fontsize=10,
+        x=0.01,
+        ha="left",
+    )
     grid = plots.subplots(2, len(RATES), sharex=True, sharey="row")
     x = np.arange(len(examples), dtype=float)
     for row, measure in enumerate(("error", "likelihood")):
