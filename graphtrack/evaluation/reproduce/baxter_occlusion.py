@@ -316,7 +316,7 @@ def _cut_below(axes: Axes, floor: float) -> None:
         return
     axes.set_ylim(bottom=floor)
     for bar in longer:
-        x, text = bar.get_x() + 0.5 * bar.get_width(), f"to {bar.get_height():.0f}"
+        x, text = bar.get_x() + 0.5 * bar.get_width(), f"to −{-bar.get_height():,.0f}"
         axes.text(x, 0.96 * floor, text, rotation=90, ha="center", va="bottom", color="white", fontsize=8)
 
 
