@@ -47,6 +47,11 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def duration(seconds: float) -> str:
+    """Seconds with the digits that count: thousandths below one, tenths above."""
+    return f"{seconds:.3f} s" if seconds < 1.0 else f"{seconds:.1f} s"
+
+
 def shortened(text: str) -> str:
     """A text of any length and its quotes; no more than `LONGEST` characters of it."""
     return repr(text if len(text) <= LONGEST else text[: LONGEST - 1] + "…")

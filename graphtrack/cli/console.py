@@ -8,13 +8,12 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
+from graphtrack.cli.tables import TableColumn, laid_out
 from graphtrack.display import counted
 from graphtrack.errors import InputWarning
 
@@ -146,25 +145,33 @@ def print_reading(summary: ReadSummary, tracks: int, name: str) -> None:
 
 
 def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Rows as a table on standard output; the columns are the keys of the first row."""
+    """Rows as a table on standard output; the columns are the keys of the first row.
+
+    Nothing is cut: where it is too wide, headings and phrases are folded, or it is split.
+    """
     if not rows:
         return
-    table = Table(title=printable(title), title_justify="left", box=SIMPLE_HEAD, padding=0, show_edge=False)
-    for column, first in rows[0].items():
-        # Phrases may be folded where the terminal is narrow, numbers and single words never.
-        phrases = any(" " in str(row[column]) for row in rows)
-        justify: Literal["left", "right"] = "left" if isinstance(first, str) else "right"
-        table.add_column(printable(column), justify=justify, no_wrap=not phrases)
-    for row in rows:
-        table.add_row(*(_cell(value) for value in row.values()))
+    columns = [
+        TableColumn(
+            printable(key),
+            tuple(_cell(row[key]) for row in rows),
+            "left" if isinstance(first, str) else "right",
+        )
+        for key, first in rows[0].items()
+    ]
     to = PlainConsole()
-    if not to.is_terminal:
-        to = PlainConsole(width=WIDE)
-    to.print(table)
-    to.print()
+    for table, width in laid_out(printable(title), columns, to.width if to.is_terminal else WIDE):
+        PlainConsole(width=width).print(table)
+        to.print()
 
 
 def _cell(value: Any) -> str:
     if value is None or value != value:
         return "–"
-    return f"{value:.3g}" if isinstance(value, float) else printable(str(value), one_line=True)
+    return shown_number(value) if isinstance(value, float) else printable(str(value), one_line=True)
+
+
+def shown_number(value: float) -> str:
+    """Three digits that count; no exponent where thousands and millions can be read."""
+    short = f"{value:.3g}"
+    return f"{float(short):,.0f}" if "e+" in short and abs(value) < 1e9 else short

@@ -10,6 +10,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import console, print_table
+from graphtrack.display import counted
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,6 +79,8 @@ def fit(
     print_table("Parameters", parameter_rows(found))
     print_table("What it bought: log density a frame", score_rows(found))
     console.print(caption(found), markup=False)
+    for line in advice(found):
+        console.print(line, markup=False)
     console.print(f"wrote {output}", markup=False)
     if json_path is not None:
         with atomic_path(json_path) as temporary:
@@ -121,13 +124,26 @@ def caption(found: Fit) -> str:
     return f"Learned by {what}; preset {found.model.preset}, {found.evaluations} evaluations."
 
 
+def advice(found: Fit) -> list[str]:
+    """What to do where learning did not help tracks that it had not seen; nothing where it did."""
+    before, after = found.scores.get("held out", (0.0, 0.0))
+    if after >= before:
+        return []
+    learned, held = found.tracks
+    return [
+        f"Learning made it worse on {counted(held, 'track')} held out, by {before - after:.3g} a frame: "
+        f"keep the model that it started from ({found.start.preset}), or learn from more than "
+        f"{counted(learned, 'track')}."
+    ]
+
+
 def write_page(found: Fit, path: Path) -> None:
     """The tables as one HTML file."""
     from graphtrack.report.content import DataTable, Note, Report, Section
     from graphtrack.report.html import write_report
 
-    items = (
-        Note(caption(found)),
+    items: tuple[Note | DataTable, ...] = (
+        *[Note(line) for line in (*advice(found), caption(found))],
         DataTable.from_records("What changed", parameter_rows(found)),
         DataTable.from_records("What it bought: log density a frame", score_rows(found)),
     )

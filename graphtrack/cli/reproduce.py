@@ -72,7 +72,7 @@ def reproduce(
         console.print(f"{experiment.name}: {experiment.source}", markup=False)
         with input_warnings_as_notes(), progress_bar(experiment.work(settings), "parts") as advance:
             found = experiment.run(settings, advance)
-        write(found, out)
+        write(found, out, experiment.quick if quick else "")
         tables += [table.to_dict() for table in found.tables]
     if json_path is not None:
         with atomic_path(json_path) as temporary:
@@ -80,14 +80,23 @@ def reproduce(
         console.print(f"wrote {json_path}", markup=False)
 
 
-def write(found: Reproduction, folder: Path) -> None:
-    """Print the tables and notes of an experiment and write its page and tables to a folder."""
+def write(found: Reproduction, folder: Path, quick: str = "") -> None:
+    """Print the tables and notes of an experiment and write its page and tables to a folder.
+
+    Parameters
+    ----------
+    quick : how few people were judged, where it ran quickly
+    """
     from graphtrack.io import atomic_path
 
     for table in found.tables:
         print_table(table.title, table.records())
     for note in found.notes:
         console.print(f"  {note}", markup=False)
+    if found.figure is None:
+        return
+    if quick:
+        console.print(f"  --quick: {quick}. So few prove nothing: it shows that it runs.", markup=False)
     page, numbers = folder / f"{found.name}.png", folder / f"{found.name}.json"
     with atomic_path(page) as temporary:
         found.figure.savefig(temporary, format="png", dpi=120)

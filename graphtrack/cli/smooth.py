@@ -11,6 +11,7 @@ import typer
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
 from graphtrack.cli.dataset import check_streamed, is_streamed, smooth_streamed
+from graphtrack.display import duration
 
 _LARGE = "Data sets larger than memory"
 
@@ -65,7 +66,7 @@ def smooth(
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
     from graphtrack.inference.offline import engine_of, solve_tracks
     from graphtrack.inference.solution import Failure, Solution
-    from graphtrack.inference.warm import SOLVER, solver_rehearsal
+    from graphtrack.inference.warm import WHOLE, solver_rehearsal
     from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.readiness import make_ready
@@ -93,7 +94,7 @@ def smooth(
         )
         return
     tracks = reading.tracks(inputs)
-    make_ready(SOLVER, solver_rehearsal(chosen, solver, tracks.camera))
+    make_ready(WHOLE, solver_rehearsal(chosen, solver, tracks.camera))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
         found = solve_tracks(tracks, chosen, solver, jobs=jobs, progress=advance)
@@ -105,8 +106,9 @@ def smooth(
         write(estimates, output)
     unconverged = [result for result in good if not result.converged]
     console.print(
-        f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in {seconds:.1f} s"
-        f"; model {chosen.preset}, engine {solver}, {len(good) - len(unconverged)} converged",
+        f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in "
+        f"{duration(seconds)}; model {chosen.preset}, engine {solver}, "
+        f"{len(good) - len(unconverged)} converged",
         markup=False,
     )
     for result in unconverged:

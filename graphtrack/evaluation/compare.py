@@ -283,7 +283,7 @@ def _caption(
     left_out: Mapping[int, str],
 ) -> str:
     n = len({record.track_id for record in pooled})
-    parts = [f"Median over {counted(n, 'track')}, with the 16th and 84th percentile."]
+    parts = [f"Median over {counted(n, 'track')}; figures and JSON have the 16th and 84th percentile, too."]
     if occlude_seconds is not None:
         parts.append(
             f"Position and body were withheld for {occlude_seconds:g} s around everybody's sharpest turn, "

@@ -26,7 +26,7 @@ from graphtrack.inference.solution import (
     bounded,
     estimated_track,
 )
-from graphtrack.inference.warm import SOLVER, solver_rehearsal
+from graphtrack.inference.warm import WHOLE, solver_rehearsal
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.readiness import make_ready
@@ -117,7 +117,7 @@ def solve_tracks(
 ) -> list[Solution | Failure]:
     """`solve`, where the engine is the one that `engine_of` has chosen for the model."""
     options = SolverOptions() if options is None else options
-    make_ready(SOLVER, solver_rehearsal(model, engine, tracks.camera))
+    make_ready(WHOLE, solver_rehearsal(model, engine, tracks.camera))
     if engine == "chain":
         found: list[Solution | Failure] = []
         batches = list(_batches(tracks))
@@ -209,7 +209,7 @@ def smooth_track(
     """
     options = SolverOptions() if options is None else options
     solver = engine_of(model, engine)
-    make_ready(SOLVER, solver_rehearsal(model, solver, camera))
+    make_ready(WHOLE, solver_rehearsal(model, solver, camera))
     if solver == "gtsam":
         return smooth_graph(track, model, camera, options)
     (result,) = _solve_chains([track], model, camera, options)

@@ -38,7 +38,7 @@ from graphtrack.inference.state import (
     predicted,
     unpack_state,
 )
-from graphtrack.inference.warm import SOLVER, online_rehearsal
+from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS, seconds_between
 from graphtrack.readiness import make_ready
@@ -134,7 +134,7 @@ class OnlineSmoother:
         self.camera = camera
         self._smoother: ChainWindow | Guided | FixedLag | Isam2
         if self.engine == "chain":
-            make_ready(SOLVER, online_rehearsal(self.model))
+            make_ready(ONLINE, online_rehearsal(self.model))
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
         else:
             couplings: dict[int, tuple[float, ...]] | None = {} if self.model.has_modes else None

@@ -21,8 +21,8 @@ from graphtrack.model.observation import observations, seconds_between
 from graphtrack.readiness import Costs, Rehearsal, make_ready
 from graphtrack.tracks import Track
 
-SOLVER = "the solver"
-"""What is compiled here, in words."""
+SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
+"""What is compiled here, in words: both, or one of the two."""
 
 # Seconds that compiling takes on a core, about.
 _START: Costs = {initialise: 8.0, finish: 1.0}
@@ -63,11 +63,11 @@ def warm_up(
     """
     model = Model.named(model)
     if not is_chain(model):
-        make_ready(SOLVER, start_rehearsal())
+        make_ready(WHOLE, start_rehearsal())
     elif engine == "gtsam":
-        make_ready(SOLVER, solver_rehearsal(model, engine))
+        make_ready(WHOLE, solver_rehearsal(model, engine))
     elif engine in ("fixed-lag", "isam2"):
-        make_ready(SOLVER, online_rehearsal(model))
+        make_ready(ONLINE, online_rehearsal(model))
     else:
         make_ready(SOLVER, offline_rehearsal(model), online_rehearsal(model))
 

@@ -14,7 +14,7 @@ from graphtrack.inference.chain.engine import solve_packed, solve_terms
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.inference.solution import bounded
-from graphtrack.inference.warm import SOLVER, offline_rehearsal
+from graphtrack.inference.warm import WHOLE, offline_rehearsal
 from graphtrack.model import Model
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
@@ -62,7 +62,7 @@ class Solver:
 
     def __init__(self, tracks: Sequence[Track], model: Model, camera: GroundCamera | None) -> None:
         self._tracks, self._camera = tracks, camera
-        make_ready(SOLVER, offline_rehearsal(model, steps=True))
+        make_ready(WHOLE, offline_rehearsal(model, steps=True))
         # The engine finds modes from the solution without couplings, so that is where it starts.
         start = Model("separate", model.parameters) if model.has_modes else model
         packed = pack(tracks, start, camera)

@@ -49,6 +49,7 @@ _CHART_KEYS = {
     "±1σ": _BAND.format(top=4, height=8, opacity=0.45),
     "95 %": _BAND.format(top=1, height=14, opacity=0.2),
     "observation": '<circle cx="12" cy="8" r="2.6" fill="var(--muted)"/>',
+    "not observed": '<rect x="1" y="1" width="22" height="14" fill="var(--grid)"/>',
     "truth": _LINE.format(colour="var(--ink)", width=1.3, dash="5 3"),
     "the replay's time": '<line x1="12" y1="0" x2="12" y2="16" stroke="var(--muted)"/>',
 }

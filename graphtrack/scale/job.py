@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.offline import BATCH, engine_of
 from graphtrack.inference.solution import OfflineEngine
-from graphtrack.inference.warm import SOLVER, solver_rehearsal
+from graphtrack.inference.warm import WHOLE, solver_rehearsal
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions
@@ -127,7 +127,7 @@ def smooth_dataset(
     )
     if cluster in (None, "local"):
         # Once for all processes of this machine.
-        make_ready(SOLVER, solver_rehearsal(work.model, work.engine, read_options.camera))
+        make_ready(WHOLE, solver_rehearsal(work.model, work.engine, read_options.camera))
     index = index_tracks(dataset)
 
     def labelled(scratch: Path) -> Iterator[Batch]:

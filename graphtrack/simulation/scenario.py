@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit, wrap
-from graphtrack.simulation.degrade import add_noise, withhold
+from graphtrack.simulation.degrade import WITHHELD, add_noise, withhold
 from graphtrack.tracks import Track, TrackSet
 
 SHORTEST = 12.0
@@ -18,6 +18,10 @@ SHORTEST = 12.0
 _GRID = 0.01
 _BODY_LAG, _HEAD_LEAD, _HEAD_LAG = 0.25, 0.55, 0.15
 """Seconds: the shoulders follow the course late; the head looks ahead and follows its aim quickly."""
+
+
+_HIDDEN = (*WITHHELD, "head", "head_kappa", "head_likelihood")
+"""Whoever is behind something shows nothing, the head neither."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,7 @@ def scenario(
     rng : source of the sway and of the noise
     fps : frames a second
     seconds : length of the scene, at least `SHORTEST`
-    occlusion : seconds for which the last person's position and body are not seen, in a turn; at most 5
+    occlusion : seconds for which nothing is seen of the last person, in a turn; at most 5
     position_std : metres, 1-σ of each axis
     body_kappa, head_kappa : concentration of the observed angles; mean errors of 52° and 35° at the
         defaults, somewhat more than the 41.7° and 30.3° of 002's observations (its Table 2)
@@ -83,7 +87,7 @@ def scenario(
     return noisy.with_tracks(
         track
         if part.hidden is None
-        else withhold(track, (track.t >= part.hidden[0]) & (track.t < part.hidden[1]))
+        else withhold(track, (track.t >= part.hidden[0]) & (track.t < part.hidden[1]), _HIDDEN)
         for track, part in zip(noisy, parts, strict=True)
     )
 

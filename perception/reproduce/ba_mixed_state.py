@@ -214,7 +214,8 @@ def _over_seeds(runs: Sequence[tuple[int, Run]], attribute: str, form: str = ".1
     """Mean ± deviation over seeds; errors in radians become degrees."""
     factor = 1.0 if attribute == "error" else float(np.degrees(1.0))
     values = _by_seed([(seed, factor * float(getattr(run, attribute).mean())) for seed, run in runs])
-    return f"{values.mean():{form}} ± {values.std():{form}}"
+    spread = f" ± {values.std():{form}}" if len(values) > 1 else ""
+    return f"{values.mean():{form}}{spread}"
 
 
 def _by_seed(values: Sequence[tuple[int, float]]) -> FloatArray:
@@ -252,4 +253,10 @@ def _median(facing: Done) -> ClipRuns:
     return by_error[len(by_error) // 2]
 
 
-EXPERIMENT = Experiment("ba-mixed-state", "004: identification, and tracking and pose together", work, run)
+EXPERIMENT = Experiment(
+    "ba-mixed-state",
+    "004: identification, and tracking and pose together",
+    work,
+    run,
+    "2 sequences of 40 frames of each kind",
+)

@@ -244,5 +244,9 @@ def work(settings: Settings) -> int:
 
 
 EXPERIMENT = Experiment(
-    "baxter-network", "000 Fig. 3 and 5(b): the network's heads, by split and in the tracker", work, run
+    "baxter-network",
+    "000 Fig. 3 and 5(b): the network's heads, by split and in the tracker",
+    work,
+    run,
+    "300 rendered heads and 2 splits",
 )

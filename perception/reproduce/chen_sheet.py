@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.lines import Line2D
 
 from graphtrack.geometry.angles import FloatArray, class_centres, difference, unit
 from graphtrack.model import Model
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 ROWS = (("particle", "joint-body"), ("particle", "joint"), ("graph, chain", "joint"))
 """Method and preset of the sheet's rows: 002's separate and joint filtering, and the graph online."""
 
+_SPEED, _HEAD = "#666666", "#111111"
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
@@ -73,7 +76,22 @@ def draw_sheet(figure: SubFigure, sheet: Sheet) -> None:
     found = [METHODS["particle"].estimate(one, Model("joint"), 0) for one in sheet.people]
     for column, row in enumerate(rows):
         _from_above(grid[-1, column], found, float(person.causal.t[row]))
-    grid[-1, 0].set_ylabel("from above: particle, joint", fontsize=9)
+        grid[-1, column].set_xlabel("x (m)", fontsize=8)
+    grid[-1, 0].set_ylabel("from above, y (m):\nparticle, joint", fontsize=9)
+    figure.legend(
+        handles=[
+            Line2D([], [], color=_SPEED, linewidth=1.4, label="velocity"),
+            *(
+                Line2D([], [], color=colour, linewidth=2.2, label=f"body, person {k}")
+                for k, colour in zip(range(1, len(found) + 1), cycle(_COLOURS), strict=False)
+            ),
+            Line2D([], [], color=_HEAD, linewidth=1.6, label="head"),
+        ],
+        loc="outside lower center",
+        ncols=2 + len(found),
+        frameon=False,
+        fontsize=9,
+    )
 
 
 def cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tuple[Image, str]:
@@ -120,9 +138,9 @@ def _from_above(axes: Axes, found: list[Track], t: float) -> None:
         speed = float(np.linalg.norm(track.velocity[near]))
         if speed > 0.0:
             along = track.velocity[near] / speed
-            _arrow(axes, centre + size * along, 0.5 * size * speed * along, "#666666", 1.4)
+            _arrow(axes, centre + size * along, 0.5 * size * speed * along, _SPEED, 1.4)
         _arrow(axes, centre, size * body, colour, 2.2)
-        _arrow(axes, centre, 0.6 * size * head, "#111111", 1.6)
+        _arrow(axes, centre, 0.6 * size * head, _HEAD, 1.6)
     axes.set_xlim((left + right) / 2.0 - half, (left + right) / 2.0 + half)
     axes.set_ylim((low + high) / 2.0 - half, (low + high) / 2.0 + half)
     axes.set_aspect("equal")

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 ClipRuns = tuple[HeadClip, Mapping[str, Run]]
 
 COLOURS = {SEQUENTIAL: "#D55E00", REMEMBERED: "#E69F00", AS_PRINTED: "#66C7A3", JOINT: "#0072B2"}
+_WIDTHS = {AS_PRINTED: 3.2}
+"""Of lines: that of the paper's own stays seen under the other, which often lies on it."""
 _TRUTH = "#222222"
 _SAMPLES = 4
 _MARGIN = 2.2
@@ -75,8 +77,9 @@ def _curves(figure: SubFigure, clip: HeadClip, runs: Mapping[str, Run]) -> None:
     time = np.arange(len(clip)) / clip.fps
     for name, colour in COLOURS.items():
         if name in runs:
-            top.plot(time, runs[name].error, color=colour, label=name, linewidth=1.3)
-            bottom.plot(time, np.degrees(runs[name].pan), color=colour, label=name, linewidth=1.3)
+            width = _WIDTHS.get(name, 1.3)
+            top.plot(time, runs[name].error, color=colour, label=name, linewidth=width)
+            bottom.plot(time, np.degrees(runs[name].pan), color=colour, label=name, linewidth=width)
     bottom.plot(time, np.degrees(clip.pan), color=_TRUTH, linestyle="--", label="truth", linewidth=1.1)
     top.set(ylabel="e(t)", ylim=(-0.02, 1.02))
     top.set_title("The sequence of the median error, as 004 Fig. 3", loc="left", fontsize=10)

@@ -73,7 +73,8 @@ def _bars(axes: Axes, success: Mapping[str, Mapping[str, np.ndarray]], paper: Ma
             values = found[method]
             label = method if k == 0 else None
             axes.bar(x, values.mean(), 0.92 * width, color=_COLOURS[method], label=label, zorder=2)
-            axes.plot([x, x], [values.min(), values.max()], color="#222222", lw=1.0, zorder=3)
+            if len(values) > 1:
+                axes.plot([x, x], [values.min(), values.max()], color="#222222", lw=1.0, zorder=3)
         if name in paper:
             label = "003, Table 1" if k == 0 else None
             axes.plot([k - 0.4, k + 0.4], [paper[name]] * 2, color="#D55E00", lw=1.6, zorder=4, label=label)
@@ -84,6 +85,8 @@ def _bars(axes: Axes, success: Mapping[str, Mapping[str, np.ndarray]], paper: Ma
         axes.tick_params(axis="x", labelrotation=30)
         for tick in axes.get_xticklabels():
             tick.set_horizontalalignment("right")
-    axes.set(ylabel="success (%), least and greatest", ylim=(0.0, 102.0))
+    seeds = max(len(found[method]) for found in success.values() for method in methods)
+    spread = f"; lines: least to greatest of {seeds} seeds" if seeds > 1 else ", one seed"
+    axes.set(ylabel=f"success (%){spread}", ylim=(0.0, 102.0))
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     tidy(axes, grid="y")

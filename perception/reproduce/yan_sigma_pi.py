@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graphtrack.display import counted
 from graphtrack.evaluation.reproduce.experiment import (
     Cell,
     Experiment,
@@ -102,8 +103,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     notes = [
         "Success: the person is found and the estimated centre lies in the labelled box. Missing: the person "
         "is there and not found. Mismatch: found, but the centre is outside the box.",
-        f"Ours are {seeds} rendered sequences of {frames} frames of each kind, with another room and other "
-        "people for every seed; nobody tells the tracker where the person is.",
+        f"Ours are {counted(seeds, 'rendered sequence')} of {frames} frames of each kind, with another room "
+        "and other people for every seed; nobody tells the tracker where the person is.",
         "Motion not adaptive: the reliability of the linear term of motion stays at 1, as 003 has it (§2.2).",
         "003 tracks a person or a mobile robot (§4) and has figures of the person only: the means are "
         "without the robot.",
@@ -202,5 +203,9 @@ def _figure(drawn: Runs, real: Runs) -> Figure:
 
 
 EXPERIMENT = Experiment(
-    "yan-sigma-pi", "003 Table 1: a person under a ceiling camera, by motion, colour and shape", work, run
+    "yan-sigma-pi",
+    "003 Table 1: a person under a ceiling camera, by motion, colour and shape",
+    work,
+    run,
+    "1 sequence of 120 frames of each kind",
 )

@@ -7,13 +7,20 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 import graphtrack as gt
 from graphtrack.cli import main
+from graphtrack.cli.fit import advice
+from graphtrack.learning import Fit
+from graphtrack.learning.fit import _split as split_tracks
+from graphtrack.model import MotionParameters
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -144,3 +151,27 @@ def test_a_fit_that_is_interrupted_and_then_killed_is_resumed_to_the_same_result
     assert resumed.returncode == 0 and b"going on from" in said
     assert learned.read_bytes() == whole.read_bytes()
     assert not progress.exists()
+
+
+def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(
+    people: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Those learned from hardly move, those held out do: whatever is learned, it is wrong for them.
+    calm = gt.Parameters(motion=MotionParameters(acceleration_density=1e-3))
+    rng = np.random.default_rng(0)
+    slow = gt.simulate(gt.Model("position", calm), n_tracks=4, n_steps=40, rng=rng)
+    _, held = split_tracks(list(slow), 0.25, 0, 20_000)
+    lively = replace(next(iter(gt.read("people.csv"))), track_id=held[0].track_id)
+    mixed = slow.with_tracks(lively if track.track_id == lively.track_id else track for track in slow)
+    gt.write(mixed, "mixed.csv")
+    options = ["--model", "position", "--report", "learned.html"]
+    assert run(monkeypatch, "fit", "mixed.csv", "-o", "learned.toml", *options) == 0
+    worse = "keep the model that it started from (position)"
+    assert worse in " ".join(capsys.readouterr().err.split())
+    assert worse in (people / "learned.html").read_text(encoding="utf-8")
+
+
+def test_learning_that_helps_gives_no_advice() -> None:
+    found = SimpleNamespace(scores={"learned from": (1.0, 2.0), "held out": (1.0, 1.5)})
+    assert advice(cast(Fit, found)) == []
+    assert advice(cast(Fit, SimpleNamespace(scores={"learned from": (1.0, 2.0)}))) == []

@@ -23,7 +23,7 @@ from graphtrack.evaluation.reproduce.experiment import evenly, thinned
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.occlusion_methods import ONLINE, error_of
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
-from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference, reduction
+from graphtrack.evaluation.reproduce.resampling import bootstrap, deviation, mean_difference, reduction
 from graphtrack.inference import track_online
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
@@ -70,7 +70,16 @@ def test_the_bootstrap_of_few() -> None:
     one = bootstrap(mean_difference, np.array([3.0, np.nan]), np.array([1.0, 1.0]), rng=rng)
     assert one.value == 2.0
     assert math.isnan(one.low)
+    for count in (4, 5):
+        few = bootstrap(mean_difference, np.arange(count), np.zeros(count), rng=rng)
+        assert few.value == (count - 1) / 2.0 and math.isnan(few.low) == (count < 5)
+    assert math.isnan(deviation(np.array([3.0])))
+    assert deviation(np.array([1.0, 3.0])) == 1.0
     assert reduction(np.array([1.0, 1.0]), np.array([4.0, 4.0])) == pytest.approx(0.75)
+
+
+def test_every_experiment_says_how_few_people_a_quick_run_has() -> None:
+    assert all(any(map(str.isdigit, one.quick)) for one in all_experiments().values())
 
 
 def test_fitting_finds_the_least() -> None:

@@ -78,6 +78,7 @@ def test_whoever_calls_compiled_code_makes_it_ready_first(monkeypatch) -> None:
         count = len(rehearsed)
         run()
         assert len(rehearsed) == count + 1
+    assert [rehearsed[k] for k in (0, 2)] == ["the solver of whole tracks", "the online solver"]
     with pytest.raises(InputError):
         OnlineSmoother("joint", lag=-1.0)
     assert len(rehearsed) == 6

@@ -217,9 +217,7 @@ SMALL = {"units": (40, 20), "epochs": 6, "pretraining_epochs": 1}
 
 @pytest.fixture(scope="module")
 def network(heads: Heads) -> DeepBelief:
-    pytest.importorskip(
-        "torch", reason="PyTorch trains the deep belief network; pip install 'graphtrack[train]'"
-    )
+    pytest.importorskip("torch", reason="PyTorch trains the deep belief network; pip install -e '.[train]'")
     return DeepBelief(**SMALL).fit(heads[0].images, EIGHT.index(heads[0].pan))
 
 

@@ -143,4 +143,4 @@ def test_training_that_needs_pytorch_says_so_before_any_work(
     monkeypatch.setattr("perception.pose.head_pose.deep_belief.find_spec", lambda name: None)
     monkeypatch.setattr("perception.training.models.make_heads", pytest.fail)
     done = run("train", "deep_belief", "-o", tmp_path / "mine.npz")
-    assert done.returncode == 2 and done.stderr.strip().endswith("pip install 'graphtrack[train]'")
+    assert done.returncode == 2 and done.stderr.strip().endswith("pip install -e '.[train]'")

@@ -222,3 +222,15 @@ def test_of_a_crowd_those_who_stay_and_those_who_walk_back_stand_apart():
     people = TrackSet(tuple(replace(track, track_id=i) for i, track in enumerate(tracks)))
     titles = [axes.get_title(loc="left") for axes in plot_tracks(people).axes]
     assert {"towards +x: 20", "towards −x: 20", "stayed within 2 m: 20"} <= set(titles)
+
+
+def test_numbers_of_errors_do_not_lie_across_the_axis():
+    rows = [
+        {"method": name, "metric": "time", "unit": "ms", "median": value, "low": value, "high": 1.1 * value}
+        for name, value in (("quick", 0.0488), ("slower", 0.112), ("slow", 7.0))
+    ]
+    figure = plot_errors(rows)
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    assert len(axes.texts) == 3
+    assert all(text.get_window_extent().x0 >= axes.get_window_extent().x0 - 1.0 for text in axes.texts)

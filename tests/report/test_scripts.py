@@ -123,6 +123,18 @@ def test_pages_hold_everything_once():
     assert in_node(("people.js",), code) == [[True, True]] * 5
 
 
+def test_a_few_rows_too_many_make_no_page():
+    code = """return [20, 21, 24, 25, 44, 45].map((count) => pageOf(count, 20, 0).pages);"""
+    assert in_node(("people.js",), code) == [1, 1, 1, 2, 2, 3]
+
+
+def test_gaps_of_an_angle_are_from_the_sample_before_to_the_one_after():
+    seen = [None, None, None, 1.0, None, None, 1.0, None, None, None, 1.0, None, None, None]
+    code = f"""const seen = {json.dumps(seen)}.map((x) => (x === null ? NaN : x)), t = seen.map((_, i) => i);
+    return [unseenSpans(t, seen), unseenSpans(t, t.map(() => NaN))];"""
+    assert in_node(("angles_draw.js",), code) == [[[0, 3], [6, 10], [10, 13]], []]
+
+
 def test_who_is_chosen_is_shown_and_everybody_hears_of_it():
     code = """const crowd = createCrowd([{ id: "7", shown: true }, { id: "8", shown: true }]);
     let heard = 0; crowd.onChange(() => { heard += 1; });

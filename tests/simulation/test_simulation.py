@@ -204,7 +204,8 @@ def test_scenario_does_what_the_labels_say() -> None:
 
     lost = np.isnan(hidden.position[:, 0])
     assert lost.sum() == 20 and np.array_equal(lost, np.isnan(hidden.body))
-    assert np.isfinite(hidden.head).all() and np.isfinite(hidden.true_position).all()
+    assert np.array_equal(lost, np.isnan(hidden.head)), "a hidden person shows no head"
+    assert np.isfinite(hidden.true_position).all() and np.isfinite(hidden.true_head).all()
     assert all(np.isfinite(track.position).all() for track in tracks[:-1])
 
 

@@ -115,14 +115,16 @@ def spread(ratios: FloatArray) -> tuple[float | None, float | None, float | None
 
 
 def run(settings: Settings, progress: Progress) -> Reproduction:
-    """The experiment; without the recordings a page that says so."""
+    """The experiment; without the recordings a line that says so."""
     everyone = chosen(settings)
     if len(everyone) < FOLDS:
+        where = "no folder is named" if settings.data is None else f"looked for in {settings.data / 'caviar'}"
         note = (
-            f"CAVIAR is left out: {len(everyone)} people with {LEAST_LABELS} labelled heads or more under "
-            "caviar in the folder of recordings (--data), at least two are needed."
+            f"nothing to judge: CAVIAR's recordings are missing ({where}; --data names the folder that has "
+            f"caviar in it); found {len(everyone)} people with {LEAST_LABELS} labelled heads or more, "
+            "two are needed"
         )
-        return Reproduction("baxter-caviar", (_beside(None),), _empty(note), (note,))
+        return Reproduction("baxter-caviar", (), None, (note,))
     fitted = fit_folds(everyone, settings, progress)
     found = judge(everyone, fitted, settings, progress)
     controls = control_gains(
@@ -218,14 +220,12 @@ def _controls(controls: Sequence[ControlGain]) -> Table:
     return Table.of("Where the gains come from: one thing changed at a time, all detected", records)
 
 
-def _beside(found: Outcomes | None) -> Table:
+def _beside(found: Outcomes) -> Table:
     records: list[dict[str, Cell]] = []
     for rate in RATES:
         for method in METHODS:
-            error, likelihood, fair = None, None, None
-            if found is not None:
-                error, likelihood = (spread(ratios)[0] for ratios in gains(found, rate, method))
-                fair = float(np.median(gains(found, rate, method, over="kf fitted")[0]))
+            error, likelihood = (spread(ratios)[0] for ratios in gains(found, rate, method))
+            fair = float(np.median(gains(found, rate, method, over="kf fitted")[0]))
             records.append(
                 {
                     "detection %": round(100 * rate),
@@ -237,14 +237,6 @@ def _beside(found: Outcomes | None) -> Table:
                 }
             )
     return Table.of("Paper / ours: CAVIAR, labelled heads; 000 does not give the MSE on video", records)
-
-
-def _empty(note: str) -> Figure:
-    from graphtrack.report.style import new_figure
-
-    figure = new_figure(8.0, 1.5)
-    figure.text(0.02, 0.5, note.replace(", at least", ",\nat least"), fontsize=9)
-    return figure
 
 
 def _figure(found: Outcomes, controls: Sequence[ControlGain]) -> Figure:
@@ -331,4 +323,5 @@ EXPERIMENT = Experiment(
     "000 Fig. 5(a): CAVIAR with labelled heads, gain over the Kalman filter by detection rate",
     work,
     run,
+    f"{QUICK_PEOPLE} people, {QUICK_FRAMES} frames of each",
 )

@@ -24,6 +24,7 @@ from graphtrack.evaluation.reproduce.experiment import (
 )
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
+from graphtrack.evaluation.reproduce.resampling import deviation
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import track_online
 from graphtrack.inference.online import OnlineEngine
@@ -215,9 +216,9 @@ def _record(gain: Gain, name: str) -> dict[str, Cell]:
         "method": gain.method,
         "tracks": len(gain.error),
         "MSE gain, median": float(np.median(gain.error)),
-        "MSE gain, std": float(np.std(gain.error)),
+        "MSE gain, std": deviation(gain.error),
         "CLL gain, median": float(np.median(gain.likelihood)),
-        "CLL gain, std": float(np.std(gain.likelihood)),
+        "CLL gain, std": deviation(gain.likelihood),
     }
 
 
@@ -253,6 +254,10 @@ def _beside(found: Sequence[Gain]) -> Table:
     )
 
 
+_ACROSS = 4
+"""How much larger metres across the way are drawn: to scale, turns could hardly be seen."""
+
+
 def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
     from graphtrack.evaluation.reproduce.style import with_whiskers
     from graphtrack.report.style import NEUTRAL_COLOUR, TRUTH_COLOUR, new_figure, tidy
@@ -268,10 +273,16 @@ def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
         axes.plot(*(turn @ truth.T), color=TRUTH_COLOUR, linewidth=1.0)
         axes.set_title(corpus.name, fontsize=9)
         axes.set_ylim(-8.0, 8.0)
+        axes.set_aspect(_ACROSS)
         axes.set_xticks([0, 30, 60])
         axes.tick_params(labelsize=7)
         tidy(axes)
-    paths.suptitle("A track of each behaviour: truth and observations (m)", fontsize=10, x=0.01, ha="left")
+    paths.suptitle(
+        f"A track of each behaviour: truth and observations (m), drawn {_ACROSS} times larger across",
+        fontsize=10,
+        x=0.01,
+        ha="left",
+    )
     grid = plots.subplots(2, len(RATES), sharex=True, sharey="row")
     x = np.arange(len(examples), dtype=float)
     for row, measure in enumerate(("error", "likelihood")):
@@ -281,7 +292,7 @@ def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
             for k, method in enumerate(DRAWN):
                 own = [gain for gain in found if gain.method == method and gain.rate == rate]
                 values = [getattr(gain, measure) for gain in own]
-                middle, spread = np.array([(np.median(v), np.std(v)) for v in values]).T
+                middle, spread = np.array([(np.median(v), deviation(v)) for v in values]).T
                 with_whiskers(axes, x + 0.12 * (k - 2.5), middle, spread, method, line=False)
             axes.set_xticks(x, [corpus.name.replace(" ", "\n", 1) for corpus in examples])
             tidy(axes, grid="y")
@@ -301,4 +312,5 @@ EXPERIMENT = Experiment(
         + 2 * len(GRAPHS) * len(NUMERALS) * len(RATES) * tracks_of_graph(settings)
     ),
     run,
+    "60 tracks of each behaviour for the filters, 1 for the graphs",
 )

@@ -131,9 +131,9 @@ def _beside(found: list[DeviationStatistics]) -> Table:
 def _figure(found: list[DeviationStatistics]) -> Figure:
     from graphtrack.report.style import HEAD_COLOUR, NEUTRAL_COLOUR, new_figure, tidy
 
-    columns = 3
+    columns = min(len(found), 3)
     lines = -(-len(found) // columns)
-    figure = new_figure(3.6 * columns, 2.7 * lines + 0.3)
+    figure = new_figure(max(3.6 * columns, 5.4), 2.7 * lines + 0.3)
     grid = figure.subplots(lines, columns, squeeze=False, sharex=True).ravel()
     edges = np.degrees(HISTOGRAM_EDGES)
     x = np.linspace(-180.0, 180.0, 361)
@@ -145,11 +145,14 @@ def _figure(found: list[DeviationStatistics]) -> Figure:
         normal = np.exp(-0.5 * (turns / std) ** 2).sum(axis=1) / (std * np.sqrt(2.0 * np.pi))
         axes.plot(x, normal, color=HEAD_COLOUR, linewidth=1.4, label="normal density")
         axes.axvline(0.0, color=NEUTRAL_COLOUR, linewidth=0.8)
-        axes.set_title(f"{one.name}: {mean:.1f} ± {std:.1f}°", fontsize=9, loc="left")
+        title = f"{one.name}: {mean:.1f} ± {std:.1f}°".replace(": -", ": −")
+        axes.set_title(title, fontsize=9, loc="left")
         axes.set_xticks(range(-180, 181, 90))
         tidy(axes)
     for axes in grid[len(found) :]:
         axes.remove()
+    for axes in grid[max(len(found) - columns, 0) : len(found)]:
+        axes.tick_params(labelbottom=True)
     grid[0].legend(frameon=False, fontsize=8)
     figure.supxlabel("direction of travel − head (°)", fontsize=10)
     figure.supylabel("density (per degree)", fontsize=10)
@@ -163,5 +166,9 @@ def work(settings: Settings) -> int:
 
 
 EXPERIMENT = Experiment(
-    "baxter-statistics", "000 Fig. 2: deviation of the head from the direction of travel", work, run
+    "baxter-statistics",
+    "000 Fig. 2: deviation of the head from the direction of travel",
+    work,
+    run,
+    "60 simulated people; the recordings are whole",
 )

@@ -136,9 +136,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         f"head (12), {100 * FLIPPED:.0f} % of them turned by 180°, {100 * AT_RANDOM:.0f} % any, as "
         "likelihoods that are calibrated. Errors are independent from frame to frame; those of a real "
         "classifier are not.",
-        "Mean absolute error per person, mean over people with its 95 % bootstrap interval. Every method "
-        "gets the same frames and default parameters. Online estimates use the past alone; the graphs keep "
-        f"{LAG:g} s open.",
+        "Mean absolute error per person, mean over people, of five or more with its 95 % bootstrap interval. "
+        "Every method gets the same frames and default parameters. Online estimates use the past alone; the "
+        f"graphs keep {LAG:g} s open.",
         "closest class: eq. 13–14, the score of the class that is closest to a particle; particle is their "
         "smooth mixture, which the graph has. joint-body is what 002 calls separate (κ₂ = 0).",
         "Answers in the image: classes of the angles at which a camera 3 m above the ground sees them, "
@@ -178,5 +178,9 @@ def work(settings: Settings) -> int:
 
 
 EXPERIMENT = Experiment(
-    "chen-classes", "002: class likelihoods of body and head, many of them wrong", work, run
+    "chen-classes",
+    "002: class likelihoods of body and head, many of them wrong",
+    work,
+    run,
+    "4 people of each source, 1 in the image",
 )

@@ -148,7 +148,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     rng = settings.rng(99)
     notes = [
         "Mean absolute error per person, mean over people. joint − joint-body: paired difference with its "
-        "95 % bootstrap interval over people; below 0 joint is better.",
+        "95 % bootstrap interval over five people or more; below 0 joint is better.",
         "What 002 calls separate is joint-body: κ₂ = 0, so that the head does not follow the body, which "
         "does follow the motion. In separate nothing follows anything.",
         "Observations have the mean error of 002's, but independent noise at every frame (mocap at 10 frames "
@@ -299,4 +299,10 @@ def work(settings: Settings) -> int:
     return sum(len(tracks) for tracks in people(settings).values())
 
 
-EXPERIMENT = Experiment("chen-joint", "002 Table 2: observation, separate and joint filtering", work, run)
+EXPERIMENT = Experiment(
+    "chen-joint",
+    "002 Table 2: observation, separate and joint filtering",
+    work,
+    run,
+    "4 to 13 people of each source",
+)

@@ -92,14 +92,14 @@ class Reproduction:
     Attributes
     ----------
     name : of the experiment
-    tables : the last one stands "paper" beside "ours"
-    figure : the page of figures
+    tables : the last one stands "paper" beside "ours"; none where nothing was found to judge
+    figure : the page of figures; None where there is nothing to show
     notes : how to read them, one sentence or two each
     """
 
     name: str
     tables: tuple[Table, ...]
-    figure: Figure
+    figure: Figure | None
     notes: tuple[str, ...]
 
 
@@ -113,12 +113,14 @@ class Experiment:
     source : paper and place
     work : from settings to the number of units of progress
     run : does it; calls the progress with units
+    quick : how few people are judged where it runs quickly, in words
     """
 
     name: str
     source: str
     work: Callable[[Settings], int]
     run: Callable[[Settings, Progress], Reproduction]
+    quick: str
 
 
 def _native(cell: Cell) -> Cell:

@@ -11,6 +11,9 @@ from graphtrack.geometry.angles import FloatArray
 
 RESAMPLES = 4000
 
+FEWEST = 5
+"""People below whom there is no interval: resampled, so few say little of anybody else."""
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -35,7 +38,7 @@ def bootstrap(
     Returns
     -------
     Interval
-        All NaN without a person, and without bounds for a single one.
+        All NaN without a person, and without bounds for fewer than `FEWEST`.
     """
     table = np.stack(samples)
     table = table[:, np.isfinite(table).all(axis=0)]
@@ -43,11 +46,16 @@ def bootstrap(
     if n == 0:
         return Interval(float("nan"), float("nan"), float("nan"))
     value = float(statistic(*table))
-    if n == 1:
+    if n < FEWEST:
         return Interval(value, float("nan"), float("nan"))
     drawn = table[:, rng.integers(0, n, (RESAMPLES, n))]
     low, high = np.percentile(statistic(*drawn), [2.5, 97.5])
     return Interval(value, float(low), float(high))
+
+
+def deviation(values: FloatArray) -> float:
+    """Standard deviation of the values (n,); NaN of a single one, which has none."""
+    return float(np.std(values)) if len(values) > 1 else float("nan")
 
 
 def mean_difference(first: FloatArray, second: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from graphtrack.inference.chain.restart import AT_END, AT_START
 from graphtrack.inference.graph.chain_view import ChainView, is_ambiguous
 from graphtrack.inference.initial import initial_states
 from graphtrack.inference.solution import Solution, SolverOptions, bounded, estimated_track
-from graphtrack.inference.warm import SOLVER, graph_rehearsal, has_own_kernels
+from graphtrack.inference.warm import WHOLE, graph_rehearsal, has_own_kernels
 from graphtrack.model import Model, States, Step
 from graphtrack.model.factors.derived import Couplings
 from graphtrack.model.factors.native import von_mises_prior
@@ -166,7 +166,7 @@ def _view(track: Track, model: Model, camera: GroundCamera | None, steps: Sequen
         outliers = model.parameters.likelihood.outlier_probability > 0.0
         if not outliers and not any(map(is_ambiguous, steps)):
             return None
-        make_ready(SOLVER, graph_rehearsal(model))
+        make_ready(WHOLE, graph_rehearsal(model))
     return ChainView(track, model, camera)
 
 

@@ -15,7 +15,7 @@ from graphtrack.inference.graph.couplings import couplings_of
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.state import Newest, Window, predicted
-from graphtrack.inference.warm import SOLVER, online_rehearsal
+from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import COUPLED
 from graphtrack.readiness import make_ready
@@ -114,7 +114,7 @@ class Guided:
         return self._followed(chain, ahead, newest)
 
     def _begin(self) -> ChainWindow:
-        make_ready(SOLVER, online_rehearsal(self._model))
+        make_ready(ONLINE, online_rehearsal(self._model))
         lag = self._lag if self._lag < math.inf else _LAG
         self._chain = ChainWindow(self._model, lag, _PROMISED_DECREASE, _MOST_STEPS)
         return self._chain

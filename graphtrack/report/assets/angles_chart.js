@@ -76,7 +76,7 @@ function startAngles(root, crowd, replay) {
 
   // The legend holds what there are data for.
   const known = (kind) => people.some((p) => ["body", "head"].some((name) => p[kind.replace("*", name)].some(Number.isFinite)));
-  Object.entries({ "±1σ": "*_std", "95 %": "*_std", observation: "seen_*", truth: "true_*" }).forEach(([key, kind]) => {
+  Object.entries({ "±1σ": "*_std", "95 %": "*_std", observation: "seen_*", "not observed": "seen_*", truth: "true_*" }).forEach(([key, kind]) => {
     root.querySelector('[data-key="' + key + '"]').hidden = !known(kind);
   });
   who.addEventListener("focus", () => who.select());

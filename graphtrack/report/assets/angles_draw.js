@@ -77,6 +77,11 @@ function drawPanel(ctx, panel, person, range, width, theme) {
   const at = (i) => timeToScreen(range, width, person.t[i]);
   ctx.save();
   ctx.beginPath(); ctx.rect(panel.left, panel.top, panel.right - panel.left, panel.bottom - panel.top); ctx.clip();
+  ctx.fillStyle = theme.grid; ctx.globalAlpha = 0.6;
+  unseenSpans(person.t, person["seen_" + name]).forEach(([from, to]) => {
+    const left = timeToScreen(range, width, from);
+    ctx.fillRect(left, panel.top, timeToScreen(range, width, to) - left, panel.bottom - panel.top);
+  });
   const runs = knownRuns(person.t, angle, person.hole);
   BANDS.forEach(([scale, alpha]) => {
     if (!std.length) return;
@@ -103,6 +108,20 @@ function drawPanel(ctx, panel, person, range, width, theme) {
   const truth = unwrapped(person["true_" + name]);
   drawCurve(ctx, panel, person, truth, knownRuns(person.t, truth, person.hole), at, theme.ink, 1.2, [5, 3]);
   ctx.restore();
+}
+
+// [from, to] in time of gaps of three samples or more of an angle: from the sample seen before to that seen after.
+// Nothing where it was never seen: then there is no detector of it.
+function unseenSpans(t, seen) {
+  const spans = [];
+  let last = -1;
+  if (!seen.some(Number.isFinite)) return spans;
+  for (let i = 0; i <= seen.length; i++) {
+    if (i < seen.length && !Number.isFinite(seen[i])) continue;
+    if (i - last > 3) spans.push([t[Math.max(last, 0)], t[Math.min(i, t.length - 1)]]);
+    last = i;
+  }
+  return spans;
 }
 
 function drawCurve(ctx, panel, person, angle, runs, at, colour, width, dash) {

@@ -40,9 +40,11 @@ function findPeople(people, words) {
 }
 
 // The page nearest to the wanted one, of things of which `size` stand on each: from and to as in slice.
+// A few more stand on the last page: nobody turns a page for them.
 function pageOf(count, size, wanted) {
-  const pages = Math.max(Math.ceil(count / size), 1), page = Math.min(Math.max(wanted, 0), pages - 1);
-  return { page, pages, from: page * size, to: Math.min((page + 1) * size, count) };
+  const few = Math.ceil(size / 5), pages = Math.max(Math.ceil((count - few) / size), 1);
+  const page = Math.min(Math.max(wanted, 0), pages - 1);
+  return { page, pages, from: page * size, to: page === pages - 1 ? count : (page + 1) * size };
 }
 
 function countOf(n, word, words) { return n + " " + (n === 1 ? word : words); }

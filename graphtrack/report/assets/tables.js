@@ -38,8 +38,12 @@ function makeElement(tag, attributes, ...children) {
 
 function startTable(table) {
   const body = table.tBodies[0], lines = [...body.rows], rows = lines.map((line) => [...line.cells].map((cell) => cell.textContent));
+  const heads = [...table.tHead.rows[0].cells], words = heads.map((head) => head.textContent);
+  // On narrow screens each cell says its heading.
+  lines.forEach((line) => [...line.cells].forEach((cell, i) => { cell.dataset.heading = words[i]; }));
+  table.classList.add("told");
   if (lines.length < 2) return null;
-  const heads = [...table.tHead.rows[0].cells], panel = table.closest(".panel"), scroll = table.closest(".scroll");
+  const panel = table.closest(".panel"), scroll = table.closest(".scroll");
   const find = makeElement("input", { type: "search", autocomplete: "off" }), count = makeElement("output", {});
   const earlier = makeElement("button", { type: "button", "aria-label": "Earlier rows" }, "‹");
   const later = makeElement("button", { type: "button", "aria-label": "Later rows" }, "›");
@@ -77,12 +81,13 @@ function startTable(table) {
   find.addEventListener("input", () => { page = 0; fill(); });
   earlier.addEventListener("click", () => { page -= 1; fill(); });
   later.addEventListener("click", () => { page += 1; fill(); });
-  if (lines.length > TABLE_ROWS) { panel.prepend(tools); fill(); }
+  const paged = pageOf(lines.length, TABLE_ROWS, 0).pages > 1;
+  if (paged) { panel.prepend(tools); fill(); }
   return {
     // Turn to the page that the row is on, if the search leaves it.
     turnTo(i) {
       const at = visible().indexOf(i);
-      if (at >= 0 && lines.length > TABLE_ROWS) { page = Math.floor(at / TABLE_ROWS); fill(); }
+      if (at >= 0 && paged) { page = Math.floor(at / TABLE_ROWS); fill(); }
     },
   };
 }

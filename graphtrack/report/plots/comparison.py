@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -96,6 +96,7 @@ def _method_axis(axes: Axes, methods: Sequence[str]) -> None:
 
 def _draw_errors(axes: Axes, rows: list[ErrorRow], methods: Sequence[str]) -> None:
     ends: list[float] = []
+    most = max((v for r in rows for v in (r.median, r.high) if np.isfinite(v)), default=0.0)
     for row in rows:
         if not np.isfinite(row.median):
             continue
@@ -104,7 +105,8 @@ def _draw_errors(axes: Axes, rows: list[ErrorRow], methods: Sequence[str]) -> No
             axes.plot([row.low, row.high], [y, y], color=colour, lw=3.0, alpha=0.35, solid_capstyle="round")
             ends += [row.low, row.high]
         axes.plot(row.median, y, "o", color=colour, markersize=7, markeredgecolor="white")
-        _write_above(axes, row.median, y)
+        # A number in the middle above a dot at the axis would lie across it.
+        _write_above(axes, row.median, y, "left" if 0.0 <= row.median < 0.08 * most else "center")
         ends.append(row.median)
     _method_axis(axes, methods)
     # From zero, so that lengths compare; a metric that can be negative keeps its own range.
@@ -144,10 +146,8 @@ def _draw_nees(axes: Axes, rows: list[NeesRow], methods: Sequence[str]) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _write_above(axes: Axes, value: float, y: int) -> None:
-    axes.annotate(
-        f"{value:.3g}", (value, y), xytext=(0, 7), textcoords="offset points", ha="center", fontsize=8
-    )
+def _write_above(axes: Axes, value: float, y: int, align: Literal["left", "center"] = "center") -> None:
+    axes.annotate(f"{value:.3g}", (value, y), xytext=(0, 7), textcoords="offset points", ha=align, fontsize=8)
 
 
 def _words(name: Any) -> str:

@@ -86,7 +86,7 @@ class DeepBelief(FeatureClassifier):
             If PyTorch is not installed.
         """
         if find_spec("torch") is None:
-            raise InputError("no PyTorch", "the extra train: pip install 'graphtrack[train]'")
+            raise InputError("no PyTorch", "the extra train: pip install -e '.[train]'")
 
     def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
         """Train the network.
