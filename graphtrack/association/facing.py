@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from graphtrack.association.kernels import Chains, Scene, facing_evidence
+from graphtrack.association.chains import Chains, Scene
+from graphtrack.association.kernels import facing_evidence
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray, class_centres
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association import duplicates, facing, learning
-from graphtrack.association.kernels import Chains, IntArray, unlinked
+from graphtrack.association.chains import Chains, IntArray, unlinked
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.state import from_text, to_text

@@ -7,93 +7,18 @@ detections, of how it was missed between them, and of its birth, over that of fa
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphtrack.association.chains import BODY, HEAD, STATE, Chains, IntArray, Scene
+from graphtrack.association.resemblance import looks_ratio, see_angle, see_facing
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.bessel import log_i0e
 from graphtrack.model.kernels.compiled import compiled
-
-IntArray = NDArray[np.int64]
 
 NOTHING = -1e9
 """The gain of what cannot be."""
 GATE = 6.0
 """Standard deviations beyond which a detection is nobody's."""
-
-
-STATE = 11
-"""Numbers in a filtered state: x, y, vx, vy, the covariance p, pv, v of each axis, and the directions of body
-and head as vectors (x, y) whose length is their concentration; 0: not known."""
-BODY, HEAD = 7, 9
-"""Where the last two begin."""
-
-
-class Scene(NamedTuple):
-    """`SceneParameters.packed`."""
-
-    density: float
-    speed_variance: float
-    log_missed: float
-    log_hidden: float
-    hidden_seconds: float
-    log_birth: float
-    log_death: float
-    longest_gap: float
-    frame_seconds: float
-    look_ahead: float
-    body_variance: float
-    body_turn: float  # variance a second
-    body_outliers: float
-    head_variance: float
-    head_turn: float
-    head_outliers: float
-    heading_variance: float
-    looks_offset: float = 0.0
-    looks_slope: float = 0.0
-    looks_outliers: float = 1.0
-    trust: float = 0.0  # log odds that two detections of one given identity are one person's
-
-
-class Chains(NamedTuple):
-    """n detections in the order of time, and the tracks that they are chained to."""
-
-    t: FloatArray  # (n,) seconds
-    frame: IntArray  # (n,) in steps of the recording
-    position: FloatArray  # (n, 2) metres
-    variance: FloatArray  # (n,) m² of each axis
-    gain: FloatArray  # (n,) log of how much more likely as a person's than as a false one, position aside
-    facing: FloatArray  # (n, 2) radians, observed body and head; NaN: not observed
-    looks: FloatArray  # (n, d) whitened descriptors, NaN where one is missing; (n, 0) where there are none
-    given: IntArray  # (n,) identities that somebody gave them and that mostly are right; −1: none
-    following: IntArray  # (n,) the next detection of the same person, or −1
-    preceding: IntArray  # (n,) the one before, or −1
-    state: FloatArray  # (n, STATE) filtered there, see `STATE`
-    evidence: FloatArray  # (n,) of the detection given those before
-    total: FloatArray  # (n,) of the track up to there
-
-
-def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: FloatArray) -> Chains:
-    """Detections that are nobody's yet; their variances, gains and looks are to be set."""
-    n, nobody = len(t), np.full(len(t), -1)
-    zeros = np.zeros(n)
-    return Chains(
-        t,
-        frame,
-        position,
-        np.empty(n),
-        np.empty(n),
-        facing,
-        np.empty((n, 0)),
-        nobody.copy(),
-        nobody,
-        nobody.copy(),
-        np.zeros((n, STATE)),
-        zeros,
-        zeros.copy(),
-    )
 
 
 @compiled
@@ -121,72 +46,6 @@ def move(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state
     state[2], state[3] = before[2] + turn * off_x, before[3] + turn * off_y
     state[4], state[5], state[6] = p * (1.0 - gain), pv * (1.0 - gain), v - turn * pv
     return -math.log(2.0 * math.pi * spread) - 0.5 * (off_x * off_x + off_y * off_y) / spread
-
-
-@compiled
-def looks_ratio(chains: Chains, k: int, m: int, scene: Scene) -> float:
-    """Log likelihood ratio of how two detections look; see `AppearanceModel`."""
-    if scene.looks_outliers >= 1.0:
-        return 0.0
-    square = 0.0
-    for i in range(chains.looks.shape[1]):
-        square += (chains.looks[k, i] - chains.looks[m, i]) ** 2
-    if math.isnan(square):
-        return 0.0
-    score = scene.looks_offset - scene.looks_slope * math.log(max(square, 1e-12))
-    odds = math.exp(min(max(score, -50.0), 50.0))
-    sure, unsure = 1.0 - scene.looks_outliers, scene.looks_outliers
-    return math.log((sure * odds + unsure) / (sure + unsure * odds))
-
-
-@compiled
-def see_angle(
-    angle: float, prior_x: float, prior_y: float, noise: float, outliers: float, state: FloatArray, place: int
-) -> float:
-    """Take an observed angle into the direction at ``place`` of a state; its log ratio to one by chance.
-
-    Parameters
-    ----------
-    angle : radians; NaN: not observed
-    prior_x, prior_y : the direction that is expected, with its concentration
-    noise : variance of the observation
-    outliers : share of observations that have nothing to do with the direction; 1: none is looked at
-    """
-    if outliers >= 1.0 or math.isnan(angle):
-        return 0.0
-    kappa, share, ratio = math.hypot(prior_x, prior_y), 1.0 - outliers, 0.0
-    if kappa > 1e-6:
-        kappa = 1.0 / (1.0 / kappa + noise)
-        deviation = angle - math.atan2(prior_y, prior_x)
-        density = share * math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
-        ratio = math.log(density + outliers)
-        share = density / (density + outliers)
-    state[place] += share * math.cos(angle) / noise
-    state[place + 1] += share * math.sin(angle) / noise
-    return ratio
-
-
-@compiled
-def see_facing(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
-    """Take body and head of detection m into the state; their log likelihood ratio.
-
-    They turn little since detection k, where the state was ``before``, and the body faces where the person
-    goes, who moves as the state says.
-    """
-    dt = chains.t[m] - chains.t[k]
-    for place, turn in ((BODY, scene.body_turn), (HEAD, scene.head_turn)):
-        x, y = before[place], before[place + 1]
-        less = 1.0 / (1.0 + math.hypot(x, y) * turn * dt)
-        state[place], state[place + 1] = less * x, less * y
-    x, y = state[BODY], state[BODY + 1]
-    square = state[2] * state[2] + state[3] * state[3]
-    if square > 1e-4:
-        # Who hardly moves goes nowhere in particular.
-        length = 1.0 / ((scene.heading_variance + state[6] / square) * math.sqrt(square))
-        x, y = x + length * state[2], y + length * state[3]
-    ratio = see_angle(chains.facing[m, 0], x, y, scene.body_variance, scene.body_outliers, state, BODY)
-    x, y = state[HEAD], state[HEAD + 1]
-    return ratio + see_angle(chains.facing[m, 1], x, y, scene.head_variance, scene.head_outliers, state, HEAD)
 
 
 @compiled

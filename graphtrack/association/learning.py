@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from graphtrack.association.chains import Chains, Scene
 from graphtrack.association.detections import Detections
-from graphtrack.association.kernels import Chains, Scene, innovations
+from graphtrack.association.kernels import innovations
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 

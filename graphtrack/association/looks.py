@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association.appearance import AppearanceModel
-from graphtrack.association.kernels import Chains, Scene
+from graphtrack.association.chains import Chains, Scene
 from graphtrack.geometry.angles import FloatArray
 
 IntArray = NDArray[np.int64]

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from graphtrack.association.chains import Chains, IntArray, Scene
 from graphtrack.association.kernels import (
-    Chains,
-    IntArray,
-    Scene,
     gains_of_detections,
     gains_of_links,
     probabilities_of_links,

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from graphtrack.association import duplicates, facing, learning, looks
 from graphtrack.association.appearance import AppearanceModel
+from graphtrack.association.chains import Scene, unlinked
 from graphtrack.association.detections import Detections
-from graphtrack.association.kernels import Scene, refresh, unlinked
+from graphtrack.association.kernels import refresh
 from graphtrack.association.moves import Moves
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray

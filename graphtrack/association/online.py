@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from graphtrack.association import duplicates, learning
+from graphtrack.association.chains import Chains, IntArray, Scene, unlinked
 from graphtrack.association.detections import Detections
 from graphtrack.association.history import NOBODY, History, packed, unpacked
-from graphtrack.association.kernels import Chains, IntArray, Scene, missed, refresh, unlinked
+from graphtrack.association.kernels import missed, refresh
 from graphtrack.association.moves import Moves
 from graphtrack.association.scene import SceneParameters
 from graphtrack.errors import InputError

@@ -25,7 +25,7 @@ from graphtrack.cli.stream import LONGEST_LINE, People, text_of
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
-from graphtrack.inference.warm import SOLVER, online_rehearsal
+from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.io.options import Associate
 from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.model import Model
@@ -230,4 +230,4 @@ def warm_up(model: Model, engine: OnlineEngine) -> None:
 
 def load(model: Model | str) -> None:
     """Have the compiled window's code in this process; compile what there is none of."""
-    make_ready(SOLVER, online_rehearsal(Model.named(model)))
+    make_ready(ONLINE, online_rehearsal(Model.named(model)))

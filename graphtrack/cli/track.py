@@ -72,6 +72,7 @@ def track(
     ] = 10.0,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone."""
+    from graphtrack.display import duration
     from graphtrack.inference.online import OnlineSmoother, check_lag, online_engine
     from graphtrack.inference.recorded import track_online
     from graphtrack.io import write
@@ -119,8 +120,9 @@ def track(
     if found:
         write(estimates, output)
         console.print(
-            f"tracked {len(found)} people, {estimates.n_frames} person-frames in {seconds:.1f} s "
-            f"({1e3 * seconds / estimates.n_frames:.2f} ms each); engine {engine}, model {chosen.preset}\n"
+            f"tracked {len(found)} people, {estimates.n_frames} person-frames in {duration(seconds)} "
+            f"({1e3 * seconds / estimates.n_frames:.2f} ms each); "
+            f"engine {online_engine(chosen, engine)}, model {chosen.preset}\n"
             f"wrote {output}",
             markup=False,
         )
@@ -137,6 +139,8 @@ def _track_detections(
     from graphtrack.association.recorded import track_rows
     from graphtrack.association.tracker import OnlineTracker
     from graphtrack.cli.console import print_summary
+    from graphtrack.display import duration
+    from graphtrack.inference.online import online_engine
     from graphtrack.io import write
 
     tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera)
@@ -147,8 +151,9 @@ def _track_detections(
     write(tracks, output)
     print_summary(tracks, str(rows.path))
     console.print(
-        f"tracked {len(tracks)} people, {tracks.n_frames} person-frames in {seconds:.1f} s "
-        f"({1e3 * seconds / len(rows):.2f} ms each); engine {engine}, model {model.preset}\n"
+        f"tracked {len(tracks)} people, {tracks.n_frames} person-frames in {duration(seconds)} "
+        f"({1e3 * seconds / len(rows):.2f} ms each); "
+        f"engine {online_engine(model, engine)}, model {model.preset}\n"
         f"wrote {output}",
         markup=False,
     )

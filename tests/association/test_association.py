@@ -11,8 +11,9 @@ import pytest
 from crossing_people import idf1, street
 
 import graphtrack as gt
+from graphtrack.association.chains import Scene
 from graphtrack.association.detections import Detections
-from graphtrack.association.kernels import GATE, Scene, missed
+from graphtrack.association.kernels import GATE, missed
 from graphtrack.association.moves import match
 from graphtrack.association.offline import associate_detections, repair_detections
 from graphtrack.association.scene import SceneParameters

@@ -1,0 +1,76 @@
+"""What two detections of one person share beside their places: directions of body and head, and looks."""
+
+from __future__ import annotations
+
+import math
+
+from graphtrack.association.chains import BODY, HEAD, Chains, Scene
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.kernels.bessel import log_i0e
+from graphtrack.model.kernels.compiled import compiled
+
+
+@compiled
+def looks_ratio(chains: Chains, k: int, m: int, scene: Scene) -> float:
+    """Log likelihood ratio of how two detections look; see `AppearanceModel`."""
+    if scene.looks_outliers >= 1.0:
+        return 0.0
+    square = 0.0
+    for i in range(chains.looks.shape[1]):
+        square += (chains.looks[k, i] - chains.looks[m, i]) ** 2
+    if math.isnan(square):
+        return 0.0
+    score = scene.looks_offset - scene.looks_slope * math.log(max(square, 1e-12))
+    odds = math.exp(min(max(score, -50.0), 50.0))
+    sure, unsure = 1.0 - scene.looks_outliers, scene.looks_outliers
+    return math.log((sure * odds + unsure) / (sure + unsure * odds))
+
+
+@compiled
+def see_angle(
+    angle: float, prior_x: float, prior_y: float, noise: float, outliers: float, state: FloatArray, place: int
+) -> float:
+    """Take an observed angle into the direction at ``place`` of a state; its log ratio to one by chance.
+
+    Parameters
+    ----------
+    angle : radians; NaN: not observed
+    prior_x, prior_y : the direction that is expected, with its concentration
+    noise : variance of the observation
+    outliers : share of observations that have nothing to do with the direction; 1: none is looked at
+    """
+    if outliers >= 1.0 or math.isnan(angle):
+        return 0.0
+    kappa, share, ratio = math.hypot(prior_x, prior_y), 1.0 - outliers, 0.0
+    if kappa > 1e-6:
+        kappa = 1.0 / (1.0 / kappa + noise)
+        deviation = angle - math.atan2(prior_y, prior_x)
+        density = share * math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
+        ratio = math.log(density + outliers)
+        share = density / (density + outliers)
+    state[place] += share * math.cos(angle) / noise
+    state[place + 1] += share * math.sin(angle) / noise
+    return ratio
+
+
+@compiled
+def see_facing(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
+    """Take body and head of detection m into the state; their log likelihood ratio.
+
+    They turn little since detection k, where the state was ``before``, and the body faces where the person
+    goes, who moves as the state says.
+    """
+    dt = chains.t[m] - chains.t[k]
+    for place, turn in ((BODY, scene.body_turn), (HEAD, scene.head_turn)):
+        x, y = before[place], before[place + 1]
+        less = 1.0 / (1.0 + math.hypot(x, y) * turn * dt)
+        state[place], state[place + 1] = less * x, less * y
+    x, y = state[BODY], state[BODY + 1]
+    square = state[2] * state[2] + state[3] * state[3]
+    if square > 1e-4:
+        # Who hardly moves goes nowhere in particular.
+        length = 1.0 / ((scene.heading_variance + state[6] / square) * math.sqrt(square))
+        x, y = x + length * state[2], y + length * state[3]
+    ratio = see_angle(chains.facing[m, 0], x, y, scene.body_variance, scene.body_outliers, state, BODY)
+    x, y = state[HEAD], state[HEAD + 1]
+    return ratio + see_angle(chains.facing[m, 1], x, y, scene.head_variance, scene.head_outliers, state, HEAD)
