@@ -117,7 +117,8 @@ def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path],
     write = format_for_writing(path).write_columns
     if write is None:
         names = ", ".join(s for one in formats() if one.write_columns is not None for s in one.suffixes)
-        raise InputError(f"the file name {path.name!r}", f"one of the endings {names}", path=path)
+        found = f"detections without identities for {path.name}"
+        raise InputError(found, f"a name that ends with one of {names}", path=path)
     return write
 
 

@@ -23,7 +23,8 @@ from graphtrack.geometry.angles import (
 from graphtrack.inference import smooth_track, solve
 from graphtrack.inference.chain.modes import leading_angles, loosened
 from graphtrack.inference.initial import pack, problem_of
-from graphtrack.inference.online import OnlineSmoother, track_online
+from graphtrack.inference.online import OnlineSmoother
+from graphtrack.inference.recorded import track_online
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.program import FRAME, add_frame

@@ -19,7 +19,7 @@ from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.window_kernels import marginalise
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack, problem_of
-from graphtrack.inference.online import track_online
+from graphtrack.inference.recorded import track_online
 from graphtrack.io import read
 from graphtrack.model import Model, MotionParameters, OrientationParameters, Parameters, States
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion

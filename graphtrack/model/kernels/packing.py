@@ -181,7 +181,7 @@ class FramePacker:
     ) -> PackedTracks:
         """A frame of this kind, packed; what is `live` in it stands for any."""
         # Times rarely lie a step apart to the last bit; the record gets its own dt where it counts.
-        seconds = 0.0 if dt is None else round(dt, 12)
+        seconds = 0.0 if dt is None else round(dt, 14)
         simple = seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None
         if not (simple and self._repeats) or seen.inputs:
             return self._packed(seen, seconds, starts, camera)
