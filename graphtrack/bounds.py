@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -132,3 +132,19 @@ def check_positive(name: str, value: float | None, highest: float) -> None:
 def check_frame_rate(fps: float | None) -> None:
     """Raise InputError unless frames a second are a number above 0, or None."""
     check_positive("fps", fps, 1e6)
+
+
+def number(default: float, low: float, high: float, unit: str = "") -> Any:
+    """A field of a dataclass of parameters: a number from ``low`` to ``high``; see `check_numbers`."""
+    return field(default=default, metadata={"range": (low, high), "unit": unit})
+
+
+def check_numbers(parameters: Any) -> None:
+    """Raise InputError unless the fields of a dataclass that `number` made are in their ranges."""
+    for one in fields(parameters):
+        if "range" not in one.metadata:
+            continue
+        value, (low, high) = getattr(parameters, one.name), one.metadata["range"]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            expected = f"a number in [{low:g}, {high:g}] {one.metadata['unit']}".rstrip()
+            raise InputError(f"{one.name} = {value!r}", expected)

@@ -81,3 +81,13 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
         zeros,
         zeros.copy(),
     )
+
+
+def link_by(chains: Chains, identity: IntArray) -> None:
+    """Chain the detections of each identity in the order of time; of two in a frame only one; −1: none."""
+    order = np.lexsort((np.arange(len(identity)), identity))
+    before, after = order[:-1], order[1:]
+    same = (identity[before] == identity[after]) & (identity[after] >= 0)
+    same &= chains.frame[after] > chains.frame[before]
+    chains.following[before[same]] = after[same]
+    chains.preceding[after[same]] = before[same]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.association import duplicates, facing, learning
-from graphtrack.association.chains import Chains, IntArray, unlinked
+from graphtrack.association.chains import Chains, IntArray, link_by, unlinked
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.state import from_text, to_text
@@ -73,9 +73,7 @@ class History:
         chains.variance[:] = np.where(np.isnan(self.std), scene.position_std, self.std) ** 2
         _, owner = np.unique(self.owner, return_inverse=True)
         identity = np.where(self.owner == NOBODY, NOBODY, owner - int((self.owner == NOBODY).any()))
-        order = np.lexsort((np.arange(len(identity)), identity))
-        same = (identity[order[1:]] == identity[order[:-1]]) & (identity[order[1:]] >= 0)
-        chains.preceding[order[1:][same]] = order[:-1][same]
+        link_by(chains, identity)
         rate, spread = duplicates.learned(chains.frame, self.position, identity, scene)
         scene = replace(scene, duplicate_rate=rate, duplicate_spread=spread)
         scene = learning.learned(chains, identity, scene, self.std, step_seconds)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from graphtrack.association import duplicates, facing, learning, looks
 from graphtrack.association.appearance import AppearanceModel
-from graphtrack.association.chains import Scene, unlinked
+from graphtrack.association.chains import Scene, link_by, unlinked
 from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import refresh
 from graphtrack.association.moves import Moves
@@ -150,12 +150,7 @@ class _Search(Moves):
 
     def begin_with(self, given: NDArray[np.int64]) -> None:
         """Start from the tracks of somebody's identities (n,), from 0, and trust them; −1: none."""
-        order = np.lexsort((np.arange(len(given)), given))
-        same = (given[order[1:]] == given[order[:-1]]) & (given[order[1:]] >= 0)
-        # Of two in a frame only one can be linked.
-        same &= self.chains.frame[order[1:]] > self.chains.frame[order[:-1]]
-        self.chains.following[order[:-1][same]] = order[1:][same]
-        self.chains.preceding[order[1:][same]] = order[:-1][same]
+        link_by(self.chains, given)
         self.chains.given[:] = given
         self._trust = TRUST
         self.adopt(self.scene)

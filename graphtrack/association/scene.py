@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass
 
-from graphtrack.errors import InputError
-
-
-def _number(default: float, low: float, high: float, unit: str = "") -> Any:
-    return field(default=default, metadata={"range": (low, high), "unit": unit})
+from graphtrack.bounds import check_numbers, number
 
 
 @dataclass(frozen=True)
@@ -40,36 +35,30 @@ class SceneParameters:
     look_ahead : detections of a track after a cut that say whose they are
     """
 
-    acceleration_density: float = _number(0.1, 1e-4, 100.0, "m²/s³")
-    speed_std: float = _number(1.0, 0.05, 30.0, "m/s")
-    position_std: float = _number(0.1, 1e-4, 100.0, "m")
-    detection_probability: float = _number(0.9, 0.01, 0.999)
-    occlusion_probability: float = _number(0.01, 1e-6, 0.5)
-    occlusion_seconds: float = _number(2.0, 0.05, 60.0, "s")
-    clutter_density: float = _number(1e-3, 1e-9, 100.0, "1/m²")
-    duplicate_rate: float = _number(0.02, 0.0, 10.0)
-    duplicate_spread: float = _number(0.5, 1e-3, 10.0, "m")
-    birth_density: float = _number(1e-3, 1e-9, 100.0, "1/(m² s)")
-    death_rate: float = _number(0.05, 1e-6, 10.0, "1/s")
-    longest_gap: float = _number(6.0, 0.05, 60.0, "s")
-    body_std: float = _number(0.3, 0.02, 3.0, "rad")
-    body_turn: float = _number(0.5, 0.01, 10.0, "rad/√s")
-    body_outliers: float = _number(1.0, 0.01, 1.0)
-    head_std: float = _number(0.4, 0.02, 3.0, "rad")
-    head_turn: float = _number(0.8, 0.01, 10.0, "rad/√s")
-    head_outliers: float = _number(1.0, 0.01, 1.0)
-    heading_std: float = _number(0.4, 0.05, 3.0, "rad")
-    longest_filled: float = _number(2.0, 0.0, 60.0, "s")
-    look_ahead: int = 8
+    acceleration_density: float = number(0.1, 1e-4, 100.0, "m²/s³")
+    speed_std: float = number(1.0, 0.05, 30.0, "m/s")
+    position_std: float = number(0.1, 1e-4, 100.0, "m")
+    detection_probability: float = number(0.9, 0.01, 0.999)
+    occlusion_probability: float = number(0.01, 1e-6, 0.5)
+    occlusion_seconds: float = number(2.0, 0.05, 60.0, "s")
+    clutter_density: float = number(1e-3, 1e-9, 100.0, "1/m²")
+    duplicate_rate: float = number(0.02, 0.0, 10.0)
+    duplicate_spread: float = number(0.5, 1e-3, 10.0, "m")
+    birth_density: float = number(1e-3, 1e-9, 100.0, "1/(m² s)")
+    death_rate: float = number(0.05, 1e-6, 10.0, "1/s")
+    longest_gap: float = number(6.0, 0.05, 60.0, "s")
+    body_std: float = number(0.3, 0.02, 3.0, "rad")
+    body_turn: float = number(0.5, 0.01, 10.0, "rad/√s")
+    body_outliers: float = number(1.0, 0.01, 1.0)
+    head_std: float = number(0.4, 0.02, 3.0, "rad")
+    head_turn: float = number(0.8, 0.01, 10.0, "rad/√s")
+    head_outliers: float = number(1.0, 0.01, 1.0)
+    heading_std: float = number(0.4, 0.05, 3.0, "rad")
+    longest_filled: float = number(2.0, 0.0, 60.0, "s")
+    look_ahead: int = number(8, 1, 100)
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            low, high = one.metadata.get("range", (1, 100))
-            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-                unit = one.metadata.get("unit", "")
-                expected = f"a number in [{low:g}, {high:g}] {unit}".rstrip()
-                raise InputError(f"{one.name} = {value!r}", expected)
+        check_numbers(self)
 
     def packed(self, frame_seconds: float) -> tuple[float, ...]:
         """What the kernels read, in the order of `kernels.Scene`, for frames so many seconds apart."""

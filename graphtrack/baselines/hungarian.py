@@ -9,24 +9,20 @@ frame is never changed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from graphtrack.association.detections import Detections, with_those_between
+from graphtrack.bounds import check_numbers, number
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks import Track, TrackSet
 
 IntArray = NDArray[np.int64]
-
-
-def _number(default: float, low: float, high: float, unit: str = "") -> Any:
-    return field(default=default, metadata={"range": (low, high), "unit": unit})
 
 
 @dataclass(frozen=True)
@@ -44,24 +40,17 @@ class HungarianParameters:
     coasting : seconds without a detection for which the prediction is reported as the person's place
     """
 
-    acceleration_density: float = _number(0.06, 1e-6, 100.0, "m²/s³")
-    position_std: float = _number(0.14, 1e-4, 100.0, "m")
-    speed_std: float = _number(0.7, 0.01, 30.0, "m/s")
-    gate: float = _number(3.0, 0.1, 100.0)
-    hits: int = 2
-    frames: int = 2
-    longest_gap: float = _number(2.8, 0.0, 600.0, "s")
-    coasting: float = _number(0.4, 0.0, 600.0, "s")
+    acceleration_density: float = number(0.06, 1e-6, 100.0, "m²/s³")
+    position_std: float = number(0.14, 1e-4, 100.0, "m")
+    speed_std: float = number(0.7, 0.01, 30.0, "m/s")
+    gate: float = number(3.0, 0.1, 100.0)
+    hits: int = number(2, 1, 1000)
+    frames: int = number(2, 1, 1000)
+    longest_gap: float = number(2.8, 0.0, 600.0, "s")
+    coasting: float = number(0.4, 0.0, 600.0, "s")
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            low, high = one.metadata.get("range", (1, 1000))
-            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-                unit = one.metadata.get("unit", "")
-                raise InputError(
-                    f"{one.name} = {value!r}", f"a number in [{low:g}, {high:g}] {unit}".rstrip()
-                )
+        check_numbers(self)
         if self.hits > self.frames:
             raise InputError(f"{self.hits} hits of {self.frames} frames", "as many frames as hits at least")
 

@@ -7,13 +7,14 @@ ByteTrack: Zhang et al. 2022 (ECCV). OC-SORT: Cao et al. 2023 (CVPR).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal
 
 import numpy as np
 
 from graphtrack.association.detections import Detections, with_those_between
+from graphtrack.bounds import check_numbers, number
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import Track, TrackSet
@@ -29,10 +30,6 @@ CONFIDENT = 1.0
 """Confidence of every box: a detector's own are on no common scale."""
 
 
-def _number(default: float, low: float, high: float, unit: str = "") -> Any:
-    return field(default=default, metadata={"range": (low, high), "unit": unit})
-
-
 @dataclass(frozen=True)
 class PeerParameters:
     """What a tracker of boxes is told.
@@ -46,21 +43,14 @@ class PeerParameters:
     longest_gap : seconds after which a person who is not seen is given up
     """
 
-    side: float = _number(2.0, 0.01, 100.0, "m")
-    scale: float = _number(50.0, 0.01, 1e5, "pixels/m")
-    minimum_iou: float = _number(0.2, 0.0, 1.0)
-    minimum_frames: int = 2
-    longest_gap: float = _number(2.4, 0.0, 600.0, "s")
+    side: float = number(2.0, 0.01, 100.0, "m")
+    scale: float = number(50.0, 0.01, 1e5, "pixels/m")
+    minimum_iou: float = number(0.2, 0.0, 1.0)
+    minimum_frames: int = number(2, 1, 1000)
+    longest_gap: float = number(2.4, 0.0, 600.0, "s")
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            low, high = one.metadata.get("range", (1, 1000))
-            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-                unit = one.metadata.get("unit", "")
-                raise InputError(
-                    f"{one.name} = {value!r}", f"a number in [{low:g}, {high:g}] {unit}".rstrip()
-                )
+        check_numbers(self)
 
 
 TUNED: dict[PeerName, PeerParameters] = {
