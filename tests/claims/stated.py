@@ -188,6 +188,28 @@ def chen_heads(results: Results) -> Measured:
     return {HEADS_SAID: found}
 
 
+def chen_classes(results: Results) -> Measured:
+    """Mean errors of body and head by model and method, with their intervals."""
+    methods = {
+        "particle filter": "particle",
+        "particle filter, closest class": "particle, closest class",
+        "chain": "graph, chain",
+        "isam2": "graph, isam2",
+        "offline": "smoother",
+    }
+    found: dict[str, list[float | None]] = {}
+    for (label, method), preset in product(methods.items(), ("joint-body", "joint", "full")):
+        line = []
+        people = ("mocap, walking", "mocap, turning", "mocap, sideways and back")
+        for data, angle in product(people, ("body", "head")):
+            where = {"data": data, "angle": angle, "method": method, "model": preset}
+            for row in results.rows("Body and head from class likelihoods", **where):
+                line += [row["error (°)"], row["low"], row["high"]]
+        if line:
+            found[f"{label}, {preset}"] = line
+    return found
+
+
 CLAIMS: Sequence[Claim] = (
     Claim("README.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
     Claim("README.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"),
@@ -199,4 +221,5 @@ CLAIMS: Sequence[Claim] = (
     Claim("README.md", "baxter-occlusion", occlusion_said, labels=(OCCLUSION_SAID,)),
     Claim("README.md", "chen-joint", chen_joint, "| body | observed |"),
     Claim("README.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
+    Claim("docs/engine.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
 )
