@@ -177,6 +177,7 @@ def test_scenes_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
         SceneParameters(**wrong)
 
 
+@pytest.mark.slow
 def test_the_published_trackers_are_reached_on_real_detections(data_dir: Path) -> None:
     """Town Centre, 60 s at 2.5 Hz, positions alone; SORT has 0.445, the best published tracker 0.596."""
     folder = data_dir / "towncentre" / "frames_001_150"

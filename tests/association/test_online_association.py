@@ -143,10 +143,10 @@ def test_who_is_missed_is_told_where_the_model_expects_them() -> None:
 def test_what_is_forgotten_bounds_the_memory() -> None:
     association = OnlineAssociation(SCENE)
     rng, sizes = np.random.default_rng(6), []
-    for k in range(600):
-        association.update(0.1 * k, rng.uniform(-8.0, 8.0, (6, 2)))
+    for k in range(300):
+        association.update(0.1 * k, rng.uniform(-8.0, 8.0, (4, 2)))
         sizes.append(len(association.chains.t))
-    assert max(sizes[300:]) <= max(sizes[:300]) + 6
+    assert max(sizes[150:]) <= max(sizes[:150]) + 4
 
 
 def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:

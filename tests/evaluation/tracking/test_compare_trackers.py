@@ -345,6 +345,7 @@ def test_tracks_of_detections_are_of_the_detections(ducks: None, scene: Scene) -
     assert isinstance(found.tracks[0], Track)
 
 
+@pytest.mark.slow
 def test_real_people_are_followed_by_the_baseline_and_better_by_association(data_dir: Path) -> None:
     """A third of the crowd at Zara, seen as badly as in docs/tracking.md."""
     rng = np.random.default_rng(0)
