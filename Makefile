@@ -7,6 +7,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 # Modules are turned into bytecode when they are imported, which few of those installed ever are.
+# That is kept, whatever the caller's environment says: hundreds of tests begin a program of their own.
+unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .PHONY: demo test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims clean
