@@ -81,6 +81,7 @@ def test_everything_about_tracks_runs_with_what_takes_minutes(tmp_path, monkeypa
     check_tracks(follow(slow=True))
 
 
+@pytest.mark.slow
 def test_everything_from_video_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run(OF_VIDEO, {}, slow=False)

@@ -9,6 +9,7 @@ import pytest
 from costs import cost_around, free, gradient, hessian, states_of
 from random_tracks import contradicted, hard_models, lens_camera, random_parameters, random_track
 from scipy import stats
+from selection import others_slow
 from walks import walk, without
 
 from graphtrack.errors import InputError
@@ -109,7 +110,7 @@ def test_covariances_of_gaussian_factors_are_those_of_gtsams_marginals(seed: int
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("preset", ["separate", "joint"])
+@pytest.mark.parametrize("preset", others_slow(["separate", "joint"], ["joint"]))
 @pytest.mark.parametrize("robust", ["none", "huber", "cauchy"])
 @pytest.mark.parametrize("seen", ["angles", "classes", "pixels"])
 def test_covariances_are_the_inverse_of_the_cost_differences(preset: str, robust: str, seen: str) -> None:

@@ -373,7 +373,10 @@ class FailingLater(Failing):
 
 @GTSAM_ENGINES
 @pytest.mark.parametrize("way", [90, 91, 92, 93], ids=["no factors", "raises", "wrong shape", "not finite"])
-@pytest.mark.parametrize(("after", "whole"), [(1, False), (12, False), (25, False), (25, True)])
+@pytest.mark.parametrize(
+    ("after", "whole"),
+    others_slow([(1, False), (12, False), (25, False), (25, True)], [(1, False), (25, True)]),
+)
 def test_a_failed_update_is_reported_and_leaves_no_trace(
     engine: Any, way: int, after: int, whole: bool
 ) -> None:

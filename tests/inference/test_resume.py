@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from selection import others_slow
 from walks import walk
 
 from graphtrack.geometry.angles import wrap
@@ -84,7 +85,7 @@ SCENES: dict[str, Callable[[int], Track]] = {
         ("fixed-lag", "full", 60),
     ],
 )
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", others_slow(SCENES, ["classes", "pixels"]))
 def test_it_goes_on_to_the_last_bit(engine: Any, preset: str, n: int, scene: str) -> None:
     options: dict[str, Any] = {"engine": engine, "lag": 0.5, "camera": CAMERA}
     whole, stopped = OnlineSmoother(preset, **options), OnlineSmoother(preset, **options)

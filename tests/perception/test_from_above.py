@@ -23,6 +23,9 @@ from perception.synthetic.scene import Person
 from perception.synthetic.sensor import Sensor
 from perception.synthetic.still import StillScene
 
+pytestmark = pytest.mark.slow
+"""A room is rendered for these; `test_ceiling` looks at one every time."""
+
 CAMERA = ceiling_sequence(ALL_KINDS["robot moving"], np.random.default_rng(0), frames=30).scene.camera
 GROUND = CAMERA.ground_camera()
 

@@ -174,6 +174,7 @@ def test_the_causal_selection_is_the_end_of_the_best_path_up_to_each_frame() -> 
     assert (found != select_along_track(frames, smoothness=0.3)).any()
 
 
+@pytest.mark.slow
 def test_plain_the_detector_alone_judges_windows_all_over_the_box(people: People) -> None:
     plain = HeadLocaliser(rounds=60, plain=True).fit(people[0].images, people[0].head_box)
     image = people[1].images[0]

@@ -15,6 +15,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from selection import others_slow
 from walks import walk, without
 
 import graphtrack as gt
@@ -61,7 +62,7 @@ LAYOUTS = {
 }
 
 
-@pytest.mark.parametrize("model", ["position", "joint", "full"])
+@pytest.mark.parametrize("model", others_slow(["position", "joint", "full"], ["position", "full"]))
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("batch_frames", [1, 50, 100_000])
 def test_the_bytes_of_the_in_memory_result(table, layout, batch_frames, model, tmp_path, monkeypatch):

@@ -170,9 +170,9 @@ def test_impossible_times_are_refused(every: float) -> None:
 
 def test_the_command_writes_detections_and_the_truth_that_judges_them(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    gt.write(crowd(), "exact.csv")
+    gt.write(crowd(25), "exact.csv")
     line = "add-noise exact.csv -o {} --truth-output truth.csv --every 0.4 --position-noise 0.1 --missed 0.1"
-    line += " --occlude-share 0.5 --clutter 1 --seed 3"
+    line += " --occlude-share 0.5 --clutter 0.5 --seed 3"
     done = run(*line.format("known.csv").split(), program="graphtrack")
     assert done.returncode == 0 and "false" in done.stderr
     score = gt.score("known.csv", "truth.csv").together

@@ -9,6 +9,13 @@ import pytest
 
 
 def others_slow(values: Iterable[Any], every_time: Iterable[Any]) -> list[Any]:
-    """All values for `parametrize`; those that are not to run every time carry the marker ``slow``."""
+    """All values for `parametrize`; those that are not to run every time carry the marker ``slow``.
+
+    A tuple is a value for each of several arguments.
+    """
     kept = list(every_time)
-    return [one if one in kept else pytest.param(one, marks=pytest.mark.slow) for one in values]
+    found = []
+    for one in values:
+        arguments = one if isinstance(one, tuple) else (one,)
+        found.append(one if one in kept else pytest.param(*arguments, marks=pytest.mark.slow))
+    return found
