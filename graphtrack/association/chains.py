@@ -52,6 +52,8 @@ class Chains(NamedTuple):
     position: FloatArray  # (n, 2) metres
     variance: FloatArray  # (n,) m² of each axis
     gain: FloatArray  # (n,) log of how much more likely as a person's than as a false one, position aside
+    birth: FloatArray  # (n,) log of how many times the mean rate people come into view there
+    death: FloatArray  # (n,) the same of those who leave
     facing: FloatArray  # (n, 2) radians, observed body and head; NaN: not observed
     looks: FloatArray  # (n, d) whitened descriptors, NaN where one is missing; (n, 0) where there are none
     given: IntArray  # (n,) identities that somebody gave them and that mostly are right; −1: none
@@ -72,6 +74,8 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
         position,
         np.empty(n),
         np.empty(n),
+        zeros.copy(),
+        zeros.copy(),
         facing,
         np.empty((n, 0)),
         nobody.copy(),

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association import duplicates, facing, learning
+from graphtrack.association import duplicates, facing, learning, places
 from graphtrack.association.chains import Chains, IntArray, link_by, unlinked
+from graphtrack.association.places import Places
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.state import from_text, to_text
@@ -65,8 +66,8 @@ class History:
         due = LEARNED_AT[self.times] if self.times < known else LEARNED_AT[-1] * (self.times - known + 2)
         return self.count >= due
 
-    def learned(self, scene: SceneParameters, step_seconds: float) -> SceneParameters:
-        """The parameters that the remembered tracks speak for."""
+    def learned(self, scene: SceneParameters, step_seconds: float) -> tuple[SceneParameters, Places]:
+        """The parameters that the remembered tracks speak for, and where people come and go."""
         self.times += 1
         chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
         chains.gain[:] = 0.0
@@ -77,7 +78,7 @@ class History:
         rate, spread = duplicates.learned(chains.frame, self.position, identity, scene)
         scene = replace(scene, duplicate_rate=rate, duplicate_spread=spread)
         scene = learning.learned(chains, identity, scene, self.std, step_seconds)
-        return facing.learned(chains, scene, step_seconds)
+        return facing.learned(chains, scene, step_seconds), places.learned(chains, identity)
 
 
 def packed(values: NDArray[Any]) -> list[Any]:

@@ -57,7 +57,7 @@ def begin(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
     state[BODY:] = 0.0
     see_angle(chains.facing[k, 0], 0.0, 0.0, scene.body_variance, scene.body_outliers, state, BODY)
     see_angle(chains.facing[k, 1], 0.0, 0.0, scene.head_variance, scene.head_outliers, state, HEAD)
-    return scene.log_birth + chains.gain[k]
+    return scene.log_birth + chains.birth[k] + chains.gain[k]
 
 
 @compiled
@@ -133,7 +133,7 @@ def ending(chains: Chains, k: int, scene: Scene) -> float:
     left = chains.frame[-1] - chains.frame[k]
     if left <= 0:
         return 0.0
-    return max(scene.log_death, missed(left, scene))
+    return max(min(scene.log_death + chains.death[k], 0.0), missed(left, scene))
 
 
 @compiled

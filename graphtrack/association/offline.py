@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association import duplicates, facing, learning, looks
+from graphtrack.association import duplicates, facing, learning, looks, places
 from graphtrack.association.appearance import AppearanceModel
 from graphtrack.association.chains import Scene, link_by, unlinked
 from graphtrack.association.detections import Detections
@@ -169,7 +169,9 @@ class _Search(Moves):
                 self.chains, self.packed, self._looks, self._descriptors
             )
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
-        false = scene.clutter_density + self._duplicates
+        births, deaths, clutter = places.seen_from_within(self.chains, identity)
+        self.chains.birth[:], self.chains.death[:] = np.log(births), np.log(deaths)
+        false = scene.clutter_density * clutter + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
         if self._score is not None and (identity >= 0).any():
             self.chains.gain[:] += looks.score_ratio(self._score, identity)

@@ -18,6 +18,7 @@ from graphtrack.association.detections import Detections
 from graphtrack.association.history import NOBODY, History, packed, unpacked
 from graphtrack.association.kernels import missed, refresh
 from graphtrack.association.moves import Moves
+from graphtrack.association.places import Places
 from graphtrack.association.scene import SceneParameters
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -74,6 +75,7 @@ class _Notes:
     said : track id that was last said of it
     number : track id of the track that begins with it, once there is one
     before : detections of its track that are forgotten by now
+    clutter : how many times the mean rate detections are false there
     """
 
     std: FloatArray
@@ -81,13 +83,14 @@ class _Notes:
     said: IntArray
     number: IntArray
     before: IntArray
+    clutter: FloatArray
 
     @classmethod
-    def of(cls, std: FloatArray) -> _Notes:
+    def of(cls, std: FloatArray, clutter: FloatArray) -> _Notes:
         """Of the detections of a new frame."""
         n = len(std)
         nobody = np.full(n, NOBODY)
-        return cls(std, np.arange(n), nobody, nobody.copy(), np.zeros(n, np.int64))
+        return cls(std, np.arange(n), nobody, nobody.copy(), np.zeros(n, np.int64), clutter)
 
     def extended(self, new: _Notes) -> _Notes:
         """With those of further detections."""
@@ -116,9 +119,10 @@ class OnlineAssociation(Moves):
         empty, none = np.zeros(0), np.zeros(0, np.int64)
         nowhere = np.zeros((0, 2))
         super().__init__(unlinked(empty, none, nowhere, nowhere.copy()), Scene(*self.scene.packed(1.0)))
-        self._notes = _Notes.of(empty)
+        self._notes = _Notes.of(empty, empty)
         self._first: list[int] = []  # detection of each frame that can be revised, oldest first
         self._history = History()
+        self._places: Places | None = None
         self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
 
@@ -139,6 +143,9 @@ class OnlineAssociation(Moves):
             "notes": {name: packed(values) for name, values in vars(self._notes).items()},
             "first": self._first,
             "history": self._history.state(),
+            "places": None
+            if self._places is None
+            else [packed(grid) for grid in vars(self._places).values()],
             "counts": [self._next, self.updates],
             "last": self._last if self.updates else None,
             "intervals": self._intervals,
@@ -161,6 +168,8 @@ class OnlineAssociation(Moves):
         found._notes = _Notes(**{name: unpacked(text) for name, text in state["notes"].items()})
         found._first, found._intervals = list(state["first"]), list(state["intervals"])
         found._history = History.from_state(state["history"])
+        if state["places"] is not None:
+            found._places = Places(*(unpacked(grid) for grid in state["places"]))
         found._next, found.updates = state["counts"]
         found._last = -np.inf if state["last"] is None else state["last"]
         found.packed = Scene(*found.scene.packed(found.step_seconds))
@@ -251,9 +260,13 @@ class OnlineAssociation(Moves):
         """Put a frame's detections behind the others; where they begin."""
         chains, n, first = self.chains, len(position), len(self.chains.t)
         new = unlinked(np.full(n, t), np.full(n, self.updates), position, facing)
+        clutter = np.ones(n)
+        if self._places is not None:
+            births, deaths, clutter = self._places.at(position)
+            new.birth[:], new.death[:] = np.log(births), np.log(deaths)
         self.chains = Chains(*(np.concatenate(both) for both in zip(chains, new, strict=True)))
         self.link_p = np.concatenate([self.link_p, np.ones(n)])
-        self._notes = self._notes.extended(_Notes.of(std))
+        self._notes = self._notes.extended(_Notes.of(std, clutter))
         if n:
             self._first.append(first)
         return first
@@ -309,7 +322,7 @@ class OnlineAssociation(Moves):
         near = duplicates.density(
             chains.frame[first:], chains.position[first:], track[first:], self.scene, times
         )
-        false = self.scene.clutter_density + near
+        false = self.scene.clutter_density * self._notes.clutter[first:] + near
         chains.gain[first:] = np.log(self.scene.detection_probability) - np.log(false)
         refresh(chains, first, len(chains.t), self.packed)
 
@@ -351,6 +364,6 @@ class OnlineAssociation(Moves):
         if self.given is not None or not len(chains.t):
             return
         if history.is_due():
-            self.scene = history.learned(self.scene, self.step_seconds)
+            self.scene, self._places = history.learned(self.scene, self.step_seconds)
         elif not history.times:
             self.scene = learning.first_guess(Detections(chains.frame, chains.t, chains.position))

@@ -1,0 +1,115 @@
+"""Where in a scene people come into view, where they leave, and where detections are false.
+
+Each is a rate over the ground, as many times the scene's mean: events are counted on a grid, blurred, and
+compared with as many as there would be if they happened alike wherever they could.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from graphtrack.association import learning
+from graphtrack.association.chains import Chains, IntArray
+from graphtrack.geometry.angles import FloatArray
+
+SPREAD = 2.0
+"""Metres, standard deviation of the blur: who comes in at one place may come in so far beside it."""
+
+_CELL = 0.5 * SPREAD
+_REACH = 4.0 * SPREAD
+_LARGEST = 1000
+"""Corners along an axis: a kilometre; what lies beyond is counted at the edge."""
+_PEAK = 1.0 / (2.0 * np.pi * SPREAD**2)
+_PRIOR = 2.0 * _PEAK
+"""Events per square metre that the mean rate counts for: two on the spot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Rates over the ground, on a grid.
+
+    Attributes
+    ----------
+    origin : (2,) metres, of the grid's first corner
+    births, deaths, clutter : (2, nx, ny) events per square metre, as many as there were, and as there
+        would be if they happened alike wherever they could
+    """
+
+    origin: FloatArray
+    births: FloatArray
+    deaths: FloatArray
+    clutter: FloatArray
+
+    def at(
+        self, position: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """How many times the mean rate people come, leave and detections are false at positions (n, 2).
+
+        Parameters
+        ----------
+        own : (n,) each, of the events, those per square metre that are not to count
+        """
+        places = ((position - self.origin) / _CELL).T
+        found = []
+        for k, grids in enumerate((self.births, self.deaths, self.clutter)):
+            events, expected = (map_coordinates(grid, places, order=1, mode="nearest") for grid in grids)
+            left = events if own is None else np.maximum(events - own[k], 0.0)
+            found.append((left + _PRIOR) / (expected + _PRIOR))
+        births, deaths, clutter = found
+        return births, deaths, clutter
+
+
+def learned(chains: Chains, identity: IntArray) -> Places:
+    """From people found in a recording: ``identity`` (n,) is of each detection, from 0; −1: false."""
+    position, person = chains.position, identity >= 0
+    first, last = _events(chains, identity)
+    low, high = position.min(axis=0) - _REACH, position.max(axis=0) + _REACH
+    shape = np.minimum(np.ceil((high - low) / _CELL).astype(int) + 1, _LARGEST)
+
+    def blurred(places: FloatArray, weight: float = 1.0) -> FloatArray:
+        counts = np.zeros(shape)
+        cell = np.clip(np.rint((places - low) / _CELL).astype(int), 0, shape - 1)
+        np.add.at(counts, (cell[:, 0], cell[:, 1]), weight)
+        return gaussian_filter(counts, SPREAD / _CELL, mode="constant") / _CELL**2
+
+    square = learning.area(position)
+    # Who is there may leave; to come into view and to be false is possible everywhere.
+    leave = blurred(position[person], len(last) / max(int(person.sum()), 1))
+    return Places(
+        low,
+        np.stack([blurred(position[first]), np.full(shape, len(first) / square)]),
+        np.stack([blurred(position[last]), leave]),
+        np.stack([blurred(position[~person]), np.full(shape, (~person).sum() / square)]),
+    )
+
+
+def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`learned` and asked at the detections that it is learned from, (n,) each.
+
+    Of each detection, what its own track has done does not count: it would speak for itself.
+    """
+    own = [_of_own(chains.position, identity, events) for events in _events(chains, identity)]
+    false = np.where(identity >= 0, 0.0, _PEAK)
+    return learned(chains, identity).at(chains.position, (own[0], own[1], false))
+
+
+def _events(chains: Chains, identity: IntArray) -> tuple[IntArray, IntArray]:
+    """The detections with which somebody came into view, and left, within the recording."""
+    newest = int(chains.frame[-1])
+    edge = min(learning.EDGE, (newest + 1) // 4)
+    person = identity >= 0
+    first = np.flatnonzero(person & (chains.preceding < 0) & (chains.frame > edge))
+    last = np.flatnonzero(person & (chains.following < 0) & (chains.frame < newest - edge))
+    return first, last
+
+
+def _of_own(position: FloatArray, identity: IntArray, events: IntArray) -> FloatArray:
+    """(n,) per square metre, what the event of a detection's own track counts for there."""
+    event = np.full(max(int(identity.max()), 0) + 1, -1)
+    event[identity[events]] = events
+    found = np.where(identity >= 0, event[identity], -1)
+    square = np.sum((position - position[found]) ** 2, axis=1)
+    return np.where(found >= 0, _PEAK * np.exp(-0.5 * square / SPREAD**2), 0.0)
