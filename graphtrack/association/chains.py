@@ -62,6 +62,7 @@ class Chains(NamedTuple):
     state: FloatArray  # (n, STATE) filtered there, see `STATE`
     evidence: FloatArray  # (n,) of the detection given those before
     total: FloatArray  # (n,) of the track up to there
+    rest: FloatArray  # (n,) of the track from there on, to its end: as it was when a sweep began
 
 
 def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: FloatArray) -> Chains:
@@ -83,6 +84,7 @@ def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: Float
         nobody.copy(),
         np.zeros((n, STATE)),
         zeros,
+        zeros.copy(),
         zeros.copy(),
     )
 

@@ -76,7 +76,7 @@ def learned(
         share = occluded / (chance + occluded)
         missed = float(((1.0 - share) * some).sum())
         miss = float(np.clip((seen + 9.0) / (seen + missed + 10.0), 0.02, 0.995))
-        hide = float(np.clip((share.sum() + 0.01 * _PRIOR) / (seen + _PRIOR), 1e-5, 0.3))
+        hide = float(np.clip((share.sum() + 0.01 * _PRIOR) / (seen + _PRIOR), 1e-6, 0.3))
         hidden = float(np.clip(((share * some).sum() * seconds + 2.0) / (share.sum() + 1.0), 0.2, 20.0))
     in_view = (seen + gaps.sum()) * seconds
     known = identity >= 0
@@ -128,5 +128,5 @@ def _motion(
     return density, std if unknown.any() else scene.position_std
 
 
-_LOWEST, _HIGHEST = np.log([1e-3, 5e-3]), np.log([10.0, 3.0])
+_LOWEST, _HIGHEST = np.log([1e-2, 0.03]), np.log([10.0, 3.0])
 """Acceleration density (m²/s³) and standard deviation (m) within which people and detectors are."""

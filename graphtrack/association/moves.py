@@ -11,6 +11,7 @@ from graphtrack.association.kernels import (
     gains_of_links,
     probabilities_of_links,
     refresh,
+    remember_rest,
     roots,
 )
 from graphtrack.geometry.angles import FloatArray
@@ -35,6 +36,11 @@ class Moves:
         changed = self._cut(first) + self._frame(first, end)
         refresh(self.chains, first, end, self.packed)
         return changed
+
+    def filter_from(self, first: int) -> None:
+        """Filter all detections from ``first`` on along their chains."""
+        refresh(self.chains, first, len(self.chains.t), self.packed)
+        remember_rest(self.chains, self.packed)
 
     def _window(self, first: int) -> tuple[int, int]:
         t, gap = self.chains.t, self.packed.longest_gap

@@ -18,7 +18,7 @@ from graphtrack.association import duplicates, facing, learning, looks, places
 from graphtrack.association.appearance import AppearanceModel
 from graphtrack.association.chains import Scene, link_by, unlinked
 from graphtrack.association.detections import Detections
-from graphtrack.association.kernels import refresh
+from graphtrack.association.kernels import remember_rest
 from graphtrack.association.moves import Moves
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
@@ -175,7 +175,7 @@ class _Search(Moves):
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
         if self._score is not None and (identity >= 0).any():
             self.chains.gain[:] += looks.score_ratio(self._score, identity)
-        refresh(self.chains, 0, len(self.chains.t), self.packed)
+        self.filter_from(0)
 
     def learned(self) -> SceneParameters:
         """The parameters that the tracks of now speak for."""
@@ -195,13 +195,14 @@ class _Search(Moves):
         """
         packed = self.packed
         self.packed = packed._replace(log_birth=np.log(self.scene.clutter_density), log_death=0.0)
-        refresh(self.chains, 0, len(self.chains.t), self.packed)
+        self.filter_from(0)
         self.sweep()
         self.packed = packed
-        refresh(self.chains, 0, len(self.chains.t), self.packed)
+        self.filter_from(0)
 
     def sweep(self) -> int:
         """Every move once, from the first frame to the last; the number of links that changed."""
+        remember_rest(self.chains, self.packed)
         frames = zip(self._first.tolist(), self._end.tolist(), strict=True)
         return sum(self.move(first, end) for first, end in frames)
 

@@ -16,7 +16,7 @@ from graphtrack.association import duplicates, learning
 from graphtrack.association.chains import Chains, IntArray, Scene, unlinked
 from graphtrack.association.detections import Detections
 from graphtrack.association.history import NOBODY, History, packed, unpacked
-from graphtrack.association.kernels import missed, refresh
+from graphtrack.association.kernels import missed
 from graphtrack.association.moves import Moves
 from graphtrack.association.places import Places
 from graphtrack.association.scene import SceneParameters
@@ -245,7 +245,7 @@ class OnlineAssociation(Moves):
             if age < len(ends):
                 begin, end = self._first[-1 - age], ends[-1 - age]
                 self.move(begin, end)
-                refresh(self.chains, end, len(self.chains.t), self.packed)
+                self.filter_from(end)
         return self._decide(first)
 
     def check_time(self, t: float) -> None:
@@ -324,7 +324,7 @@ class OnlineAssociation(Moves):
         )
         false = self.scene.clutter_density * self._notes.clutter[first:] + near
         chains.gain[first:] = np.log(self.scene.detection_probability) - np.log(false)
-        refresh(chains, first, len(chains.t), self.packed)
+        self.filter_from(first)
 
     def _times(self) -> IntArray:
         """(n,) how many detections its track has up to each one."""
