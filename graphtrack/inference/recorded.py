@@ -57,9 +57,15 @@ def track_online(
     tracks : a `Track`, of which a `Track` comes out, or what `solve` takes, of which a `TrackSet` does
     model, engine, lag : as in `OnlineSmoother`
     camera : camera of the scene; by default that of the `TrackSet`
+
+    Raises
+    ------
+    InputError
+        For a file of detections without identities too: who is who is found out from past and future by
+        `associate`, and from the past alone by `OnlineTracker`.
     """
     if not isinstance(tracks, Track):
-        scene, chosen = tracks_of(tracks), Model.named(model)
+        scene, chosen = tracks_of(tracks, associate="never"), Model.named(model)
         camera = scene.camera if camera is None else camera
         return scene.map(lambda one: track_online(one, chosen, engine=engine, lag=lag, camera=camera))
     smoother = OnlineSmoother(model, engine=engine, lag=lag, camera=camera)

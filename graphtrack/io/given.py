@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from graphtrack.errors import InputError
+from graphtrack.io.options import Associate
 from graphtrack.io.reading import read
 from graphtrack.tracks import Track, TrackSet
 
@@ -21,8 +22,12 @@ if TYPE_CHECKING:
     Given: TypeAlias = Track | Scene
 
 
-def tracks_of(given: Given) -> TrackSet:
+def tracks_of(given: Given, associate: Associate = "auto") -> TrackSet:
     """Tracks, a track, several of them, the path of a file or of several, or a table, as a set of tracks.
+
+    Parameters
+    ----------
+    associate : what to do with a file's rows without identities, as in `ReadOptions`
 
     Raises
     ------
@@ -34,14 +39,14 @@ def tracks_of(given: Given) -> TrackSet:
     if isinstance(given, Track):
         return TrackSet((given,))
     if isinstance(given, str | Path):
-        return read(given)
+        return read(given, associate=associate)
     if isinstance(given, Mapping) or hasattr(given, "columns"):
         return TrackSet.from_table(given)  # type: ignore[arg-type]
     if isinstance(given, list | tuple) and given:
         if all(isinstance(one, Track) for one in given):
             return TrackSet(tuple(given))
         if all(isinstance(one, str | Path) for one in given):
-            return read(given)
+            return read(given, associate=associate)
     raise InputError(_described(given), f"a TrackSet, a Track, a table or the path of a file{_hint(given)}")
 
 

@@ -166,3 +166,11 @@ def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:
     refused = run_command(*command, "--associate", "never", program="graphtrack")
     assert refused.returncode == 2
     assert "associate" in refused.stderr
+
+
+def test_recorded_detections_are_not_associated_with_the_future(tmp_path) -> None:
+    source = tmp_path / "detections.csv"
+    source.write_text("frame,t,x,y\n" + "".join(f"{k},{0.1 * k:g},{0.1 * k:g},0\n" for k in range(20)))
+    assert len(gt.smooth(source, "position")) == 1
+    with pytest.raises(gt.InputError, match="rows without identities"):
+        gt.track_online(source, "position")
