@@ -73,9 +73,11 @@ def associate_detections(
         if k:
             search.adopt(search.learned() if scene is None else scene)
         search.join_generously()
+        changed = None
         for sweep in range(SWEEPS):
             progress(k * SWEEPS + sweep, ROUNDS * SWEEPS)
-            if not search.sweep():
+            changed = search.sweep(changed)
+            if not len(changed):
                 break
     progress(ROUNDS * SWEEPS, ROUNDS * SWEEPS)
     identity = search.identities()
@@ -103,8 +105,10 @@ def repair_detections(
     search.begin_with(given)
     for _ in range(ROUNDS):
         search.adopt(search.learned() if scene is None else scene)
+        changed = None
         for _ in range(SWEEPS):
-            if not search.sweep():
+            changed = search.sweep(changed)
+            if not len(changed):
                 break
     root, _ = search.roots()
     identity = _renamed(root, given)
@@ -200,11 +204,27 @@ class _Search(Moves):
         self.packed = packed
         self.filter_from(0)
 
-    def sweep(self) -> int:
-        """Every move once, from the first frame to the last; the number of links that changed."""
+    def sweep(self, changed: FloatArray | None = None) -> FloatArray:
+        """Every move once, from the first frame to the last; the times (s) of frames in which links changed.
+
+        Parameters
+        ----------
+        changed : those of the sweep before, increasing: where nothing did, as far as a gap reaches, nothing
+            will; None: all frames are looked at
+        """
         remember_rest(self.chains, self.packed)
         frames = zip(self._first.tolist(), self._end.tolist(), strict=True)
-        return sum(self.move(first, end) for first, end in frames)
+        t, gap = self.chains.t, self.packed.longest_gap
+        found: list[float] = []
+        for first, end in frames:
+            now = float(t[first])
+            if changed is not None:
+                near = np.searchsorted(changed, [now - gap, now + gap])
+                if near[0] == near[1] and not (found and now - found[-1] <= gap):
+                    continue
+            if self.move(first, end):
+                found.append(now)
+        return np.array(found)
 
     # -- what came out ---------------------------------------------------------------------------------------
 

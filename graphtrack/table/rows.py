@@ -148,7 +148,7 @@ def check_identities(rows: Rows) -> None:
     if not rows.has_identity:
         raise InputError(
             "rows without identities",
-            "a track_id for each; graphtrack smooth and track, associate and OnlineTracker find out who it is",
+            "a track_id for each; graphtrack smooth, track and gt.associate find out who is who",
             path=rows.path,
             line=rows.line_of(0) if len(rows) else None,
         )
