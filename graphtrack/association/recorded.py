@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.association.rows import NOWHERE, with_rows
+from graphtrack.association.rows import usable, with_rows
 from graphtrack.association.tracker import OnlineTracker, PersonEstimate
 from graphtrack.bounds import INPUT
 from graphtrack.inference.recorded import as_track
@@ -29,7 +29,7 @@ def track_rows(
     tracker : that has seen nothing yet
     advance : is told of detections that were taken in
     """
-    rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
+    rows = usable(rows)
     channels = {name: values for name, values in rows.channels.items() if name in CHANNELS}
     given = [name for name in rows.channels if name.startswith(INPUT)]
     inputs = {name.removeprefix(INPUT): rows.channels[name] for name in given}

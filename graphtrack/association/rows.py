@@ -10,12 +10,14 @@ import numpy as np
 from graphtrack.association.detections import Detections, frames_between
 from graphtrack.association.offline import APPEARANCE, associate_detections, repair_detections
 from graphtrack.association.scene import SceneParameters
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import Track, TrackSet
 
 FALSE = "taken for false detections"
 NOWHERE = "detections without a position"
+REPEATED = "at the place of another of the same frame"
 
 _ALONG = (
     "position_std",
@@ -78,9 +80,49 @@ def with_repaired_identities(rows: Rows, scene: SceneParameters | None = None) -
     )
 
 
-def _detections(rows: Rows) -> tuple[Rows, Detections]:
-    """The rows that have a position, and what the evidence reads of them."""
+def usable(rows: Rows) -> Rows:
+    """The rows that have a position; of those that say the same twice only the first.
+
+    Raises
+    ------
+    InputError
+        With the line, where times do not increase from frame to frame.
+    """
     rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
+    if not len(rows):
+        return rows
+    _check_times(rows)
+    said = np.column_stack([rows.frame, rows.channels["position"]])
+    _, first = np.unique(said, axis=0, return_index=True)
+    return rows.keep(np.isin(np.arange(len(rows)), first), REPEATED)
+
+
+def _check_times(rows: Rows) -> None:
+    t = rows.channels["t"]
+    frame, first, place = np.unique(rows.frame, return_index=True, return_inverse=True)
+    other = np.flatnonzero(t != t[first][place])
+    if len(other):
+        i = int(other[0])
+        raise InputError(
+            f"frame {rows.frame[i]} at t = {t[i]:g}",
+            f"t = {t[first][place[i]]:g}, as in its other rows",
+            path=rows.path,
+            line=rows.line_of(i),
+        )
+    back = np.flatnonzero(np.diff(t[first]) <= 0.0)
+    if len(back):
+        i = int(first[back[0] + 1])
+        raise InputError(
+            f"frame {rows.frame[i]} at t = {t[i]:g}",
+            f"a time after that of frame {frame[back[0]]}, {t[first[back[0]]]:g}",
+            path=rows.path,
+            line=rows.line_of(i),
+        )
+
+
+def _detections(rows: Rows) -> tuple[Rows, Detections]:
+    """The usable rows, and what the evidence reads of them."""
+    rows = usable(rows)
     channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}
     return rows, Detections(rows.frame, rows.channels["t"], rows.channels["position"], channels)
 

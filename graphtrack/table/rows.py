@@ -155,7 +155,7 @@ def check_identities(rows: Rows) -> None:
 
 
 def check_rows(rows: Rows) -> None:
-    """Refuse a file of which no row is left, or of which two are of one track in one frame.
+    """Refuse a file of which no row is left, some have no identity, or two are of one track in one frame.
 
     Raises
     ------
@@ -166,6 +166,14 @@ def check_rows(rows: Rows) -> None:
         reasons = "; ".join(f"{count} {reason}" for reason, count in rows.refused.items())
         found = f"no usable row ({reasons} refused)" if reasons else "no rows"
         raise InputError(found, "at least one row", path=rows.path)
+    nobody = np.flatnonzero(rows.track_id == -1)
+    if 0 < len(nobody) < len(rows):
+        raise InputError(
+            f"a row without an identity (−1), which {len(rows) - len(nobody)} others have",
+            "one for each row, or none; with --associate always they are forgotten, with repair kept",
+            path=rows.path,
+            line=rows.line_of(int(nobody[0])),
+        )
     order = np.lexsort((rows.frame, rows.track_id))
     twice = (np.diff(rows.track_id[order]) == 0) & (np.diff(rows.frame[order]) == 0)
     if twice.any():

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from command import run as run_command
 from crossing_people import idf1, street
 
 import graphtrack as gt
@@ -214,3 +215,42 @@ def test_a_table_is_repaired_and_loses_nothing(tmp_path: Path) -> None:
     observed = sum(int(np.isfinite(track.position[:, 0]).sum()) for track in tracks)
     assert observed == len(detections)
     assert "repaired 7 tracks: now 6" in " ".join(tracks.summary.notes)
+
+
+def rows_of_text(path: Path, rows: list[str], more: str = "") -> Path:
+    path.write_text("\n".join([f"frame,t,x,y{more}", *rows]) + "\n")
+    return path
+
+
+THREE = [f"{k},{0.1 * k:g},{0.1 * k:g},{3 * i}" for k in range(20) for i in range(3)]
+
+
+def test_a_detection_that_is_given_twice_counts_once(tmp_path: Path) -> None:
+    once = gt.read(rows_of_text(tmp_path / "once.csv", THREE))
+    twice = gt.read(rows_of_text(tmp_path / "twice.csv", THREE + THREE[:9]))
+    assert len(twice) == len(once) == 3
+    assert twice.summary.refused == {"at the place of another of the same frame": 9}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ("9,0.05,1,1", "frame 9 at t = 0.05, expected t = 0.9"),
+        ("30,0.55,1,1", "frame 30 at t = 0.55, expected"),
+    ],
+)
+@pytest.mark.parametrize("command", ["smooth", "track"])
+def test_times_that_run_back_are_one_error(tmp_path: Path, command: str, wrong: str, told: str) -> None:
+    source = rows_of_text(tmp_path / "back.csv", [*THREE[:40], wrong, *THREE[40:]])
+    done = run_command(command, source, "-o", tmp_path / "out.csv", program="graphtrack")
+    assert done.returncode == 2
+    assert f"back.csv, line 42: found {told}" in " ".join(done.stderr.split())
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_identities_in_some_rows_alone_are_one_error(tmp_path: Path) -> None:
+    rows = [f"{row},{-1 if k % 4 == 3 else k % 3}" for k, row in enumerate(THREE)]
+    source = rows_of_text(tmp_path / "half.csv", rows, ",track_id")
+    with pytest.raises(gt.InputError, match=r"half.csv, line 5: .*without an identity.*--associate always"):
+        gt.read(source)
+    assert len(gt.read(source, associate="always")) == 3
