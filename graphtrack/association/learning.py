@@ -14,11 +14,16 @@ from graphtrack.association.kernels import innovations
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 
-EDGE = 3
+_EDGE = 3
 """Frames at either end of a recording in which somebody may have been missed who was there."""
 
 _PRIOR = 2.0
 """Events that the first guess counts for."""
+
+
+def edge_of(frames: int) -> int:
+    """Frames at either end of a recording of so many that do not tell who came or left."""
+    return min(_EDGE, frames // 4)
 
 
 def area(position: FloatArray) -> float:
@@ -84,7 +89,7 @@ def learned(
     np.minimum.at(first, identity[known], chains.frame[known])
     np.maximum.at(last, identity[known], chains.frame[known])
     # Who is there at the beginning was not born then, and who is there at the end has not left.
-    edge = min(EDGE, int(frames) // 4)
+    edge = edge_of(int(frames))
     born, left = int((first > edge).sum()), int((last < frames - 1 - edge).sum())
     open_seconds = (frames - edge) * seconds
     density, std = _motion(chains, scene, seconds, known_std)

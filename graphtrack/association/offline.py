@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,15 +74,14 @@ def associate_detections(
         if k:
             search.adopt(search.learned() if scene is None else scene)
         search.join_generously()
-        changed = None
-        for sweep in range(SWEEPS):
-            progress(k * SWEEPS + sweep, ROUNDS * SWEEPS)
-            changed = search.sweep(changed)
-            if not len(changed):
-                break
+        search.settle(partial(_told, progress, k))
     progress(ROUNDS * SWEEPS, ROUNDS * SWEEPS)
     identity = search.identities()
     return Association(identity, search.probabilities(), search.scene, search.evidence())
+
+
+def _told(progress: Callable[[int, int], None], done: int, sweep: int) -> None:
+    progress(done * SWEEPS + sweep, ROUNDS * SWEEPS)
 
 
 def repair_detections(
@@ -105,11 +105,7 @@ def repair_detections(
     search.begin_with(given)
     for _ in range(ROUNDS):
         search.adopt(search.learned() if scene is None else scene)
-        changed = None
-        for _ in range(SWEEPS):
-            changed = search.sweep(changed)
-            if not len(changed):
-                break
+        search.settle()
     root, _ = search.roots()
     identity = _renamed(root, given)
     return Association(identity, search.probabilities(), search.scene, search.evidence())
@@ -203,6 +199,15 @@ class _Search(Moves):
         self.sweep()
         self.packed = packed
         self.filter_from(0)
+
+    def settle(self, progress: Callable[[int], None] = lambda sweep: None) -> None:
+        """Sweep until nothing changes, or often enough; ``progress`` is told of each sweep, from 0."""
+        changed = None
+        for sweep in range(SWEEPS):
+            progress(sweep)
+            changed = self.sweep(changed)
+            if not len(changed):
+                break
 
     def sweep(self, changed: FloatArray | None = None) -> FloatArray:
         """Every move once, from the first frame to the last; the times (s) of frames in which links changed.

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from graphtrack.association import learning
@@ -64,8 +65,10 @@ class Places:
 
 def learned(chains: Chains, identity: IntArray) -> Places:
     """From people found in a recording: ``identity`` (n,) is of each detection, from 0; −1: false."""
-    position, person = chains.position, identity >= 0
-    first, last = _events(chains, identity)
+    return _counted(chains.position, identity >= 0, *_events(chains, identity))
+
+
+def _counted(position: FloatArray, person: NDArray[np.bool_], first: IntArray, last: IntArray) -> Places:
     low, high = position.min(axis=0) - _REACH, position.max(axis=0) + _REACH
     shape = np.minimum(np.ceil((high - low) / _CELL).astype(int) + 1, _LARGEST)
 
@@ -91,15 +94,17 @@ def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, Fl
 
     Of each detection, what its own track has done does not count: it would speak for itself.
     """
-    own = [_of_own(chains.position, identity, events) for events in _events(chains, identity)]
-    false = np.where(identity >= 0, 0.0, _PEAK)
-    return learned(chains, identity).at(chains.position, (own[0], own[1], false))
+    position, person = chains.position, identity >= 0
+    first, last = _events(chains, identity)
+    came, left = (_of_own(position, identity, events) for events in (first, last))
+    false = np.where(person, 0.0, _PEAK)
+    return _counted(position, person, first, last).at(position, (came, left, false))
 
 
 def _events(chains: Chains, identity: IntArray) -> tuple[IntArray, IntArray]:
     """The detections with which somebody came into view, and left, within the recording."""
     newest = int(chains.frame[-1])
-    edge = min(learning.EDGE, (newest + 1) // 4)
+    edge = learning.edge_of(newest + 1)
     person = identity >= 0
     first = np.flatnonzero(person & (chains.preceding < 0) & (chains.frame > edge))
     last = np.flatnonzero(person & (chains.following < 0) & (chains.frame < newest - edge))
