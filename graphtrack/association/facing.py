@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from graphtrack.association.chains import Chains, Scene
-from graphtrack.association.kernels import facing_evidence
+from graphtrack.association.kernels import innovations
 from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray, class_centres
 
@@ -80,7 +80,8 @@ def _fitted(
         share = found[outliers]
         # A few angles' worth of doubt.
         doubt = 2.0 * np.log(share) + 2.0 * np.log1p(-share)
-        return -facing_evidence(chains, Scene(*replace(scene, **found).packed(seconds))) - float(doubt)
+        _, angles, _ = innovations(chains, Scene(*replace(scene, **found).packed(seconds)))
+        return -angles - float(doubt)
 
     start = [*np.log([getattr(SceneParameters(), name) for name in names]), 0.2]
     found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 40 * len(start), "fatol": 0.1})

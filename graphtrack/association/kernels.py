@@ -13,7 +13,7 @@ import numpy as np
 from graphtrack.association.chains import BODY, HEAD, STATE, Chains, IntArray, Scene
 from graphtrack.association.resemblance import looks_ratio, see_angle, see_facing
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import compiled, inlined
 
 NOTHING = -1e9
 """The gain of what cannot be."""
@@ -21,7 +21,7 @@ GATE = 6.0
 """Standard deviations beyond which a detection is nobody's."""
 
 
-@compiled
+@inlined
 def missed(frames: int, scene: Scene) -> float:
     """Log probability of so many frames between two detections: chance misses, or one occlusion."""
     if frames <= 0:
@@ -31,7 +31,7 @@ def missed(frames: int, scene: Scene) -> float:
     return np.logaddexp(chance, hidden)
 
 
-@compiled
+@inlined
 def move(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
     """The state after detection m of somebody whose state was ``before`` at k; log density of its place."""
     dt, q = chains.t[m] - chains.t[k], scene.density
@@ -48,7 +48,7 @@ def move(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state
     return -math.log(2.0 * math.pi * spread) - 0.5 * (off_x * off_x + off_y * off_y) / spread
 
 
-@compiled
+@inlined
 def begin(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
     """The state of somebody first seen at detection k; its evidence."""
     state[0], state[1] = chains.position[k, 0], chains.position[k, 1]
@@ -60,7 +60,7 @@ def begin(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
     return scene.log_birth + chains.birth[k] + chains.gain[k]
 
 
-@compiled
+@inlined
 def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
     """The state after detection m of somebody whose state was ``before`` at detection k; its evidence."""
     density = move(chains, before, k, m, scene, state)
@@ -70,7 +70,7 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
     return density + chains.gain[m] + skipped + shown + trusted
 
 
-@compiled
+@inlined
 def is_within(
     off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, density: float
 ) -> bool:
@@ -133,7 +133,7 @@ def remember_rest(chains: Chains, scene: Scene) -> None:
         chains.rest[m] = chains.evidence[m] + rest
 
 
-@compiled
+@inlined
 def ending(chains: Chains, k: int, scene: Scene) -> float:
     """Log probability that a track's last detection is k: it left, or is not seen until the very end."""
     left = chains.frame[-1] - chains.frame[k]
@@ -237,18 +237,24 @@ def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
 
 
 @compiled
-def innovations(chains: Chains, scene: Scene) -> tuple[float, int]:
-    """Log density of all linked detections given those before, as positions alone say, and their number."""
-    total, count = 0.0, 0
+def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
+    """What all linked detections say given those before, which are filtered again.
+
+    Returns
+    -------
+    The log density of their places, the sum of the log likelihood ratios of their angles, and their number.
+    """
+    places, angles, count = 0.0, 0.0, 0
     for m in range(len(chains.t)):
         k = chains.preceding[m]
         if k < 0:
             begin(chains, m, scene, chains.state[m])
             continue
         here = chains.state[k].copy()
-        total += move(chains, here, k, m, scene, chains.state[m])
+        places += move(chains, here, k, m, scene, chains.state[m])
+        angles += see_facing(chains, here, k, m, scene, chains.state[m])
         count += 1
-    return total, count
+    return places, angles, count
 
 
 @compiled
@@ -286,18 +292,3 @@ def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> No
     for k in range(len(root)):
         if chains.following[k] < 0:
             value[root[k]] = chains.total[k] + ending(chains, k, scene)
-
-
-@compiled
-def facing_evidence(chains: Chains, scene: Scene) -> float:
-    """Sum of the log likelihood ratios of all angles along the chains, which are filtered again."""
-    total = 0.0
-    for m in range(len(chains.t)):
-        k = chains.preceding[m]
-        if k < 0:
-            begin(chains, m, scene, chains.state[m])
-            continue
-        here = chains.state[k].copy()
-        move(chains, here, k, m, scene, chains.state[m])
-        total += see_facing(chains, here, k, m, scene, chains.state[m])
-    return total

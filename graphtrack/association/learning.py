@@ -123,7 +123,7 @@ def _motion(
         if unknown.any():
             chains.variance[unknown] = std**2
         packed = replace(scene, acceleration_density=float(density)).packed(seconds)
-        total, count = innovations(chains, Scene(*packed))
+        total, _, count = innovations(chains, Scene(*packed))
         # Weak priors about the guess, so that a track or two do not decide.
         off = logarithms - start
         return -total / max(count, 1) + 0.5 * float(off @ off) / max(count, 1)

@@ -7,10 +7,10 @@ import math
 from graphtrack.association.chains import BODY, HEAD, Chains, Scene
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import compiled, inlined
 
 
-@compiled
+@inlined
 def looks_ratio(chains: Chains, k: int, m: int, scene: Scene) -> float:
     """Log likelihood ratio of how two detections look; see `AppearanceModel`."""
     if scene.looks_outliers >= 1.0:
@@ -53,7 +53,7 @@ def see_angle(
     return ratio
 
 
-@compiled
+@inlined
 def see_facing(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
     """Take body and head of detection m into the state; their log likelihood ratio.
 
