@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,49 +44,124 @@ class Scene(NamedTuple):
     trust: float = 0.0  # log odds that two detections of one given identity are one person's
 
 
-class Chains(NamedTuple):
-    """n detections in the order of time, and the tracks that they are chained to."""
+DETECTION = np.dtype(
+    [
+        ("t", float),  # seconds
+        ("frame", np.int64),  # in steps of the recording
+        ("x", float),  # metres
+        ("y", float),
+        ("variance", float),  # m² of each axis
+        ("gain", float),  # log of how much more likely as a person's than as a false one, position aside
+        ("birth", float),  # log of how many times the mean rate people come into view there
+        ("death", float),  # the same of those who leave
+        ("body", float),  # radians, observed; NaN: not observed
+        ("head", float),
+        ("given", np.int64),  # identity that somebody gave it and that mostly is right; −1: none
+        ("following", np.int64),  # the next detection of the same person, or −1
+        ("preceding", np.int64),  # the one before, or −1
+        ("evidence", float),  # of the detection given those before
+        ("total", float),  # of the track up to there
+        ("rest", float),  # of the track from there on, to its end: as it was when a sweep began
+    ]
+)
+"""What kernels know of a detection: one record, since each array that they are handed costs some time."""
 
-    t: FloatArray  # (n,) seconds
-    frame: IntArray  # (n,) in steps of the recording
-    position: FloatArray  # (n, 2) metres
-    variance: FloatArray  # (n,) m² of each axis
-    gain: FloatArray  # (n,) log of how much more likely as a person's than as a false one, position aside
-    birth: FloatArray  # (n,) log of how many times the mean rate people come into view there
-    death: FloatArray  # (n,) the same of those who leave
-    facing: FloatArray  # (n, 2) radians, observed body and head; NaN: not observed
-    looks: FloatArray  # (n, d) whitened descriptors, NaN where one is missing; (n, 0) where there are none
-    given: IntArray  # (n,) identities that somebody gave them and that mostly are right; −1: none
-    following: IntArray  # (n,) the next detection of the same person, or −1
-    preceding: IntArray  # (n,) the one before, or −1
+
+Row: TypeAlias = Any
+"""One record of `DETECTION`, as kernels read it; type checkers know nothing of its fields."""
+
+
+class Chains(NamedTuple):
+    """n detections in the order of time, and the tracks that they are chained to.
+
+    A field of all records is an attribute, (n,): ``chains.following``; it is a view of them.
+    """
+
+    rows: NDArray[np.void]  # (n,) of DETECTION
     state: FloatArray  # (n, STATE) filtered there, see `STATE`
-    evidence: FloatArray  # (n,) of the detection given those before
-    total: FloatArray  # (n,) of the track up to there
-    rest: FloatArray  # (n,) of the track from there on, to its end: as it was when a sweep began
+    looks: FloatArray  # (n, d) whitened descriptors, NaN where one is missing; (n, 0) where there are none
+
+    @property
+    def t(self) -> FloatArray:
+        """(n,) seconds."""
+        return self.rows["t"]
+
+    @property
+    def frame(self) -> IntArray:
+        """(n,) in steps of the recording."""
+        return self.rows["frame"]
+
+    @property
+    def variance(self) -> FloatArray:
+        """(n,) m² of each axis."""
+        return self.rows["variance"]
+
+    @property
+    def gain(self) -> FloatArray:
+        """(n,) see `DETECTION`."""
+        return self.rows["gain"]
+
+    @property
+    def birth(self) -> FloatArray:
+        """(n,) log of a rate."""
+        return self.rows["birth"]
+
+    @property
+    def death(self) -> FloatArray:
+        """(n,) log of a rate."""
+        return self.rows["death"]
+
+    @property
+    def given(self) -> IntArray:
+        """(n,) identities, or −1."""
+        return self.rows["given"]
+
+    @property
+    def following(self) -> IntArray:
+        """(n,) the next detection, or −1."""
+        return self.rows["following"]
+
+    @property
+    def preceding(self) -> IntArray:
+        """(n,) the one before, or −1."""
+        return self.rows["preceding"]
+
+    @property
+    def evidence(self) -> FloatArray:
+        """(n,) given those before."""
+        return self.rows["evidence"]
+
+    @property
+    def total(self) -> FloatArray:
+        """(n,) up to there."""
+        return self.rows["total"]
+
+    @property
+    def position(self) -> FloatArray:
+        """(n, 2) metres, a copy."""
+        return np.column_stack([self.rows["x"], self.rows["y"]])
+
+    @property
+    def facing(self) -> FloatArray:
+        """(n, 2) radians, observed body and head, a copy."""
+        return np.column_stack([self.rows["body"], self.rows["head"]])
 
 
 def unlinked(t: FloatArray, frame: IntArray, position: FloatArray, facing: FloatArray) -> Chains:
-    """Detections that are nobody's yet; their variances, gains and looks are to be set."""
-    n, nobody = len(t), np.full(len(t), -1)
-    zeros = np.zeros(n)
-    return Chains(
-        t,
-        frame,
-        position,
-        np.empty(n),
-        np.empty(n),
-        zeros.copy(),
-        zeros.copy(),
-        facing,
-        np.empty((n, 0)),
-        nobody.copy(),
-        nobody,
-        nobody.copy(),
-        np.zeros((n, STATE)),
-        zeros,
-        zeros.copy(),
-        zeros.copy(),
-    )
+    """Detections that are nobody's yet; their variances, gains and looks are to be set.
+
+    Parameters
+    ----------
+    t, frame, position : (n,) seconds, (n,) steps of the recording, (n, 2) metres
+    facing : (n, 2) radians, observed body and head; NaN: not observed
+    """
+    rows = np.zeros(len(t), DETECTION)
+    rows["t"], rows["frame"] = t, frame
+    rows["x"], rows["y"] = position.T
+    rows["body"], rows["head"] = facing.T
+    for name in ("given", "following", "preceding"):
+        rows[name] = -1
+    return Chains(rows, np.zeros((len(t), STATE)), np.empty((len(t), 0)))
 
 
 def link_by(chains: Chains, identity: IntArray) -> None:

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from graphtrack.association.chains import BODY, HEAD, STATE, Chains, IntArray, Scene
+from graphtrack.association.chains import BODY, HEAD, STATE, Chains, IntArray, Row, Scene
 from graphtrack.association.resemblance import looks_ratio, see_angle, see_facing
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled, inlined
@@ -32,15 +32,18 @@ def missed(frames: int, scene: Scene) -> float:
 
 
 @inlined
-def move(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
-    """The state after detection m of somebody whose state was ``before`` at k; log density of its place."""
-    dt, q = chains.t[m] - chains.t[k], scene.density
+def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
+    """The state after a later detection of somebody whose state was ``before`` at an earlier one.
+
+    Returns the log density of its place.
+    """
+    dt, q = later.t - earlier.t, scene.density
     p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
     pv = before[5] + dt * before[6] + 0.5 * q * dt * dt
     v = before[6] + q * dt
     x, y = before[0] + dt * before[2], before[1] + dt * before[3]
-    spread = p + chains.variance[m]
-    off_x, off_y = chains.position[m, 0] - x, chains.position[m, 1] - y
+    spread = p + later.variance
+    off_x, off_y = later.x - x, later.y - y
     gain, turn = p / spread, pv / spread
     state[0], state[1] = x + gain * off_x, y + gain * off_y
     state[2], state[3] = before[2] + turn * off_x, before[3] + turn * off_y
@@ -49,25 +52,26 @@ def move(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state
 
 
 @inlined
-def begin(chains: Chains, k: int, scene: Scene, state: FloatArray) -> float:
-    """The state of somebody first seen at detection k; its evidence."""
-    state[0], state[1] = chains.position[k, 0], chains.position[k, 1]
+def begin(first: Row, scene: Scene, state: FloatArray) -> float:
+    """The state of somebody at the first detection of them; its evidence."""
+    state[0], state[1] = first.x, first.y
     state[2] = state[3] = state[5] = 0.0
-    state[4], state[6] = chains.variance[k], scene.speed_variance
+    state[4], state[6] = first.variance, scene.speed_variance
     state[BODY:] = 0.0
-    see_angle(chains.facing[k, 0], 0.0, 0.0, scene.body_variance, scene.body_outliers, state, BODY)
-    see_angle(chains.facing[k, 1], 0.0, 0.0, scene.head_variance, scene.head_outliers, state, HEAD)
-    return scene.log_birth + chains.birth[k] + chains.gain[k]
+    see_angle(first.body, 0.0, 0.0, scene.body_variance, scene.body_outliers, state, BODY)
+    see_angle(first.head, 0.0, 0.0, scene.head_variance, scene.head_outliers, state, HEAD)
+    return scene.log_birth + first.birth + first.gain
 
 
 @inlined
 def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
     """The state after detection m of somebody whose state was ``before`` at detection k; its evidence."""
-    density = move(chains, before, k, m, scene, state)
-    skipped = missed(chains.frame[m] - chains.frame[k] - 1, scene)
-    shown = see_facing(chains, before, k, m, scene, state) + looks_ratio(chains, k, m, scene)
-    trusted = scene.trust if chains.given[k] >= 0 and chains.given[k] == chains.given[m] else 0.0
-    return density + chains.gain[m] + skipped + shown + trusted
+    earlier, later = chains.rows[k], chains.rows[m]
+    density = move(earlier, before, later, scene, state)
+    skipped = missed(later.frame - earlier.frame - 1, scene)
+    shown = see_facing(earlier, before, later, scene, state) + looks_ratio(chains.looks, k, m, scene)
+    trusted = scene.trust if earlier.given >= 0 and earlier.given == later.given else 0.0
+    return density + later.gain + skipped + shown + trusted
 
 
 @inlined
@@ -97,13 +101,13 @@ def near_ones(
     """
     count = 0
     for j in range(len(others)):
-        m = others[j]
-        dt = chains.t[m] - t
+        other = chains.rows[others[j]]
+        dt = other.t - t
         if dt <= 0.0 or dt > scene.longest_gap:
             continue
-        off_x = chains.position[m, 0] - state[0] - dt * state[2]
-        off_y = chains.position[m, 1] - state[1] - dt * state[3]
-        if is_within(off_x, off_y, dt, state[4], state[5], state[6], chains.variance[m], scene.density):
+        off_x = other.x - state[0] - dt * state[2]
+        off_y = other.y - state[1] - dt * state[3]
+        if is_within(off_x, off_y, dt, state[4], state[5], state[6], other.variance, scene.density):
             found[count] = j
             count += 1
     return count
@@ -116,37 +120,37 @@ def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
     After ``look_ahead`` detections what is remembered is taken: nothing is left of where the track came from.
     """
     total, seen, here = 0.0, 0, np.empty(STATE)
-    m = chains.following[k]
+    m = chains.rows[k].following
     while m >= 0 and seen < scene.look_ahead:
         here[:] = state
         total += follow(chains, here, k, m, scene, state)
-        k, m, seen = m, chains.following[m], seen + 1
-    return total + (chains.rest[m] if m >= 0 else ending(chains, k, scene))
+        k, m, seen = m, chains.rows[m].following, seen + 1
+    return total + (chains.rows[m].rest if m >= 0 else ending(chains, k, scene))
 
 
 @compiled
 def remember_rest(chains: Chains, scene: Scene) -> None:
     """Set ``rest``, which holds for a detection as long as nothing changes but what comes before it."""
-    for m in range(len(chains.t) - 1, -1, -1):
-        after = chains.following[m]
-        rest = chains.rest[after] if after >= 0 else ending(chains, m, scene)
-        chains.rest[m] = chains.evidence[m] + rest
+    for m in range(len(chains.rows) - 1, -1, -1):
+        after = chains.rows[m].following
+        rest = chains.rows[after].rest if after >= 0 else ending(chains, m, scene)
+        chains.rows[m].rest = chains.rows[m].evidence + rest
 
 
 @inlined
 def ending(chains: Chains, k: int, scene: Scene) -> float:
     """Log probability that a track's last detection is k: it left, or is not seen until the very end."""
-    left = chains.frame[-1] - chains.frame[k]
+    left = chains.rows[-1].frame - chains.rows[k].frame
     if left <= 0:
         return 0.0
-    return max(min(scene.log_death + chains.death[k], 0.0), missed(left, scene))
+    return max(min(scene.log_death + chains.rows[k].death, 0.0), missed(left, scene))
 
 
 @compiled
 def born(chains: Chains, k: int, scene: Scene) -> float:
     """Evidence of the track from detection k on, as of somebody new; 0 if false ones are more probable."""
     state = np.empty(STATE)
-    value = begin(chains, k, scene, state)
+    value = begin(chains.rows[k], scene, state)
     return max(0.0, value + run_on(chains, state, k, scene))
 
 
@@ -159,13 +163,13 @@ def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scen
         alone[j] = born(chains, tails[j], scene)
     for i in range(len(heads)):
         k = heads[i]
-        count = near_ones(chains, chains.state[k], chains.t[k], tails, scene, near)
+        count = near_ones(chains, chains.state[k], chains.rows[k].t, tails, scene, near)
         if not count:
             continue
-        ended = max(0.0, chains.total[k] + ending(chains, k, scene))
+        ended = max(0.0, chains.rows[k].total + ending(chains, k, scene))
         for j in near[:count]:
             m = tails[j]
-            linked = chains.total[k] + follow(chains, chains.state[k], k, m, scene, state)
+            linked = chains.rows[k].total + follow(chains, chains.state[k], k, m, scene, state)
             gains[i, j] = linked + run_on(chains, state, m, scene) - ended - alone[j]
     return gains
 
@@ -186,24 +190,24 @@ def gains_of_detections(
     is_next = np.empty(1, np.int64)
     for j in range(len(detections)):
         d = detections[j]
-        alone[j] = max(0.0, begin(chains, d, scene, state) + ending(chains, d, scene))
+        alone[j] = max(0.0, begin(chains.rows[d], scene, state) + ending(chains, d, scene))
     for i in range(len(heads)):
         k, m = heads[i], tails[i]
         without, is_known = 0.0, False
         count = len(detections)
         if k >= 0:
-            count = near_ones(chains, chains.state[k], chains.t[k], detections, scene, near)
+            count = near_ones(chains, chains.state[k], chains.rows[k].t, detections, scene, near)
         else:
             near[:] = np.arange(count)
         next_one[0] = m
         for j in near[:count]:
             d = detections[j]
             if k >= 0:
-                value = chains.total[k] + follow(chains, chains.state[k], k, d, scene, here)
+                value = chains.rows[k].total + follow(chains, chains.state[k], k, d, scene, here)
             else:
-                value = begin(chains, d, scene, here)
+                value = begin(chains.rows[d], scene, here)
             if m >= 0:
-                if not near_ones(chains, here, chains.t[d], next_one, scene, is_next):
+                if not near_ones(chains, here, chains.rows[d].t, next_one, scene, is_next):
                     continue
                 value += follow(chains, here, d, m, scene, state)
                 value += run_on(chains, state, m, scene)
@@ -220,20 +224,20 @@ def gains_of_detections(
 def state_after(chains: Chains, k: int, scene: Scene) -> float:
     """Evidence of the whole track that detection k is in, from there on as it is linked; at least 0."""
     state = chains.state[k].copy()
-    return max(0.0, chains.total[k] + run_on(chains, state, k, scene))
+    return max(0.0, chains.rows[k].total + run_on(chains, state, k, scene))
 
 
 @compiled
 def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
     """Filter the detections from ``first`` up to ``end`` along their chains."""
     for m in range(first, end):
-        k = chains.preceding[m]
+        k = chains.rows[m].preceding
         if k < 0:
-            chains.evidence[m] = begin(chains, m, scene, chains.state[m])
-            chains.total[m] = chains.evidence[m]
+            chains.rows[m].evidence = begin(chains.rows[m], scene, chains.state[m])
+            chains.rows[m].total = chains.rows[m].evidence
         else:
-            chains.evidence[m] = follow(chains, chains.state[k], k, m, scene, chains.state[m])
-            chains.total[m] = chains.total[k] + chains.evidence[m]
+            chains.rows[m].evidence = follow(chains, chains.state[k], k, m, scene, chains.state[m])
+            chains.rows[m].total = chains.rows[k].total + chains.rows[m].evidence
 
 
 @compiled
@@ -245,14 +249,14 @@ def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
     The log density of their places, the sum of the log likelihood ratios of their angles, and their number.
     """
     places, angles, count = 0.0, 0.0, 0
-    for m in range(len(chains.t)):
-        k = chains.preceding[m]
+    for m in range(len(chains.rows)):
+        k = chains.rows[m].preceding
         if k < 0:
-            begin(chains, m, scene, chains.state[m])
+            begin(chains.rows[m], scene, chains.state[m])
             continue
         here = chains.state[k].copy()
-        places += move(chains, here, k, m, scene, chains.state[m])
-        angles += see_facing(chains, here, k, m, scene, chains.state[m])
+        places += move(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
+        angles += see_facing(chains.rows[k], here, chains.rows[m], scene, chains.state[m])
         count += 1
     return places, angles, count
 
@@ -286,9 +290,9 @@ def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: Fl
 def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> None:
     """Where the track of each detection begins (n,), and for each beginning what the track is worth."""
     for k in range(len(root)):
-        before = chains.preceding[k]
+        before = chains.rows[k].preceding
         root[k] = k if before < 0 else root[before]
         value[k] = -math.inf
     for k in range(len(root)):
-        if chains.following[k] < 0:
-            value[root[k]] = chains.total[k] + ending(chains, k, scene)
+        if chains.rows[k].following < 0:
+            value[root[k]] = chains.rows[k].total + ending(chains, k, scene)

@@ -31,9 +31,10 @@ class Moves:
         self.chains, self.packed = chains, packed
         self.link_p = np.ones(len(chains.t))
 
-    def move(self, first: int, end: int) -> int:
-        """Both moves at the frame of the detections ``first`` up to ``end``; how many links changed."""
-        changed = self._cut(first) + self._frame(first, end)
+    def move(self, first: int, end: int) -> bool:
+        """Both moves at the frame of the detections ``first`` up to ``end``; whether a link changed."""
+        cut = self._cut(first)
+        changed = self._frame(first, end) or cut
         refresh(self.chains, first, end, self.packed)
         return changed
 
@@ -53,45 +54,42 @@ class Moves:
         heads = begin + np.flatnonzero((following < 0) | (following >= first))
         return heads, first + np.flatnonzero(preceding < first)
 
-    def _cut(self, first: int) -> int:
+    def _cut(self, first: int) -> bool:
+        """Match what came before a frame to what comes from it on; whether a link changed."""
         chains = self.chains
         heads, tails = self._ends(first)
         if not len(heads) or not len(tails):
-            return 0
+            return False
         gains = gains_of_links(chains, heads, tails, self.packed)
-        links = {(int(heads[i]), int(tails[j])) for i, j in match(gains)}
-        inside = {*tails.tolist()}
-        before = {(k, m) for k in heads.tolist() if (m := int(chains.following[k])) in inside}
-        if links != before:
-            for k, m in before:
-                chains.following[k] = chains.preceding[m] = -1
-            for k, m in links:
-                self._link(k, m)
+        before, after = chains.following[heads], np.full(len(heads), -1)
+        i, j = match(gains)
+        after[i] = tails[j]
+        new = after != before
+        if new.any():
+            lost, found = before[new & (before >= 0)], new & (after >= 0)
+            chains.preceding[lost] = -1
+            chains.following[heads] = after
+            chains.preceding[after[found]] = heads[found]
         self._note(gains, heads, tails)
-        return len(links ^ before)
+        return bool(new.any())
 
-    def _frame(self, first: int, end: int) -> int:
-        """Match the detections of a frame anew to the tracks that span it."""
-        chains = self.chains
-        before = self._links_of(first, end)
+    def _frame(self, first: int, end: int) -> bool:
+        """Match the detections of a frame anew to the tracks that span it; whether a link changed."""
         heads, tails = self._spanning(first, end)
         if not len(heads):
-            return 0
-        for k in range(first, end):
-            chains.following[k] = chains.preceding[k] = -1
-        for k, m in zip(heads.tolist(), tails.tolist(), strict=True):
-            if k >= 0:
-                chains.following[k] = m
-            if m >= 0:
-                chains.preceding[m] = k
-        found = np.arange(first, end)
-        for i, j in match(gains_of_detections(chains, heads, tails, found, self.packed)):
-            k, m, d = int(heads[i]), int(tails[i]), int(found[j])
-            if k >= 0:
-                self._link(k, d)
-            if m >= 0:
-                self._link(d, m)
-        return len(before ^ self._links_of(first, end))
+            return False
+        following, preceding = self.chains.following, self.chains.preceding
+        before = following[first:end].copy(), preceding[first:end].copy()
+        following[first:end] = preceding[first:end] = -1
+        has_head, has_tail = heads >= 0, tails >= 0
+        following[heads[has_head]], preceding[tails[has_tail]] = tails[has_head], heads[has_tail]
+        detections = np.arange(first, end)
+        i, j = match(gains_of_detections(self.chains, heads, tails, detections, self.packed))
+        head, tail, own = heads[i], tails[i], detections[j]
+        preceding[own], following[own] = head, tail
+        has_head, has_tail = head >= 0, tail >= 0
+        following[head[has_head]], preceding[tail[has_tail]] = own[has_head], own[has_tail]
+        return bool((following[first:end] != before[0]).any() or (preceding[first:end] != before[1]).any())
 
     def _spanning(self, first: int, end: int) -> tuple[IntArray, IntArray]:
         """Head and tail of each track around a frame, without its detections; −1: none."""
@@ -112,15 +110,6 @@ class Moves:
             np.concatenate([tails, only_tails]),
         )
 
-    def _links_of(self, first: int, end: int) -> set[tuple[int, int]]:
-        chains = self.chains
-        own = range(first, end)
-        back = {(int(chains.preceding[k]), k) for k in own if chains.preceding[k] >= 0}
-        return back | {(k, int(chains.following[k])) for k in own if chains.following[k] >= 0}
-
-    def _link(self, k: int, m: int) -> None:
-        self.chains.following[k], self.chains.preceding[m] = m, k
-
     def _note(self, gains: FloatArray, heads: IntArray, tails: IntArray) -> None:
         """How probable each link is among those that either end could have had, or none."""
         place = np.full(len(self.chains.t) + 1, -1)
@@ -139,12 +128,10 @@ class Moves:
         return root, value
 
 
-def match(gains: FloatArray) -> list[tuple[int, int]]:
-    """The pairs whose gains are greatest in sum, each row and column once; none whose gain is not above 0."""
+def match(gains: FloatArray) -> tuple[IntArray, IntArray]:
+    """Rows and columns of the pairs whose gains are greatest in sum, each once, and each above 0."""
     good = gains > 0.0
     rows, columns = np.flatnonzero(good.any(axis=1)), np.flatnonzero(good.any(axis=0))
-    if not len(rows):
-        return []
     inner = good[np.ix_(rows, columns)]
     if len(rows) == len(columns) == inner.sum():
         i, j = np.nonzero(inner)
@@ -152,4 +139,4 @@ def match(gains: FloatArray) -> list[tuple[int, int]]:
         i, j = linear_sum_assignment(np.maximum(gains[np.ix_(rows, columns)], 0.0), maximize=True)
         kept = inner[i, j]
         i, j = i[kept], j[kept]
-    return list(zip(rows[i].tolist(), columns[j].tolist(), strict=True))
+    return rows[i], columns[j]

@@ -30,6 +30,9 @@ APPEARANCE = "input_appearance"
 SWEEPS = 6
 """Over the recording at most, for one set of parameters."""
 
+_JOINED_FRAMES = 16
+"""Frames that the first sweep looks ahead: nothing is linked yet, and all that comes is a candidate."""
+
 ROUNDS = 3
 """Times that the scene's parameters are learned from the tracks, which are found anew with them."""
 
@@ -194,7 +197,10 @@ class _Search(Moves):
         is not worth them in the end is parted again by the sweeps that follow.
         """
         packed = self.packed
-        self.packed = packed._replace(log_birth=np.log(self.scene.clutter_density), log_death=0.0)
+        gap = min(packed.longest_gap, _JOINED_FRAMES * packed.frame_seconds)
+        self.packed = packed._replace(
+            log_birth=np.log(self.scene.clutter_density), log_death=0.0, longest_gap=gap
+        )
         self.filter_from(0)
         self.sweep()
         self.packed = packed

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from graphtrack.association import duplicates, learning
-from graphtrack.association.chains import Chains, IntArray, Scene, unlinked
+from graphtrack.association.chains import DETECTION, Chains, IntArray, Scene, unlinked
 from graphtrack.association.detections import Detections
-from graphtrack.association.history import NOBODY, History, packed, unpacked
+from graphtrack.association.history import NOBODY, History, pack_records, packed, unpack_records, unpacked
 from graphtrack.association.kernels import missed
 from graphtrack.association.moves import Moves
 from graphtrack.association.places import Places
@@ -138,7 +138,7 @@ class OnlineAssociation(Moves):
             "given": scene,
             "scene": asdict(self.scene),
             "lag": self.lag if np.isfinite(self.lag) else None,
-            "chains": {name: packed(values) for name, values in self.chains._asdict().items()},
+            "chains": [pack_records(self.chains.rows), packed(self.chains.state), packed(self.chains.looks)],
             "link_p": packed(self.link_p),
             "notes": {name: packed(values) for name, values in vars(self._notes).items()},
             "first": self._first,
@@ -163,7 +163,8 @@ class OnlineAssociation(Moves):
         given = None if state["given"] is None else SceneParameters(**state["given"])
         found = cls(given, np.inf if state["lag"] is None else state["lag"])
         found.scene = SceneParameters(**state["scene"])
-        found.chains = Chains(**{name: unpacked(text) for name, text in state["chains"].items()})
+        rows, *others = state["chains"]
+        found.chains = Chains(unpack_records(rows, DETECTION), *(unpacked(saved) for saved in others))
         found.link_p = unpacked(state["link_p"])
         found._notes = _Notes(**{name: unpacked(text) for name, text in state["notes"].items()})
         found._first, found._intervals = list(state["first"]), list(state["intervals"])

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 
-from graphtrack.association.chains import BODY, HEAD, Chains, Scene
+from graphtrack.association.chains import BODY, HEAD, Row, Scene
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
 from graphtrack.model.kernels.compiled import compiled, inlined
 
 
 @inlined
-def looks_ratio(chains: Chains, k: int, m: int, scene: Scene) -> float:
+def looks_ratio(looks: FloatArray, k: int, m: int, scene: Scene) -> float:
     """Log likelihood ratio of how two detections look; see `AppearanceModel`."""
     if scene.looks_outliers >= 1.0:
         return 0.0
     square = 0.0
-    for i in range(chains.looks.shape[1]):
-        square += (chains.looks[k, i] - chains.looks[m, i]) ** 2
+    for i in range(looks.shape[1]):
+        square += (looks[k, i] - looks[m, i]) ** 2
     if math.isnan(square):
         return 0.0
     score = scene.looks_offset - scene.looks_slope * math.log(max(square, 1e-12))
@@ -54,15 +54,15 @@ def see_angle(
 
 
 @inlined
-def see_facing(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
-    """Take body and head of detection m into the state; their log likelihood ratio.
+def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
+    """Take body and head of a later detection into the state; their log likelihood ratio.
 
-    They turn little since detection k, where the state was ``before``, and the body faces where the person
-    goes, who moves as the state says.
+    They turn little since the earlier one, where the state was ``before``, and the body faces where the
+    person goes, who moves as the state says.
     """
     if scene.body_outliers >= 1.0 and scene.head_outliers >= 1.0:
         return 0.0
-    dt = chains.t[m] - chains.t[k]
+    dt = later.t - earlier.t
     for place, turn in ((BODY, scene.body_turn), (HEAD, scene.head_turn)):
         x, y = before[place], before[place + 1]
         less = 1.0 / (1.0 + math.hypot(x, y) * turn * dt)
@@ -73,6 +73,6 @@ def see_facing(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene,
         # Who hardly moves goes nowhere in particular.
         length = 1.0 / ((scene.heading_variance + state[6] / square) * math.sqrt(square))
         x, y = x + length * state[2], y + length * state[3]
-    ratio = see_angle(chains.facing[m, 0], x, y, scene.body_variance, scene.body_outliers, state, BODY)
+    ratio = see_angle(later.body, x, y, scene.body_variance, scene.body_outliers, state, BODY)
     x, y = state[HEAD], state[HEAD + 1]
-    return ratio + see_angle(chains.facing[m, 1], x, y, scene.head_variance, scene.head_outliers, state, HEAD)
+    return ratio + see_angle(later.head, x, y, scene.head_variance, scene.head_outliers, state, HEAD)

@@ -114,7 +114,7 @@ def test_the_best_match_is_that_of_all_that_can_be() -> None:
 
     for _ in range(50):
         gains = rng.normal(0.0, 2.0, (3, 4))
-        found = match(gains)
+        found = list(zip(*match(gains), strict=True))
         assert all(gains[i, j] > 0.0 for i, j in found)
         sums = [np.maximum(gains[range(3), order], 0.0).sum() for order in permutations(range(4), 3)]
         assert sum(gains[i, j] for i, j in found) == pytest.approx(max(sums))
