@@ -20,6 +20,10 @@ _EDGE = 3
 _PRIOR = 2.0
 """Events that the first guess counts for."""
 
+_FIRST_STD = 0.3
+"""Metres of noise at first: more than most detectors have. Too little makes people of false detections, which
+teach it to stay little; too much is unlearned in a round."""
+
 
 def edge_of(frames: int) -> int:
     """Frames at either end of a recording of so many that do not tell who came or left."""
@@ -42,6 +46,7 @@ def first_guess(detections: Detections) -> SceneParameters:
     # One in ten is false; people stay for ten seconds or so.
     return replace(
         start,
+        position_std=_FIRST_STD,
         clutter_density=float(np.clip(max(0.1 * each, 0.1) / square, 1e-9, 100.0)),
         birth_density=float(np.clip(max(each / 10.0, 0.01) / square, 1e-9, 100.0)),
         death_rate=0.1,

@@ -33,7 +33,7 @@ SWEEPS = 6
 _JOINED_FRAMES = 16
 """Frames that the first sweep looks ahead: nothing is linked yet, and all that comes is a candidate."""
 
-ROUNDS = 3
+ROUNDS = 4
 """Times that the scene's parameters are learned from the tracks, which are found anew with them."""
 
 
