@@ -51,6 +51,27 @@ def compared(
     return chains._replace(looks=looks), scene
 
 
+def constancy(
+    chains: Chains, identity: NDArray[np.int64], model: AppearanceModel, descriptors: FloatArray
+) -> FloatArray:
+    """(n,) log ratio that looks bring on average where nobody changed; 0: the detection has no descriptor.
+
+    What is false resembles itself from frame to frame as much as a person does, when it is a thing or a part
+    of somebody: looks tell who is who, and not whether there is anybody.
+
+    Parameters
+    ----------
+    chains : the tracks
+    identity : (n,) of each detection; −1: false
+    model, descriptors : what looks say, and the (n, d) descriptors, NaN where one is missing
+    """
+    later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
+    ratios = model.log_ratio(descriptors[chains.preceding[later]], descriptors[later])
+    known = np.isfinite(descriptors).all(axis=1)
+    both = known[later] & known[chains.preceding[later]]
+    return np.where(known, max(float(ratios[both].mean()), 0.0) if both.any() else 0.0, 0.0)
+
+
 def score_ratio(score: FloatArray, identity: IntArray) -> FloatArray:
     """Log of how much more probable each score (n,) is of people than of false detections; 0: not scored.
 

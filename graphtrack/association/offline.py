@@ -176,6 +176,8 @@ class _Search(Moves):
         self.chains.birth[:], self.chains.death[:] = np.log(births), np.log(deaths)
         false = scene.clutter_density * clutter + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
+        if self._looks is not None and self._descriptors is not None:
+            self.chains.gain[:] -= looks.constancy(self.chains, identity, self._looks, self._descriptors)
         if self._score is not None and (identity >= 0).any():
             self.chains.gain[:] += looks.score_ratio(self._score, identity)
         self.filter_from(0)
