@@ -6,7 +6,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from graphtrack.association.scene import SceneParameters
     from graphtrack.association.tracker import OnlineTracker, PersonEstimate
     from graphtrack.association.tracks import associate
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     )
     from graphtrack.io import ReadOptions, read, write
     from graphtrack.model import Model, Observation, Parameters, Term, presets
+    from graphtrack.scene import SceneParameters
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
     from graphtrack.tracks import ReadSummary, Track, TrackSet
@@ -70,7 +70,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "association.scene": ("SceneParameters",),
+    "scene": ("SceneParameters",),
     "association.tracker": ("OnlineTracker", "PersonEstimate"),
     "association.tracks": ("associate",),
     "simulation.degrade": ("add_noise",),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,3 +148,26 @@ def check_numbers(parameters: Any) -> None:
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
             expected = f"a number in [{low:g}, {high:g}] {one.metadata['unit']}".rstrip()
             raise InputError(f"{one.name} = {value!r}", expected)
+
+
+Parameters = TypeVar("Parameters")
+
+
+def with_table(parameters: Parameters, table: str, values: Any) -> Parameters:
+    """A dataclass of parameters with the values of a table, as a file has it, in place of some of them.
+
+    Raises
+    ------
+    InputError
+        If it is no table, or has an unknown key or a value that is out of its range.
+    """
+    if not isinstance(values, Mapping):
+        raise InputError(f"{table} = {values!r}", f"a table [{table}]")
+    names = [one.name for one in fields(parameters)]  # type: ignore[arg-type]
+    for name in values:
+        if name not in names:
+            raise InputError(f"key {table}.{name}", f"one of {', '.join(names)}")
+    try:
+        return replace(parameters, **values)  # type: ignore[type-var]
+    except InputError as error:
+        raise InputError(f"{table}.{error.found}", error.expected) from error

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.scene import NOTHING, Known, SceneParameters
 
 _REACH = 3.0
 """Spreads within which a detection may be a duplicate."""
@@ -59,19 +62,33 @@ def near(
 
 
 def learned(
-    frame: NDArray[np.int64], position: FloatArray, identity: NDArray[np.int64], scene: SceneParameters
-) -> tuple[float, float]:
-    """Rate and spread (m) of duplicates, from the false detections around people."""
+    frame: NDArray[np.int64],
+    position: FloatArray,
+    identity: NDArray[np.int64],
+    scene: SceneParameters,
+    known: Known = NOTHING,
+) -> SceneParameters:
+    """The scene with rate and spread of duplicates from the false detections around people.
+
+    Those of the two that are known are kept.
+    """
     first, second, square = near(frame, position, 2.0)
     counts = (identity[first] < 0) & (identity[second] >= 0)
     first, square = first[counts], square[counts]
     people = float((identity >= 0).sum())
+    free = [name for name in ("duplicate_rate", "duplicate_spread") if name not in known]
     rate, variance = scene.duplicate_rate, scene.duplicate_spread**2
-    for _ in range(20):
+    for _ in range(20 if free else 0):
         each = rate * np.exp(-0.5 * square / variance) / (2.0 * np.pi * variance)
         around = np.bincount(first, each, minlength=len(frame))
         share = each / (around[first] + scene.clutter_density)
         total = float(share.sum())
-        rate = (total + 0.02) / (people + 1.0)
-        variance = float(np.clip((0.5 * (share * square).sum() + 0.25) / (total + 1.0), 0.01, 1.0))
-    return float(np.clip(rate, 0.0, 10.0)), float(np.sqrt(variance))
+        if "duplicate_rate" in free:
+            rate = (total + 0.02) / (people + 1.0)
+        if "duplicate_spread" in free:
+            variance = float(np.clip((0.5 * (share * square).sum() + 0.25) / (total + 1.0), 0.01, 1.0))
+    found: dict[str, Any] = {
+        "duplicate_rate": float(np.clip(rate, 0.0, 10.0)),
+        "duplicate_spread": float(np.sqrt(variance)),
+    }
+    return replace(scene, **{name: found[name] for name in free})

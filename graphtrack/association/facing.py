@@ -12,8 +12,8 @@ from scipy.optimize import minimize
 
 from graphtrack.association.chains import Chains, Scene
 from graphtrack.association.kernels import innovations
-from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray, class_centres
+from graphtrack.scene import NOTHING, Known, SceneParameters
 
 IntArray = NDArray[np.int64]
 
@@ -44,7 +44,9 @@ def observed(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
     return found
 
 
-def learned(chains: Chains, scene: SceneParameters, seconds: float) -> SceneParameters:
+def learned(
+    chains: Chains, scene: SceneParameters, seconds: float, known: Known = NOTHING
+) -> SceneParameters:
     """The parameters of angles under which the tracks' are most probable.
 
     Parameters
@@ -52,34 +54,42 @@ def learned(chains: Chains, scene: SceneParameters, seconds: float) -> ScenePara
     chains : the tracks; their states are filtered anew
     scene : the parameters before
     seconds : from a frame to the next
+    known : parameters that are kept
     """
     later = np.flatnonzero(chains.preceding >= 0)
     both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])
     neutral: dict[str, Any] = {"body_outliers": 1.0, "head_outliers": 1.0}
     for column, names in enumerate((("body_std", "body_turn", "heading_std"), ("head_std", "head_turn"))):
-        if both[:, column].sum() >= _LEAST:
+        outliers = f"{names[0][:4]}_outliers"
+        kept = {name: known[name] for name in (*names, outliers) if name in known}
+        if both[:, column].sum() >= _LEAST and len(kept) <= len(names):
             others = replace(scene, **neutral)
-            found = _fitted(chains, others, names, f"{names[0][:4]}_outliers", seconds)
-            scene = replace(scene, **found)
+            scene = replace(scene, **_fitted(chains, others, names, outliers, seconds, kept))
     return scene
 
 
 def _fitted(
-    chains: Chains, scene: SceneParameters, names: tuple[str, ...], outliers: str, seconds: float
+    chains: Chains,
+    scene: SceneParameters,
+    names: tuple[str, ...],
+    outliers: str,
+    seconds: float,
+    kept: Known,
 ) -> dict[str, Any]:
-    """Spreads and share of outliers of one kind of angle that make it most probable."""
+    """Spreads and share of outliers of one kind of angle that make it most probable; some may be kept."""
     ranges = [SceneParameters.__dataclass_fields__[name].metadata["range"] for name in names]
     low, high = np.array(ranges).T
 
     def parameters(given: FloatArray) -> dict[str, Any]:
         spreads = np.clip(np.exp(given[:-1]), low, high).tolist()
-        return dict(zip(names, spreads, strict=True)) | {outliers: float(np.clip(given[-1], *_OUTLIERS))}
+        share = float(np.clip(given[-1], *_OUTLIERS))
+        return dict(zip(names, spreads, strict=True)) | {outliers: share} | dict(kept)
 
     def cost(given: FloatArray) -> float:
         found = parameters(given)
         share = found[outliers]
         # A few angles' worth of doubt.
-        doubt = 2.0 * np.log(share) + 2.0 * np.log1p(-share)
+        doubt = 0.0 if outliers in kept else 2.0 * np.log(share) + 2.0 * np.log1p(-share)
         _, angles, _ = innovations(chains, Scene(*replace(scene, **found).packed(seconds)))
         return -angles - float(doubt)
 
@@ -87,4 +97,4 @@ def _fitted(
     found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 40 * len(start), "fatol": 0.1})
     best = parameters(found.x)
     # Nothing is gained where the tracks' angles are no more probable than any.
-    return best | ({outliers: 1.0} if found.fun > 0.0 else {})
+    return best | ({outliers: 1.0} if found.fun > 0.0 else {}) | dict(kept)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,9 @@ from numpy.typing import NDArray
 from graphtrack.association import duplicates, facing, learning, places
 from graphtrack.association.chains import Chains, IntArray, link_by, unlinked
 from graphtrack.association.places import Places
-from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.state import from_text, to_text
+from graphtrack.scene import Known, SceneParameters
 
 NOBODY = -1
 LEARNED_AT = (50, 200, 800, 3200, 12800)
@@ -66,8 +65,10 @@ class History:
         due = LEARNED_AT[self.times] if self.times < known else LEARNED_AT[-1] * (self.times - known + 2)
         return self.count >= due
 
-    def learned(self, scene: SceneParameters, step_seconds: float) -> tuple[SceneParameters, Places]:
-        """The parameters that the remembered tracks speak for, and where people come and go."""
+    def learned(
+        self, scene: SceneParameters, step_seconds: float, known: Known
+    ) -> tuple[SceneParameters, Places]:
+        """The parameters that the remembered tracks speak for but those known; where people come and go."""
         self.times += 1
         chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
         chains.gain[:] = 0.0
@@ -75,10 +76,9 @@ class History:
         _, owner = np.unique(self.owner, return_inverse=True)
         identity = np.where(self.owner == NOBODY, NOBODY, owner - int((self.owner == NOBODY).any()))
         link_by(chains, identity)
-        rate, spread = duplicates.learned(chains.frame, self.position, identity, scene)
-        scene = replace(scene, duplicate_rate=rate, duplicate_spread=spread)
-        scene = learning.learned(chains, identity, scene, self.std, step_seconds)
-        return facing.learned(chains, scene, step_seconds), places.learned(chains, identity)
+        scene = duplicates.learned(chains.frame, self.position, identity, scene, known)
+        scene = learning.learned(chains, identity, scene, self.std, step_seconds, known)
+        return facing.learned(chains, scene, step_seconds, known), places.learned(chains, identity)
 
 
 def packed(values: NDArray[Any]) -> list[Any]:

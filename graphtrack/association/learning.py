@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,8 @@ from scipy.optimize import minimize
 from graphtrack.association.chains import Chains, Scene
 from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import innovations
-from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.scene import NOTHING, Known, SceneParameters
 
 _EDGE = 3
 """Frames at either end of a recording in which somebody may have been missed who was there."""
@@ -60,6 +61,7 @@ def learned(
     scene: SceneParameters,
     known_std: FloatArray,
     seconds: float,
+    known: Known = NOTHING,
 ) -> SceneParameters:
     """The parameters that make the tracks found most probable, with a little of those before.
 
@@ -70,6 +72,7 @@ def learned(
     scene : the parameters before
     known_std : (n,) metres that detections say themselves; NaN: they do not
     seconds : from a frame to the next
+    known : parameters that are kept
     """
     people = int(identity.max()) + 1
     if people < 1:
@@ -78,37 +81,34 @@ def learned(
     linked = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     gaps = (chains.frame[linked] - chains.frame[chains.preceding[linked]] - 1).astype(float)
     seen = float((identity >= 0).sum())
-    miss, hide, hidden = scene.detection_probability, scene.occlusion_probability, scene.occlusion_seconds
+    some = gaps[gaps > 0]
     for _ in range(20):
-        some = gaps[gaps > 0]
-        chance = (1.0 - miss) ** some
-        occluded = hide * np.exp(-some * seconds / hidden)
+        chance = (1.0 - scene.detection_probability) ** some
+        occluded = scene.occlusion_probability * np.exp(-some * seconds / scene.occlusion_seconds)
         share = occluded / (chance + occluded)
         missed = float(((1.0 - share) * some).sum())
-        miss = float(np.clip((seen + 9.0) / (seen + missed + 10.0), 0.02, 0.995))
-        hide = float(np.clip((share.sum() + 0.01 * _PRIOR) / (seen + _PRIOR), 1e-6, 0.3))
-        hidden = float(np.clip(((share * some).sum() * seconds + 2.0) / (share.sum() + 1.0), 0.2, 20.0))
+        hidden = ((share * some).sum() * seconds + 2.0) / (share.sum() + 1.0)
+        gap = {
+            "detection_probability": np.clip((seen + 9.0) / (seen + missed + 10.0), 0.02, 0.995),
+            "occlusion_probability": np.clip((share.sum() + 0.01 * _PRIOR) / (seen + _PRIOR), 1e-6, 0.3),
+            "occlusion_seconds": np.clip(hidden, 0.2, 20.0),
+        }
+        scene = replace(scene, **{name: float(value) for name, value in gap.items()} | dict(known))
     in_view = (seen + gaps.sum()) * seconds
-    known = identity >= 0
+    person = identity >= 0
     first, last = np.full(people, frames), np.zeros(people, np.int64)
-    np.minimum.at(first, identity[known], chains.frame[known])
-    np.maximum.at(last, identity[known], chains.frame[known])
+    np.minimum.at(first, identity[person], chains.frame[person])
+    np.maximum.at(last, identity[person], chains.frame[person])
     # Who is there at the beginning was not born then, and who is there at the end has not left.
     edge = edge_of(int(frames))
     born, left = int((first > edge).sum()), int((last < frames - 1 - edge).sum())
     open_seconds = (frames - edge) * seconds
-    density, std = _motion(chains, scene, seconds, known_std)
-    return replace(
-        scene,
-        acceleration_density=density,
-        position_std=std,
-        detection_probability=miss,
-        occlusion_probability=hide,
-        occlusion_seconds=hidden,
-        clutter_density=_rate((identity < 0).sum(), square * frames, scene.clutter_density, 1e-9, 100.0),
-        birth_density=_rate(born, square * open_seconds, scene.birth_density, 1e-9, 100.0),
-        death_rate=_rate(left, in_view, scene.death_rate, 1e-6, 10.0),
-    )
+    rates = {
+        "clutter_density": _rate((identity < 0).sum(), square * frames, scene.clutter_density, 1e-9, 100.0),
+        "birth_density": _rate(born, square * open_seconds, scene.birth_density, 1e-9, 100.0),
+        "death_rate": _rate(left, in_view, scene.death_rate, 1e-6, 10.0),
+    }
+    return replace(scene, **_motion(chains, scene, seconds, known_std, known) | rates | dict(known))
 
 
 def _rate(events: int, exposure: float, before: float, low: float, high: float) -> float:
@@ -117,26 +117,32 @@ def _rate(events: int, exposure: float, before: float, low: float, high: float) 
 
 
 def _motion(
-    chains: Chains, scene: SceneParameters, seconds: float, known_std: FloatArray
-) -> tuple[float, float]:
+    chains: Chains, scene: SceneParameters, seconds: float, known_std: FloatArray, known: Known
+) -> dict[str, Any]:
     """Acceleration density and noise under which the detections follow each other most probably."""
     unknown = np.isnan(known_std)
-    start = [np.log(scene.acceleration_density), np.log(scene.position_std)]
+    names = [name for name in _MOTION if name not in known]
+    if not names:
+        return {}
+    lowest, highest = np.log([_MOTION[name] for name in names]).T
+    start = np.log([getattr(scene, name) for name in names])
+
+    def values(logarithms: FloatArray) -> dict[str, Any]:
+        return dict(zip(names, np.exp(np.clip(logarithms, lowest, highest)).tolist(), strict=True))
 
     def cost(logarithms: FloatArray) -> float:
-        density, std = np.exp(np.clip(logarithms, _LOWEST, _HIGHEST))
+        tried = replace(scene, **values(logarithms))
         if unknown.any():
-            chains.variance[unknown] = std**2
-        packed = replace(scene, acceleration_density=float(density)).packed(seconds)
-        total, _, count = innovations(chains, Scene(*packed))
+            chains.variance[unknown] = tried.position_std**2
+        total, _, count = innovations(chains, Scene(*tried.packed(seconds)))
         # Weak priors about the guess, so that a track or two do not decide.
         off = logarithms - start
         return -total / max(count, 1) + 0.5 * float(off @ off) / max(count, 1)
 
     found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 60, "xatol": 0.05, "fatol": 1e-4})
-    density, std = np.exp(np.clip(found.x, _LOWEST, _HIGHEST)).tolist()
-    return density, std if unknown.any() else scene.position_std
+    best = values(found.x)
+    return best if unknown.any() else best | {"position_std": scene.position_std}
 
 
-_LOWEST, _HIGHEST = np.log([1e-2, 0.03]), np.log([10.0, 3.0])
-"""Acceleration density (m²/s³) and standard deviation (m) within which people and detectors are."""
+_MOTION = {"acceleration_density": (1e-2, 10.0), "position_std": (0.03, 3.0)}
+"""Least and greatest acceleration density (m²/s³) and standard deviation (m) of people and detectors."""

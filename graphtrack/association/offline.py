@@ -21,8 +21,8 @@ from graphtrack.association.chains import Scene, link_by, unlinked
 from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import remember_rest
 from graphtrack.association.moves import Moves
-from graphtrack.association.scene import SceneParameters
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.scene import GivenScene, Known, SceneParameters, known_values
 
 APPEARANCE = "input_appearance"
 """The channel of descriptors of what detections look like, (n, d)."""
@@ -61,7 +61,7 @@ class Association:
 
 def associate_detections(
     detections: Detections,
-    scene: SceneParameters | None = None,
+    scene: GivenScene = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Association:
     """Find the people of a recording.
@@ -69,13 +69,13 @@ def associate_detections(
     Parameters
     ----------
     detections : of the whole recording
-    scene : its parameters; None: they are learned from the detections
+    scene : parameters that are known; the others are learned from the detections
     progress : called with sweeps done and sweeps in all
     """
-    search = _Search(detections, learning.first_guess(detections) if scene is None else scene)
+    search = _Search(detections, known_values(scene))
     for k in range(ROUNDS):
         if k:
-            search.adopt(search.learned() if scene is None else scene)
+            search.adopt(search.learned())
         search.join_generously()
         search.settle(partial(_told, progress, k))
     progress(ROUNDS * SWEEPS, ROUNDS * SWEEPS)
@@ -88,7 +88,7 @@ def _told(progress: Callable[[int, int], None], done: int, sweep: int) -> None:
 
 
 def repair_detections(
-    detections: Detections, given: NDArray[np.int64], scene: SceneParameters | None = None
+    detections: Detections, given: NDArray[np.int64], scene: GivenScene = None
 ) -> Association:
     """Keep a tracker's identities, but part those who were taken for one, and join who was taken for two.
 
@@ -96,7 +96,7 @@ def repair_detections(
     ----------
     detections : of the whole recording
     given : (n,) identities from 0; −1: none
-    scene : its parameters; None: they are learned from the tracks
+    scene : parameters that are known; the others are learned from the tracks
 
     Returns
     -------
@@ -104,10 +104,10 @@ def repair_detections(
         In which nothing is false: each detection keeps the identity that most of its track had, or gets a
         new one where another track has more of that.
     """
-    search = _Search(detections, learning.first_guess(detections) if scene is None else scene)
+    search = _Search(detections, known_values(scene))
     search.begin_with(given)
     for _ in range(ROUNDS):
-        search.adopt(search.learned() if scene is None else scene)
+        search.adopt(search.learned())
         search.settle()
     root, _ = search.roots()
     identity = _renamed(root, given)
@@ -134,9 +134,10 @@ def _renamed(track: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.i
 class _Search(Moves):
     """The explanation of a whole recording."""
 
-    def __init__(self, detections: Detections, scene: SceneParameters) -> None:
+    def __init__(self, detections: Detections, known: Known) -> None:
         n = len(detections)
-        self.detections = detections
+        self.detections, self._known = detections, known
+        scene = replace(learning.first_guess(detections), **known)
         std = detections.channels.get("position_std")
         self._std = np.full(n, np.nan) if std is None else std
         channels = detections.channels
@@ -185,12 +186,12 @@ class _Search(Moves):
     def learned(self) -> SceneParameters:
         """The parameters that the tracks of now speak for."""
         identity, seen = self.identities(), self.detections
-        rate, spread = duplicates.learned(seen.step, seen.position, identity, self.scene)
-        scene = replace(self.scene, duplicate_rate=rate, duplicate_spread=spread)
+        scene = duplicates.learned(seen.step, seen.position, identity, self.scene, self._known)
         if self._descriptors is not None:
             self._looks = looks.learned(self.chains, identity, self._descriptors)
-        scene = facing.learned(self.chains, scene, self.packed.frame_seconds)
-        return learning.learned(self.chains, identity, scene, self._std, self.packed.frame_seconds)
+        seconds = self.packed.frame_seconds
+        scene = facing.learned(self.chains, scene, seconds, self._known)
+        return learning.learned(self.chains, identity, scene, self._std, seconds, self._known)
 
     def join_generously(self) -> None:
         """One sweep in which to come and to go costs nothing.

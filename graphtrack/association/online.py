@@ -7,7 +7,7 @@ as it was decided; of it only the last detection of each track is kept, for it m
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,9 @@ from graphtrack.association.history import NOBODY, History, pack_records, packed
 from graphtrack.association.kernels import missed
 from graphtrack.association.moves import Moves
 from graphtrack.association.places import Places
-from graphtrack.association.scene import SceneParameters
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.scene import GivenScene, SceneParameters, known_values
 
 REVISED_FRAMES = 8
 """Frames in which decisions may change: as many detections as say whose they are."""
@@ -107,15 +107,15 @@ class OnlineAssociation(Moves):
 
     Parameters
     ----------
-    scene : how people come, go and are detected; None: it is learned from what is seen
+    scene : what is known of how people come, go and are detected; the rest is learned from what is seen
     lag : seconds within which decisions may be revised
     """
 
-    def __init__(self, scene: SceneParameters | None = None, lag: float = 2.0) -> None:
+    def __init__(self, scene: GivenScene = None, lag: float = 2.0) -> None:
         if not lag > 0.0:
             raise InputError(f"lag = {lag}", "a positive number of seconds")
-        self.given, self.lag = scene, lag
-        self.scene = SceneParameters() if scene is None else scene
+        self.known, self.lag = known_values(scene), lag
+        self.scene = SceneParameters(**self.known)
         empty, none = np.zeros(0), np.zeros(0, np.int64)
         nowhere = np.zeros((0, 2))
         super().__init__(unlinked(empty, none, nowhere, nowhere.copy()), Scene(*self.scene.packed(1.0)))
@@ -133,9 +133,8 @@ class OnlineAssociation(Moves):
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
-        scene = None if self.given is None else asdict(self.given)
         return {
-            "given": scene,
+            "known": dict(self.known),
             "scene": asdict(self.scene),
             "lag": self.lag if np.isfinite(self.lag) else None,
             "chains": [pack_records(self.chains.rows), packed(self.chains.state), packed(self.chains.looks)],
@@ -160,8 +159,7 @@ class OnlineAssociation(Moves):
         KeyError, TypeError, ValueError, InputError
             If the state is damaged.
         """
-        given = None if state["given"] is None else SceneParameters(**state["given"])
-        found = cls(given, np.inf if state["lag"] is None else state["lag"])
+        found = cls(state["known"], np.inf if state["lag"] is None else state["lag"])
         found.scene = SceneParameters(**state["scene"])
         rows, *others = state["chains"]
         found.chains = Chains(unpack_records(rows, DETECTION), *(unpacked(saved) for saved in others))
@@ -360,11 +358,12 @@ class OnlineAssociation(Moves):
     # -- parameters ----------------------------------------------------------------------------------------
 
     def _learn(self) -> None:
-        """From what was decided, as it grows; from how much is seen before that."""
+        """From what was decided, as it grows; from how much is seen before that. What is known is kept."""
         chains, history = self.chains, self._history
-        if self.given is not None or not len(chains.t):
+        if not len(chains.t):
             return
         if history.is_due():
-            self.scene, self._places = history.learned(self.scene, self.step_seconds)
+            self.scene, self._places = history.learned(self.scene, self.step_seconds, self.known)
         elif not history.times:
-            self.scene = learning.first_guess(Detections(chains.frame, chains.t, chains.position))
+            guess = learning.first_guess(Detections(chains.frame, chains.t, chains.position))
+            self.scene = replace(guess, **self.known)

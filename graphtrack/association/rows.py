@@ -9,9 +9,9 @@ import numpy as np
 
 from graphtrack.association.detections import Detections, frames_between
 from graphtrack.association.offline import APPEARANCE, associate_detections, repair_detections
-from graphtrack.association.scene import SceneParameters
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.scene import GivenScene, SceneParameters, known_values
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import Track, TrackSet
 
@@ -31,13 +31,27 @@ _ALONG = (
 """Channels that the evidence reads beside the position."""
 
 
-def with_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
+def associated(rows: Rows, scene: GivenScene = None, *, repair: bool = False) -> TrackSet:
+    """The tracks that rows of detections belong to, with a row for each frame from first to last.
+
+    Parameters
+    ----------
+    rows : on the ground, with times
+    scene : its parameters that are known; the others are learned
+    repair : the rows are a tracker's, whose identities are kept but where the evidence is against them
+    """
+    known = known_values(scene)
+    found = with_repaired_identities(rows, known) if repair else with_identities(rows, known)
+    return with_every_frame(TrackSet.from_rows(found), SceneParameters(**known).longest_filled)
+
+
+def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     """The rows of detections with the identities that are most probable; false ones are left out.
 
     Parameters
     ----------
     rows : on the ground, with times; their own identities do not matter
-    scene : its parameters; None: they are learned
+    scene : its parameters that are known; the others are learned
     """
     rows, detections = _detections(rows)
     found = associate_detections(detections, scene)
@@ -53,13 +67,13 @@ def with_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
     return rows.keep(identity >= 0, FALSE).with_notes(note)
 
 
-def with_repaired_identities(rows: Rows, scene: SceneParameters | None = None) -> Rows:
+def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     """The rows of a tracker, parted where it jumped from one person to another, and joined where it lost one.
 
     Parameters
     ----------
     rows : on the ground, with times and identities; those with the identity −1 have none
-    scene : its parameters; None: they are learned
+    scene : its parameters that are known; the others are learned
     """
     # Who is joined of two tracks need not stand in the order of frames.
     rows, detections = _detections(rows.taken(np.argsort(rows.frame, kind="stable")))

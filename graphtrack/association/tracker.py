@@ -12,13 +12,13 @@ import numpy as np
 
 from graphtrack.association.facing import observed
 from graphtrack.association.online import Decision, OnlineAssociation, Revision
-from graphtrack.association.scene import SceneParameters
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother
 from graphtrack.inference.state import DAMAGES, Estimate, damaged, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
+from graphtrack.scene import GivenScene, SceneParameters, known_values
 
 Key = tuple[int, int]
 """The number of an update, and the place of a detection in it."""
@@ -57,7 +57,8 @@ class OnlineTracker:
     Parameters
     ----------
     model, engine, lag, camera : as in `OnlineSmoother`; decisions, too, may change within ``lag`` seconds
-    scene : how people come, go and are detected; None: it is learned from what is seen
+    scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
+        names. The others are as the model has them, else learned from what is seen
 
     Attributes
     ----------
@@ -76,7 +77,7 @@ class OnlineTracker:
         self,
         model: Model | str | Path | None = None,
         *,
-        scene: SceneParameters | None = None,
+        scene: GivenScene = None,
         engine: OnlineEngine = "auto",
         lag: float | None = 2.0,
         camera: GroundCamera | None = None,
@@ -84,7 +85,8 @@ class OnlineTracker:
         self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
         self.model, self._camera = Model.named(model), camera
         self._smoother()  # checks the options, and compiles what there is to compile
-        self._association = OnlineAssociation(scene, math.inf if lag is None else lag)
+        known = {**self.model.scene, **known_values(scene)}
+        self._association = OnlineAssociation(known, math.inf if lag is None else lag)
         self._people: dict[int, _Person] = {}
         self._seen: dict[Key, Observation] = {}
         self.revised: tuple[Revision, ...] = ()

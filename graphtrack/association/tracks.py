@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from graphtrack.association.rows import with_every_frame, with_identities
-from graphtrack.association.scene import SceneParameters
+from graphtrack.association.rows import associated
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.reading import rows_of_file
+from graphtrack.model import Model
+from graphtrack.scene import GivenScene, known_values
 from graphtrack.table.columns import rows_of_table, to_columns
 from graphtrack.tracks import Track, TrackSet
 
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
 
 def associate(
     detections: TrackSet | Track | str | Path | pd.DataFrame | Mapping[str, Any] | Sequence[Track],
-    scene: SceneParameters | None = None,
+    scene: GivenScene = None,
     *,
+    model: Model | str | Path | None = None,
     fps: float | None = None,
     **options: Any,
 ) -> TrackSet:
@@ -29,7 +31,9 @@ def associate(
     Parameters
     ----------
     detections : a file, a table with or without ``track_id``, or tracks whose identities are forgotten
-    scene : how people come, go and are detected; None: it is learned from the detections
+    scene : what is known of how people come, go and are detected: `SceneParameters`, or some of them by their
+        names. The others are as the model has them, else learned from the detections
+    model : a model, or a model file, whose scene it is
     fps : frames a second, where there are no times
     **options : for files, the other fields of `ReadOptions`
 
@@ -52,4 +56,5 @@ def associate(
     else:
         tracks = TrackSet((detections,)) if isinstance(detections, Track) else detections
         rows = rows_of_table(to_columns(tracks if isinstance(tracks, TrackSet) else TrackSet(tuple(tracks))))
-    return with_every_frame(TrackSet.from_rows(with_identities(rows, scene)))
+    of_model = {} if model is None else Model.named(model).scene
+    return associated(rows, {**of_model, **known_values(scene)})

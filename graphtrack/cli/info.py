@@ -3,24 +3,35 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import print_table
 from graphtrack.display import counted
 
 if TYPE_CHECKING:
+    from graphtrack.scene import GivenScene
     from graphtrack.tracks import Track
 
 
 def info(
     inputs: options.Inputs,
     reading: options.SceneReading,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model",
+            help="Model file (.toml) whose [scene] is known of people without identities.",
+            show_default=False,
+        ),
+    ] = None,
     json_path: options.Json = None,
 ) -> None:
     """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows."""
-    options.check_outputs({"--json": json_path}, reading.inputs(inputs))
-    tracks = reading.tracks(inputs)
+    options.check_outputs({"--json": json_path}, reading.inputs(inputs, model))
+    tracks = reading.tracks(inputs, scene=_scene(model))
     rows = [describe(track) for track in tracks]
     optional = [name for name in ("label", "truth") if not any(row[name] for row in rows)]
     headings = {name: _HEADINGS.get(name, name) for name in rows[0] if name not in optional} if rows else {}
@@ -31,6 +42,14 @@ def info(
 
         with atomic_path(json_path) as temporary:
             temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+
+def _scene(model: str | None) -> GivenScene:
+    if model is None:
+        return None
+    from graphtrack.model import Model
+
+    return Model.named(model).scene
 
 
 _HEADINGS = {"rate_hz": "Hz", "speed_m_s": "m/s"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hints
@@ -16,6 +16,7 @@ from graphtrack.errors import InputError
 if TYPE_CHECKING:
     from graphtrack.io.options import ReadOptions
     from graphtrack.io.places import Paths
+    from graphtrack.scene import GivenScene
     from graphtrack.table.rows import Rows
     from graphtrack.tracks import TrackSet
 
@@ -178,13 +179,14 @@ class Reading:
         told = {name: value for name, value in self.given().items() if name not in _NOT_TOLD}
         return ReadOptions(**{"associate": self._associate, **told})
 
-    def tracks(self, paths: list[Path], rows: Rows | None = None) -> TrackSet:
+    def tracks(self, paths: list[Path], rows: Rows | None = None, scene: GivenScene = None) -> TrackSet:
         """Read and select tracks, and print the summary.
 
         Parameters
         ----------
         paths : of the files
         rows : those of the one file, where they have been read
+        scene : what is known of it where people are without identities
 
         Raises
         ------
@@ -194,11 +196,9 @@ class Reading:
         from graphtrack.cli.console import console, print_summary, quiet_input_warnings
         from graphtrack.io.reading import read_with, tracks_of_rows
 
+        told = replace(self.options(), scene=scene)
         with quiet_input_warnings():
-            if rows is None:
-                tracks = read_with(paths, self.format, self.options())
-            else:
-                tracks = tracks_of_rows(rows, self.options())
+            tracks = read_with(paths, self.format, told) if rows is None else tracks_of_rows(rows, told)
         print_summary(tracks, ", ".join(str(path) for path in paths))
         unused = [option_name(name) for name in (*_CAMERA_FILES, "metres_per_pixel") if name in self.given()]
         if unused and tracks.camera is None:

@@ -93,7 +93,7 @@ def smooth(
             read_options=reading.options(),
         )
         return
-    tracks = reading.tracks(inputs)
+    tracks = reading.tracks(inputs, scene=chosen.scene)
     make_ready(WHOLE, solver_rehearsal(chosen, solver, tracks.camera))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:

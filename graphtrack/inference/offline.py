@@ -103,7 +103,8 @@ def solve(
     """
     model = Model.named(model)
     solver = engine_of(model, engine)
-    return solve_tracks(tracks_of(tracks), model, solver, jobs=jobs, options=options, progress=progress)
+    given = tracks_of(tracks, scene=model.scene)
+    return solve_tracks(given, model, solver, jobs=jobs, options=options, progress=progress)
 
 
 def solve_tracks(
@@ -184,7 +185,8 @@ def smooth(
     SolveError
         For the first track that cannot be smoothed; use `solve` to get the others all the same.
     """
-    given = tracks_of(tracks)
+    model = Model.named(model)
+    given = tracks_of(tracks, scene=model.scene)
     found = solve(given, model, engine=engine, jobs=jobs, options=options, progress=progress)
     for result in found:
         if isinstance(result, Failure):

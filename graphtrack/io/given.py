@@ -11,6 +11,7 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.io.options import Associate
 from graphtrack.io.reading import read
+from graphtrack.scene import GivenScene
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -22,12 +23,12 @@ if TYPE_CHECKING:
     Given: TypeAlias = Track | Scene
 
 
-def tracks_of(given: Given, associate: Associate = "auto") -> TrackSet:
+def tracks_of(given: Given, associate: Associate = "auto", scene: GivenScene = None) -> TrackSet:
     """Tracks, a track, several of them, the path of a file or of several, or a table, as a set of tracks.
 
     Parameters
     ----------
-    associate : what to do with a file's rows without identities, as in `ReadOptions`
+    associate, scene : what to do with a file's rows without identities, as in `ReadOptions`
 
     Raises
     ------
@@ -39,14 +40,14 @@ def tracks_of(given: Given, associate: Associate = "auto") -> TrackSet:
     if isinstance(given, Track):
         return TrackSet((given,))
     if isinstance(given, str | Path):
-        return read(given, associate=associate)
+        return read(given, associate=associate, scene=scene)
     if isinstance(given, Mapping) or hasattr(given, "columns"):
         return TrackSet.from_table(given)  # type: ignore[arg-type]
     if isinstance(given, list | tuple) and given:
         if all(isinstance(one, Track) for one in given):
             return TrackSet(tuple(given))
         if all(isinstance(one, str | Path) for one in given):
-            return read(given, associate=associate)
+            return read(given, associate=associate, scene=scene)
     raise InputError(_described(given), f"a TrackSet, a Track, a table or the path of a file{_hint(given)}")
 
 

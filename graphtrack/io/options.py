@@ -10,6 +10,7 @@ from graphtrack.bounds import check_frame_rate, check_positive
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.scene import GivenScene, known_values
 
 Associate = Literal["auto", "never", "always", "repair"]
 
@@ -35,6 +36,8 @@ class ReadOptions:
     associate : "auto": rows without identities become tracks, see `association`; "always": those with
         identities too, which are forgotten; "repair": these are kept but where the evidence is against them;
         "never": rows without identities are an error
+    scene : what is then known of how people come, go and are detected: `SceneParameters`, or some of them by
+        their names; the others are learned
     """
 
     fps: float | None = None
@@ -51,6 +54,7 @@ class ReadOptions:
     ego_calibration: str | Path | None = None
     classes: tuple[str, ...] = ("Pedestrian",)
     associate: Associate = "auto"
+    scene: GivenScene = None
 
     def __post_init__(self) -> None:
         check_frame_rate(self.fps)
@@ -63,3 +67,4 @@ class ReadOptions:
         object.__setattr__(
             self, "classes", (self.classes,) if isinstance(self.classes, str) else tuple(self.classes)
         )
+        object.__setattr__(self, "scene", known_values(self.scene))

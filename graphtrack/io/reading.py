@@ -86,10 +86,9 @@ def tracks_of_rows(rows: Rows, options: ReadOptions) -> TrackSet:
     associates = has_detections(rows, options)
     if not associates and options.associate != "repair":
         return with_speeds_checked(TrackSet.from_rows(rows), rows.path)
-    from graphtrack.association.rows import with_every_frame, with_identities, with_repaired_identities
+    from graphtrack.association.rows import associated
 
-    found = with_identities(rows) if associates else with_repaired_identities(rows)
-    return with_every_frame(TrackSet.from_rows(found))
+    return associated(rows, options.scene, repair=not associates)
 
 
 def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:

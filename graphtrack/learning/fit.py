@@ -126,7 +126,7 @@ def fit(
     engine_of(model, "chain")
     if not 0.0 <= hold_out <= 0.9:
         raise InputError(f"hold_out = {hold_out!r}", "a share in [0, 0.9]")
-    tracks = tracks_of(tracks)
+    tracks = tracks_of(tracks, scene=model.scene)
     usable = [track for track in tracks if len(track) > 1 and np.isfinite(track.position).any()]
     if criterion is None:
         normalised = all(term.is_normalised for term in model.terms)

@@ -30,6 +30,7 @@ from graphtrack.model.terms.place import PlacePrior
 from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.model.terms.turning import BodyDynamics, HeadDynamics
+from graphtrack.scene import GivenScene, known_values
 from graphtrack.tracks import Track
 
 _POSITION: tuple[type[Term], ...] = (Motion, PositionLikelihood)
@@ -82,9 +83,12 @@ class Model:
     preset : name of a list in `presets`
     parameters : their parameters; by default those of the preset
     terms : further terms of your own, as classes
+    scene : what is known of how people come, go and are detected where it is used: `SceneParameters`, or some
+        of them by their names
 
     Attributes
     ----------
+    scene : name → value of what is known of a scene; what is not is learned from detections
     terms : all terms, in order
     own_terms : the classes of your own
     has_body, has_head : whether some term acts on them; if so they are estimated
@@ -96,12 +100,14 @@ class Model:
         preset: str = "joint",
         parameters: Parameters | None = None,
         terms: Iterable[type[Term]] = (),
+        scene: GivenScene = None,
     ) -> None:
         if preset not in presets:
             raise InputError(f"model {preset!r}", f"one of {', '.join(presets)}, or a model file (.toml)")
         self.preset = preset
         self.parameters = default_parameters(preset) if parameters is None else parameters
         self.own_terms = tuple(terms)
+        self.scene = known_values(scene)
         self.terms = tuple(kind(self.parameters) for kind in (*presets[preset], *self.own_terms))
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used
@@ -118,19 +124,24 @@ class Model:
     def _changed(self) -> list[str]:
         """The parameters that are not the preset's own."""
         own = asdict(default_parameters(self.preset))
-        return [
+        changed = [
             f"{table}.{name}={value!r}"
             for table, values in asdict(self.parameters).items()
             for name, value in values.items()
             if value != own[table][name]
         ]
+        return changed + [f"scene.{name}={value!r}" for name, value in self.scene.items()]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Model, (self.preset, self.parameters, self.own_terms)
+        return Model, (self.preset, self.parameters, self.own_terms, dict(self.scene))
 
     def with_parameters(self, parameters: Parameters) -> Model:
-        """The same terms with other parameters."""
-        return Model(self.preset, parameters, self.own_terms)
+        """The same terms and scene with other parameters."""
+        return Model(self.preset, parameters, self.own_terms, self.scene)
+
+    def with_scene(self, scene: GivenScene) -> Model:
+        """The same terms and parameters, and what is known of another scene."""
+        return Model(self.preset, self.parameters, self.own_terms, scene)
 
     @property
     def compiled_terms(self) -> tuple[Term, ...]:
@@ -173,7 +184,8 @@ class Model:
                 f"a model with terms of its own ({names}), which a file cannot hold",
                 "a preset and its parameters: save Model(preset, parameters), add the terms once loaded",
             )
-        return {"preset": self.preset, **asdict(self.parameters)}
+        scene = {"scene": dict(self.scene)} if self.scene else {}
+        return {"preset": self.preset, **asdict(self.parameters), **scene}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> Model:
@@ -182,10 +194,10 @@ class Model:
         Without a preset it is `BEST_PRESET`.
         """
         tables = dict(content)
-        preset = tables.pop("preset", BEST_PRESET)
+        preset, scene = tables.pop("preset", BEST_PRESET), tables.pop("scene", None)
         if not isinstance(preset, str):
             raise InputError(f"preset = {preset!r}", f"one of {', '.join(presets)}")
-        return cls(preset, Parameters.from_dict(tables, default_parameters(preset)))
+        return cls(preset, Parameters.from_dict(tables, default_parameters(preset)), scene=scene)
 
     def save(self, path: str | Path) -> None:
         """Write a model file (TOML), whole or not at all; InputError if it cannot hold the model."""

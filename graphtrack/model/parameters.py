@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from graphtrack.bounds import check_numbers, with_table
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 
@@ -45,8 +46,7 @@ class _Group:
     """Parameters that check themselves against their ranges."""
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:  # type: ignore[attr-defined]
-            _check(self, name)
+        check_numbers(self)
 
 
 def range_of(group: Any, name: str) -> tuple[float, float] | None:
@@ -60,16 +60,6 @@ def scale_of(group: Any, name: str) -> Scale | None:
     metadata = group.__dataclass_fields__[name].metadata
     scale: Scale | None = metadata["scale"] if metadata.get("learned") else None
     return scale
-
-
-def _check(group: Any, name: str) -> None:
-    limits, value = range_of(group, name), getattr(group, name)
-    if limits is None:
-        return
-    low, high = limits
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        unit = group.__dataclass_fields__[name].metadata["unit"]
-        raise InputError(f"{name} = {value!r}", f"a number in [{low:g}, {high:g}] {unit}".rstrip())
 
 
 @dataclass(frozen=True)
@@ -247,19 +237,9 @@ class Parameters:
         known = [f.name for f in fields(cls)]
         parts = {}
         for table, values in tables.items():
-            is_table = isinstance(values, dict)
             if table not in known:
-                kind = "table" if is_table else "key"
-                raise InputError(f"the unknown {kind} {table!r}", f"preset, or a table of {', '.join(known)}")
-            if not is_table:
-                raise InputError(f"{table} = {values!r}", f"a table [{table}]")
-            part = getattr(start, table)
-            names = [f.name for f in fields(part)]
-            for name in values:
-                if name not in names:
-                    raise InputError(f"key {table}.{name}", f"one of {', '.join(names)}")
-            try:
-                parts[table] = replace(part, **values)
-            except InputError as error:
-                raise InputError(f"{table}.{error.found}", error.expected) from error
+                kind = "table" if isinstance(values, dict) else "key"
+                expected = f"preset, or a table of {', '.join(known)}, scene"
+                raise InputError(f"the unknown {kind} {table!r}", expected)
+            parts[table] = with_table(getattr(start, table), table, values)
         return replace(start, **parts)

@@ -17,7 +17,7 @@ from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import GATE, missed
 from graphtrack.association.moves import match
 from graphtrack.association.offline import associate_detections, repair_detections
-from graphtrack.association.scene import SceneParameters
+from graphtrack.scene import SceneParameters
 
 
 def table_of(detections: Detections) -> pd.DataFrame:

@@ -12,7 +12,7 @@ import numpy as np
 
 from graphtrack.association.detections import Detections
 from graphtrack.association.recorded import track_rows
-from graphtrack.association.rows import with_every_frame, with_identities
+from graphtrack.association.rows import associated
 from graphtrack.association.tracker import OnlineTracker
 from graphtrack.baselines.hungarian import HungarianParameters, track_detections
 from graphtrack.errors import InputError
@@ -66,10 +66,10 @@ class Associated:
     def track(self, detections: Detections) -> TrackSet:
         """All people at once, each from first to last."""
         try:
-            found = TrackSet.from_rows(with_identities(_rows(detections)))
+            found = associated(_rows(detections), self.model.scene)
         except InputError:  # of detections, which have places and times: nobody is there
             return TrackSet(())
-        return smoothed(with_every_frame(found), self.model)
+        return smoothed(found, self.model)
 
 
 @dataclass(frozen=True)

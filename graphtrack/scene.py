@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Any, TypeAlias
 
-from graphtrack.bounds import check_numbers, number
+from graphtrack.bounds import check_numbers, number, with_table
 
 
 @dataclass(frozen=True)
@@ -81,3 +84,28 @@ class SceneParameters:
             self.head_outliers,
             self.heading_std**2,
         )
+
+
+Known: TypeAlias = Mapping[str, Any]
+"""Values of some of the fields of `SceneParameters`, which are kept where the others are learned."""
+
+NOTHING: Known = MappingProxyType({})
+
+GivenScene: TypeAlias = SceneParameters | Mapping[str, Any] | None
+"""What somebody says of a scene: all parameters, some of them by their names, or nothing."""
+
+
+def known_values(scene: GivenScene) -> Known:
+    """What is given of a scene, by the names of the parameters.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, and for a value out of its range.
+    """
+    if scene is None:
+        return {}
+    if isinstance(scene, SceneParameters):
+        return asdict(scene)
+    with_table(SceneParameters(), "scene", scene)
+    return dict(scene)

@@ -1,0 +1,114 @@
+"""Known parameters of a scene are kept, and the others learned: offline, online, on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command import run as run_command
+from crossing_people import idf1, street
+
+import graphtrack as gt
+from graphtrack.association.detections import Detections
+from graphtrack.association.offline import associate_detections
+from graphtrack.association.online import OnlineAssociation
+
+KNOWN = {"detection_probability": 0.6, "position_std": 0.2, "duplicate_rate": 0.3, "body_turn": 1.5}
+
+
+def crowded(seed: int) -> tuple[Detections, np.ndarray]:
+    return street(np.random.default_rng(seed), people=14, frames=80, miss=0.15, false=1.0)
+
+
+def online(detections: Detections, scene: gt.SceneParameters | None) -> tuple[np.ndarray, OnlineAssociation]:
+    """What was said at once, and who said it."""
+    association, found = OnlineAssociation(scene), np.full(len(detections), -1)
+    for frame in np.unique(detections.frame):
+        places = np.flatnonzero(detections.frame == frame)
+        said = association.update(float(detections.t[places[0]]), detections.position[places])
+        found[places] = said.identity
+    return found, association
+
+
+def test_what_is_known_is_kept_and_the_rest_is_learned() -> None:
+    detections, _ = crowded(0)
+    free = associate_detections(detections).scene
+    for found in (associate_detections(detections, KNOWN).scene, online(detections, KNOWN)[1].scene):
+        assert {name: getattr(found, name) for name in KNOWN} == KNOWN
+        assert found.clutter_density == pytest.approx(free.clutter_density, rel=0.5)
+        assert found.occlusion_probability != gt.SceneParameters().occlusion_probability
+
+
+def test_with_all_that_was_learned_the_same_people_are_found() -> None:
+    scores = []
+    for seed in range(3):
+        detections, whose = crowded(seed)
+        alone = associate_detections(detections)
+        told = associate_detections(detections, alone.scene)
+        assert told.scene == alone.scene
+        assert idf1(told.identity, alone.identity) > 0.95
+        scores.append([idf1(one.identity, whose) for one in (alone, told)])
+    assert np.ptp(np.mean(scores, axis=0)) < 0.02
+
+
+def test_online_a_known_scene_is_used_from_the_first_frame_on() -> None:
+    """Ten seconds of other recordings of a place, with what one of them taught and without."""
+    taught = associate_detections(crowded(10)[0]).scene
+    scores = []
+    for seed in range(11, 17):
+        whole, owner = crowded(seed)
+        first = np.flatnonzero(whole.t < whole.t[0] + 10.0)
+        begun = Detections(whole.frame[first], whole.t[first], whole.position[first])
+        scores.append([idf1(online(begun, scene)[0], owner[first]) for scene in (None, taught)])
+        assert online(begun, taught)[1].scene == taught
+    without, given = np.mean(scores, axis=0)
+    assert given >= without
+
+
+def test_a_model_file_says_it_to_every_command(tmp_path: Path) -> None:
+    detections, _ = street(np.random.default_rng(1), people=8, frames=40, miss=0.1)
+    x, y = detections.position.T
+    table = pd.DataFrame({"frame": detections.frame, "t": detections.t, "x": x, "y": y})
+    source, file = tmp_path / "seen.csv", tmp_path / "model.toml"
+    table.to_csv(source, index=False)
+    # Whoever is not seen for a moment is gone: tracks end at each gap.
+    known = {"longest_gap": 0.5, "longest_filled": 0.0, "position_std": 0.23}
+    gt.Model("position", scene=known).save(file)
+    free = gt.associate(table)
+    expected = gt.associate(table, scene=known)
+    assert len(expected) > len(free)
+    assert all(np.diff(track.frame).max(initial=1) == 1 for track in expected)
+    std = {value for track in expected for value in track.position_std.tolist()}
+    assert std == {0.23}
+    for found in (
+        gt.associate(source, model=file),
+        gt.associate(source, {"position_std": 0.23}, model=gt.Model("joint", scene=known)),
+        gt.read(source, scene=known),
+        gt.smooth(source, file),
+    ):
+        assert [track.frame.tolist() for track in found] == [track.frame.tolist() for track in expected]
+    for command in (
+        ("info", source, "--model", file),
+        ("smooth", source, "--model", file, "-o", tmp_path / "out.csv"),
+    ):
+        done = run_command(*command, program="graphtrack")
+        assert done.returncode == 0
+        assert f"{len(expected)} people" in " ".join(done.stderr.split())
+    tracker = gt.OnlineTracker(file, scene={"longest_gap": 0.7})
+    assert (tracker.scene.longest_gap, tracker.scene.position_std) == (0.7, 0.23)
+    done = run_command("track", source, "-o", tmp_path / "out.csv", "--model", file, program="graphtrack")
+    assert done.returncode == 0
+    assert len(gt.read(tmp_path / "out.csv")) > len(free)
+
+
+def test_a_model_file_that_is_wrong_is_one_error(tmp_path: Path) -> None:
+    source, file = tmp_path / "seen.csv", tmp_path / "model.toml"
+    source.write_text("frame,t,x,y\n" + "".join(f"{k},{0.1 * k:g},{0.1 * k:g},0\n" for k in range(20)))
+    file.write_text("[scene]\ndetection_probability = 2\n")
+    for command in (("info", source), ("smooth", source, "-o", tmp_path / "out.csv")):
+        done = run_command(*command, "--model", file, program="graphtrack")
+        assert done.returncode == 2
+        told = " ".join(done.stderr.split())
+        assert "model.toml: found scene.detection_probability = 2, expected a number in [0.01, 0.999]" in told
