@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from graphtrack.learning.scene import SET
 from graphtrack.model import Model, Parameters, presets
 from graphtrack.model.factors import native
 from graphtrack.model.observation import chain
 from graphtrack.model.parameters import range_of
 from graphtrack.model.terms import head_follows_body, motion, pose, position, turning
+from graphtrack.scene import SceneParameters
 from graphtrack.simulation.sampling import simulate
 
 DOCUMENT = (Path(__file__).resolve().parents[1] / "docs" / "model.md").read_text(encoding="utf-8")
@@ -55,6 +57,17 @@ def test_every_parameter_stands_there_with_its_default_and_range():
             assert told[name] == str(default).lower(), name
         else:
             assert float(told[name]) == pytest.approx(default), name
+
+
+def test_every_parameter_of_a_scene_stands_there_with_its_unit_default_and_range():
+    told = {name.strip("`"): cells for name, _, *cells in rows("The scene")}
+    assert list(told) == [f"scene.{one.name}" for one in fields(SceneParameters)]
+    for one in fields(SceneParameters):
+        unit, default, limits, learned = told[f"scene.{one.name}"]
+        assert unit == (one.metadata["unit"] or "–")
+        assert number(default) == pytest.approx(one.default)
+        assert [number(cell) for cell in limits.split(" to ")] == pytest.approx(one.metadata["range"])
+        assert (learned == "yes") == (one.name not in SET)
 
 
 def test_every_preset_stands_there():

@@ -49,6 +49,12 @@ class Detections:
     def __len__(self) -> int:
         return len(self.t)
 
+    def taken(self, places: NDArray[np.int64]) -> Detections:
+        """The detections at some places."""
+        channels = {name: values[places] for name, values in self.channels.items()}
+        frame, t, position = self.frame[places], self.t[places], self.position[places]
+        return Detections(frame, t, position, channels, self.row[places])
+
     @property
     def step(self) -> NDArray[np.int64]:
         """(n,) number of each detection's frame, in steps of the recording from its first frame."""

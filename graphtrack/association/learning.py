@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from graphtrack.association import duplicates
 from graphtrack.association.chains import Chains, Scene
 from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import innovations
@@ -74,14 +75,10 @@ def learned(
     seconds : from a frame to the next
     known : parameters that are kept
     """
-    people = int(identity.max()) + 1
-    if people < 1:
+    if not (identity >= 0).any():
         return scene
-    frames, square = chains.frame[-1] + 1, area(chains.position)
-    linked = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
-    gaps = (chains.frame[linked] - chains.frame[chains.preceding[linked]] - 1).astype(float)
-    seen = float((identity >= 0).sum())
-    some = gaps[gaps > 0]
+    events = _Events.of(chains, identity, seconds)
+    some, seen = events.gaps, float(events.seen)
     for _ in range(20):
         chance = (1.0 - scene.detection_probability) ** some
         occluded = scene.occlusion_probability * np.exp(-some * seconds / scene.occlusion_seconds)
@@ -94,21 +91,93 @@ def learned(
             "occlusion_seconds": np.clip(hidden, 0.2, 20.0),
         }
         scene = replace(scene, **{name: float(value) for name, value in gap.items()} | dict(known))
-    in_view = (seen + gaps.sum()) * seconds
-    person = identity >= 0
-    first, last = np.full(people, frames), np.zeros(people, np.int64)
-    np.minimum.at(first, identity[person], chains.frame[person])
-    np.maximum.at(last, identity[person], chains.frame[person])
-    # Who is there at the beginning was not born then, and who is there at the end has not left.
-    edge = edge_of(int(frames))
-    born, left = int((first > edge).sum()), int((last < frames - 1 - edge).sum())
-    open_seconds = (frames - edge) * seconds
+    false = len(identity) - events.seen
     rates = {
-        "clutter_density": _rate((identity < 0).sum(), square * frames, scene.clutter_density, 1e-9, 100.0),
-        "birth_density": _rate(born, square * open_seconds, scene.birth_density, 1e-9, 100.0),
-        "death_rate": _rate(left, in_view, scene.death_rate, 1e-6, 10.0),
+        "clutter_density": _rate(false, events.exposure, scene.clutter_density, 1e-9, 100.0),
+        "birth_density": _rate(events.born, events.open_exposure, scene.birth_density, 1e-9, 100.0),
+        "death_rate": _rate(events.left, events.in_view, scene.death_rate, 1e-6, 10.0),
     }
     return replace(scene, **_motion(chains, scene, seconds, known_std, known) | rates | dict(known))
+
+
+def log_density(chains: Chains, identity: NDArray[np.int64], scene: SceneParameters, seconds: float) -> float:
+    """How probable detections and their tracks are: what `learned` makes great, but for its priors.
+
+    Log of a density in 1/m² for each detection, relative to any angle; where people come and go and
+    detections are false is taken to be the same everywhere.
+
+    Parameters
+    ----------
+    chains : the tracks, linked; they are filtered anew
+    identity : (n,) of each detection; −1: false
+    scene : the parameters
+    seconds : from a frame to the next
+    """
+    events = _Events.of(chains, identity, seconds)
+    gaps, hide = events.gaps, scene.occlusion_probability
+    hidden = np.log(hide) - gaps * seconds / scene.occlusion_seconds
+    between = np.logaddexp(gaps * np.log1p(-scene.detection_probability), hidden).sum()
+    between += (events.links - len(gaps)) * np.log1p(-hide)
+    around = duplicates.density(chains.frame, chains.position, identity, scene)[identity < 0]
+    false = np.log(scene.clutter_density + around).sum() - scene.clutter_density * events.exposure
+    false -= scene.duplicate_rate * events.seen
+    came = events.born * np.log(scene.birth_density) - scene.birth_density * events.open_exposure
+    went = events.left * np.log(scene.death_rate) - scene.death_rate * events.in_view
+    places, angles, _ = innovations(chains, Scene(*scene.packed(seconds)))
+    detected = events.seen * np.log(scene.detection_probability)
+    return float(places + angles + detected + between + false + came + went)
+
+
+def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> FloatArray:
+    """Frames (links,) between each detection of a person and the one before it."""
+    linked = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
+    return (chains.frame[linked] - chains.frame[chains.preceding[linked]] - 1).astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class _Events:
+    """What happened in a recording.
+
+    Attributes
+    ----------
+    gaps : frames of each gap within a track
+    seen, links : detections of people, and pairs of them that follow each other
+    born, left : people who came into view and who left
+    in_view : seconds that people were there
+    exposure, open_exposure : m² and frames in which detections can be false, m² s in which people can come
+    """
+
+    gaps: FloatArray
+    seen: int
+    links: int
+    born: int
+    left: int
+    in_view: float
+    exposure: float
+    open_exposure: float
+
+    @classmethod
+    def of(cls, chains: Chains, identity: NDArray[np.int64], seconds: float) -> _Events:
+        """Of the tracks in chains that are linked, with the identities (n,) of them; −1: false."""
+        person = identity >= 0
+        gaps = gaps_of(chains, identity)
+        frames, square = int(chains.frame[-1]) + 1, area(chains.position)
+        people, seen = int(identity.max()) + 1, int(person.sum())
+        first, last = np.full(people, frames), np.zeros(people, np.int64)
+        np.minimum.at(first, identity[person], chains.frame[person])
+        np.maximum.at(last, identity[person], chains.frame[person])
+        # Who is there at the beginning was not born then, and who is there at the end has not left.
+        edge = edge_of(frames)
+        return cls(
+            gaps[gaps > 0],
+            seen,
+            len(gaps),
+            int((first > edge).sum()),
+            int((last < frames - 1 - edge).sum()),
+            (seen + float(gaps.sum())) * seconds,
+            square * frames,
+            square * ((frames - edge) * seconds),
+        )
 
 
 def _rate(events: int, exposure: float, before: float, low: float, high: float) -> float:

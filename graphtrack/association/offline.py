@@ -63,6 +63,9 @@ def associate_detections(
     detections: Detections,
     scene: GivenScene = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    start: SceneParameters | None = None,
+    rounds: int = ROUNDS,
 ) -> Association:
     """Find the people of a recording.
 
@@ -71,20 +74,22 @@ def associate_detections(
     detections : of the whole recording
     scene : parameters that are known; the others are learned from the detections
     progress : called with sweeps done and sweeps in all
+    start : parameters to begin with; None: a guess from how many detections there are
+    rounds : times that people are found, with parameters learned from the time before
     """
-    search = _Search(detections, known_values(scene))
-    for k in range(ROUNDS):
+    search = _Search(detections, known_values(scene), start)
+    for k in range(rounds):
         if k:
             search.adopt(search.learned())
         search.join_generously()
-        search.settle(partial(_told, progress, k))
-    progress(ROUNDS * SWEEPS, ROUNDS * SWEEPS)
+        search.settle(partial(_told, progress, k, rounds))
+    progress(rounds * SWEEPS, rounds * SWEEPS)
     identity = search.identities()
     return Association(identity, search.probabilities(), search.scene, search.evidence())
 
 
-def _told(progress: Callable[[int, int], None], done: int, sweep: int) -> None:
-    progress(done * SWEEPS + sweep, ROUNDS * SWEEPS)
+def _told(progress: Callable[[int, int], None], done: int, rounds: int, sweep: int) -> None:
+    progress(done * SWEEPS + sweep, rounds * SWEEPS)
 
 
 def repair_detections(
@@ -134,10 +139,10 @@ def _renamed(track: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.i
 class _Search(Moves):
     """The explanation of a whole recording."""
 
-    def __init__(self, detections: Detections, known: Known) -> None:
+    def __init__(self, detections: Detections, known: Known, start: SceneParameters | None = None) -> None:
         n = len(detections)
         self.detections, self._known = detections, known
-        scene = replace(learning.first_guess(detections), **known)
+        scene = replace(learning.first_guess(detections) if start is None else start, **known)
         std = detections.channels.get("position_std")
         self._std = np.full(n, np.nan) if std is None else std
         channels = detections.channels

@@ -53,7 +53,7 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     rows : on the ground, with times; their own identities do not matter
     scene : its parameters that are known; the others are learned
     """
-    rows, detections = _detections(rows)
+    rows, detections = detections_of(rows)
     found = associate_detections(detections, scene)
     identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
     identity[detections.row], probability[detections.row] = found.identity, found.probability
@@ -76,7 +76,7 @@ def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     scene : its parameters that are known; the others are learned
     """
     # Who is joined of two tracks need not stand in the order of frames.
-    rows, detections = _detections(rows.taken(np.argsort(rows.frame, kind="stable")))
+    rows, detections = detections_of(rows.taken(np.argsort(rows.frame, kind="stable")))
     known, place = np.unique(rows.track_id, return_inverse=True)
     given = np.where(rows.track_id == -1, -1, place)[detections.row]
     found = repair_detections(detections, given, scene)
@@ -134,7 +134,7 @@ def _check_times(rows: Rows) -> None:
         )
 
 
-def _detections(rows: Rows) -> tuple[Rows, Detections]:
+def detections_of(rows: Rows) -> tuple[Rows, Detections]:
     """The usable rows, and what the evidence reads of them."""
     rows = usable(rows)
     channels = {name: rows.channels[name] for name in _ALONG if name in rows.channels}

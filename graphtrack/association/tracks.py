@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from graphtrack.association.rows import associated
 from graphtrack.io.options import ReadOptions
@@ -17,9 +17,13 @@ from graphtrack.tracks import Track, TrackSet
 if TYPE_CHECKING:
     import pandas as pd
 
+    from graphtrack.table.rows import Rows
+
+    Detected: TypeAlias = TrackSet | Track | str | Path | pd.DataFrame | Mapping[str, Any] | Sequence[Track]
+
 
 def associate(
-    detections: TrackSet | Track | str | Path | pd.DataFrame | Mapping[str, Any] | Sequence[Track],
+    detections: Detected,
     scene: GivenScene = None,
     *,
     model: Model | str | Path | None = None,
@@ -49,12 +53,28 @@ def associate(
     InputError
         If the input cannot be read, or has no detection with a position.
     """
-    if isinstance(detections, str | Path):
-        rows = rows_of_file(detections, None, ReadOptions(fps=fps, **options))
-    elif isinstance(detections, Mapping) or hasattr(detections, "columns"):
-        rows = rows_of_table(detections, fps)  # type: ignore[arg-type]
-    else:
-        tracks = TrackSet((detections,)) if isinstance(detections, Track) else detections
-        rows = rows_of_table(to_columns(tracks if isinstance(tracks, TrackSet) else TrackSet(tuple(tracks))))
     of_model = {} if model is None else Model.named(model).scene
-    return associated(rows, {**of_model, **known_values(scene)})
+    return associated(rows_of(detections, fps=fps, **options), {**of_model, **known_values(scene)})
+
+
+def rows_of(
+    detections: Detected, *, format: str | None = None, fps: float | None = None, **options: Any
+) -> Rows:
+    """The rows of whatever holds detections, with the identities that they have.
+
+    Parameters
+    ----------
+    detections, fps, **options : as in `associate`
+    format : of a file; None: recognised by its content
+
+    Raises
+    ------
+    InputError
+        If the input cannot be read.
+    """
+    if isinstance(detections, str | Path):
+        return rows_of_file(detections, format, ReadOptions(fps=fps, **options))
+    if isinstance(detections, Mapping) or hasattr(detections, "columns"):
+        return rows_of_table(detections, fps)  # type: ignore[arg-type]
+    tracks = TrackSet((detections,)) if isinstance(detections, Track) else detections
+    return rows_of_table(to_columns(tracks if isinstance(tracks, TrackSet) else TrackSet(tuple(tracks))))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,6 +10,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import console, print_table
+from graphtrack.cli.fitted import write_all
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 
@@ -19,9 +20,24 @@ if TYPE_CHECKING:
 
 def fit(
     inputs: options.Inputs,
-    reading: options.Reading,
+    reading: options.SceneReading,
     output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.toml).")],
-    model: options.ModelName = "separate",
+    scene: Annotated[
+        bool,
+        typer.Option(
+            "--scene",
+            help="Learn the scene of tracks: how people come, go, are missed and wrongly detected. Of "
+            "detections without identities it is what is learned anyway.",
+        ),
+    ] = False,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model",
+            help="Where to begin: a preset or a model file (.toml); by default separate, full for a scene.",
+            show_default=False,
+        ),
+    ] = None,
     criterion: Annotated[
         Literal["truth", "evidence", "prediction"] | None,
         typer.Option(
@@ -31,10 +47,16 @@ def fit(
         ),
     ] = None,
     hold_out: Annotated[
-        float, typer.Option("--hold-out", min=0.0, max=0.9, help="Share of the tracks that only judge.")
+        float,
+        typer.Option(
+            "--hold-out",
+            min=0.0,
+            max=0.9,
+            help="Share of the tracks, or for a scene of the recording's end, that only judges.",
+        ),
     ] = 0.25,
     max_frames: Annotated[
-        int, typer.Option("--max-frames", min=2, help="Person-frames to learn from at most.")
+        int, typer.Option("--max-frames", min=2, help="Person-frames to learn from at most; not of a scene.")
     ] = 20_000,
     report: Annotated[
         Path | None, typer.Option("--report", help="Write what changed and what it bought as HTML.")
@@ -42,11 +64,10 @@ def fit(
     json_path: options.Json = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Learn the parameters of a model from tracks, with their truth or without.
+    """Learn the parameters of a model from tracks, by their truth or without; of a scene from detections.
 
     If it is interrupted, the same command goes on from the progress file beside the output.
     """
-    from graphtrack.io import atomic_path
     from graphtrack.learning import fit as learn
 
     if output.suffix != ".toml":
@@ -61,13 +82,22 @@ def fit(
         },
         reading.inputs(inputs, model),
     )
-    tracks = reading.tracks(inputs)
+    rows, are_detections = reading.rows(inputs[0]) if len(inputs) == 1 else (None, False)
+    if scene or are_detections:
+        from graphtrack.cli.fit_scene import learn_scene
+
+        unused = {"--criterion": criterion is not None, "--select": reading.select is not None}
+        learn_scene(rows, reading.associate, model, hold_out, output, report, json_path, unused)
+        return
+    if reading.associate == "auto":
+        reading = replace(reading, associate="never")
+    tracks = reading.tracks(inputs, rows)
     if journal.is_file():
         console.print(f"  going on from {journal}, if it is of the same data and options", markup=False)
     with console.status("learning") as status:
         found = learn(
             tracks,
-            model,
+            model or "separate",
             criterion=criterion,
             hold_out=hold_out,
             seed=seed,
@@ -81,14 +111,11 @@ def fit(
     console.print(caption(found), markup=False)
     for line in advice(found):
         console.print(line, markup=False)
-    console.print(f"wrote {output}", markup=False)
-    if json_path is not None:
-        with atomic_path(json_path) as temporary:
-            temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
-        console.print(f"wrote {json_path}", markup=False)
-    if report is not None:
-        write_page(found, report)
-        console.print(f"wrote {report}", markup=False)
+    tables = {
+        "What changed": parameter_rows(found),
+        "What it bought: log density a frame": score_rows(found),
+    }
+    write_all(output, json_path, report, found.to_dict(), [*advice(found), caption(found)], tables)
 
 
 def parameter_rows(found: Fit) -> list[dict[str, object]]:
@@ -135,16 +162,3 @@ def advice(found: Fit) -> list[str]:
         f"keep the model that it started from ({found.start.preset}), or learn from more than "
         f"{counted(learned, 'track')}."
     ]
-
-
-def write_page(found: Fit, path: Path) -> None:
-    """The tables as one HTML file."""
-    from graphtrack.report.content import DataTable, Note, Report, Section
-    from graphtrack.report.html import write_report
-
-    items: tuple[Note | DataTable, ...] = (
-        *[Note(line) for line in (*advice(found), caption(found))],
-        DataTable.from_records("What changed", parameter_rows(found)),
-        DataTable.from_records("What it bought: log density a frame", score_rows(found)),
-    )
-    write_report(path, Report("Learned parameters", sections=(Section("Learning", items),)))

@@ -1,0 +1,270 @@
+"""`fit_scene`: how people come, go and are detected in a place, from detections or from labelled tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.association import duplicates, facing, learning
+from graphtrack.association.chains import Chains, link_by, unlinked
+from graphtrack.association.detections import Detections
+from graphtrack.association.offline import associate_detections
+from graphtrack.association.rows import detections_of
+from graphtrack.association.tracks import rows_of
+from graphtrack.errors import InputError
+from graphtrack.model import Model
+from graphtrack.scene import SceneParameters
+from graphtrack.simulation.detector import FALSE
+from graphtrack.table.rows import Rows, check_rows
+
+if TYPE_CHECKING:
+    from graphtrack.association.tracks import Detected
+
+ROUNDS = 6
+"""Times that people are found and parameters learned from them, or from given tracks."""
+
+_ANGLES = {
+    "body": ("body_std", "body_turn", "body_outliers", "heading_std"),
+    "head": ("head_std", "head_turn", "head_outliers"),
+}
+SET = ("speed_std", "longest_gap", "longest_filled", "look_ahead")
+"""Parameters that are set, and never learned."""
+
+
+@dataclass(frozen=True)
+class LearnedOfScene:
+    """One parameter: its unit, where it started, and its value; ``note`` says why it was not learned."""
+
+    name: str
+    unit: str
+    start: float
+    value: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a recording, and what was made of it.
+
+    Attributes
+    ----------
+    detections, false, people, seconds : how many, and how long it is
+    before, after : log density a detection, with the parameters at the start and with those learned
+    """
+
+    detections: int
+    false: int
+    people: int
+    seconds: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFit:
+    """What was learned of a scene.
+
+    Attributes
+    ----------
+    model : the given one, with what was learned
+    start : where it began
+    labelled : whether the identities were given; else people were found
+    learned : every parameter that can be learned
+    parts : "learned from" and, where something was held out, "held out"
+    """
+
+    model: Model
+    start: SceneParameters
+    labelled: bool
+    learned: tuple[LearnedOfScene, ...]
+    parts: dict[str, Part]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything in plain types, ready for JSON."""
+        return {
+            "labelled": self.labelled,
+            "model": self.model.to_dict(),
+            "start": asdict(self.start),
+            "learned": [asdict(one) for one in self.learned],
+            "parts": {name: asdict(part) for name, part in self.parts.items()},
+        }
+
+
+def fit_scene(
+    detections: Detected | Rows,
+    model: Model | str | Path | None = None,
+    *,
+    labelled: bool | None = None,
+    hold_out: float = 0.25,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    fps: float | None = None,
+    **options: Any,
+) -> SceneFit:
+    """Learn the parameters of a scene.
+
+    From detections alone: people are found, the parameters under which they are most probable are learned
+    from them, and so on (expectation and maximisation, the former by the most probable explanation). From
+    labelled tracks: the same parameters, of the people who are given.
+
+    Parameters
+    ----------
+    detections : one recording, in any form that `associate` takes. Where identities are given, rows with the
+        identity −1 and tracks with the label "false" are false detections
+    model : what the scene is learned for; its own scene is where learning begins. By default "full"
+    labelled : whether the identities that are there are used; None: if there are any
+    hold_out : share of the recording, at its end, that only judges, in [0, 0.9]
+    progress : called with sweeps done and sweeps in all
+    fps, **options : of reading, as in `associate`
+
+    Returns
+    -------
+    SceneFit
+        Whose model has in its scene what the recording shows; what it does not, such as the noise of
+        detections that all say their own, is left out, to be learned where the model is used.
+
+    Raises
+    ------
+    InputError
+        If the input cannot be read, nobody is found in it, or labels are asked for and not there.
+    """
+    model = Model.named(model)
+    if not 0.0 <= hold_out <= 0.9:
+        raise InputError(f"hold_out = {hold_out!r}", "a share in [0, 0.9]")
+    rows = detections if isinstance(detections, Rows) else rows_of(detections, fps=fps, **options)
+    labelled = rows.has_identity if labelled is None else labelled
+    if labelled and not rows.has_identity:
+        expected = "track_id in some rows at least, to learn a scene from labelled tracks"
+        raise InputError("rows without identities", expected, path=rows.path)
+    recording, given = _recording(rows, labelled)
+    used, judging = _split(recording, hold_out)
+    training = recording.taken(used)
+    start = replace(learning.first_guess(training), **model.scene)
+    if labelled:
+        explained = _Explained.of(training, given[used])
+        found = _climbed(explained, start)
+    else:
+        association = associate_detections(training, progress=progress, start=start, rounds=ROUNDS)
+        explained, found = _Explained.of(training, association.identity), association.scene
+    if explained.identity.max() < 0:
+        raise InputError("nobody in the detections that are learned from", "people", path=rows.path)
+    learned = tuple(_told(explained, labelled, start, found))
+    shown: dict[str, Any] = {one.name: one.value for one in learned if not one.note}
+    best = model.with_scene({**model.scene, **shown})
+    found = replace(start, **shown)
+    parts = {"learned from": explained.part(explained, start, found)}
+    if len(judging):
+        held = recording.taken(judging)
+        before, after = (
+            _Explained.of(held, given[judging] if labelled else associate_detections(held, scene).identity)
+            for scene in (start, found)
+        )
+        parts["held out"] = before.part(after, start, found)
+    return SceneFit(best, start, labelled, learned, parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Explained:
+    """Detections and whose they are: (n,) from 0; −1: false."""
+
+    detections: Detections
+    identity: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, detections: Detections, identity: NDArray[np.int64]) -> _Explained:
+        """With the identities numbered anew, without any left out."""
+        known = identity >= 0
+        numbers = np.full(len(identity), -1)
+        numbers[known] = np.unique(identity[known], return_inverse=True)[1]
+        return cls(detections, numbers)
+
+    @property
+    def std(self) -> NDArray[np.float64]:
+        """(n,) metres that detections say themselves; NaN: they do not."""
+        own = self.detections.channels.get("position_std")
+        return np.full(len(self.detections), np.nan) if own is None else own
+
+    def chains(self, scene: SceneParameters) -> Chains:
+        """The tracks, linked; not filtered yet."""
+        seen = self.detections
+        angles = facing.observed(seen.channels, len(seen))
+        chains = unlinked(seen.t, seen.step, np.ascontiguousarray(seen.position), angles)
+        chains.gain[:] = 0.0
+        chains.variance[:] = np.where(np.isnan(self.std), scene.position_std, self.std) ** 2
+        link_by(chains, self.identity)
+        return chains
+
+    def density(self, scene: SceneParameters) -> float:
+        """Log density a detection."""
+        seconds = self.detections.step_seconds
+        found = learning.log_density(self.chains(scene), self.identity, scene, seconds)
+        return found / len(self.detections)
+
+    def part(self, after: _Explained, start: SceneParameters, found: SceneParameters) -> Part:
+        """This part of a recording, as it was explained before, and as it was after learning."""
+        t, identity = self.detections.t, after.identity
+        false, people = int((identity < 0).sum()), int(identity.max()) + 1
+        seconds = float(t[-1] - t[0])
+        return Part(len(t), false, people, seconds, self.density(start), after.density(found))
+
+
+def _recording(rows: Rows, labelled: bool) -> tuple[Detections, NDArray[np.int64]]:
+    """Detections, and the identities (n,) that they were given, −1: none, or false."""
+    if labelled:
+        check_rows(rows.taken(np.flatnonzero(rows.track_id != -1)))
+    usable, detections = detections_of(rows)
+    false = [identity for identity, label in usable.labels.items() if label == FALSE]
+    nobody = np.isin(usable.track_id, [-1, *false])
+    place = np.unique(usable.track_id, return_inverse=True)[1]
+    return detections, np.where(nobody, -1, place)[detections.row]
+
+
+def _split(recording: Detections, hold_out: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The detections that are learned from, and those at the end that judge, if there are a few frames."""
+    step = recording.step
+    first = round((1.0 - hold_out) * (int(step[-1]) + 1))
+    before, after = np.flatnonzero(step < first), np.flatnonzero(step >= first)
+    enough = all(len(np.unique(step[part])) >= _FEWEST for part in (before, after))
+    return (before, after) if enough else (np.arange(len(step)), after[:0])
+
+
+_FEWEST = 10
+"""Frames that a part of a recording has at least."""
+
+
+def _climbed(explained: _Explained, start: SceneParameters) -> SceneParameters:
+    """The parameters under which given tracks are most probable."""
+    scene, chains = start, explained.chains(start)
+    seconds, identity = explained.detections.step_seconds, explained.identity
+    for _ in range(ROUNDS):
+        scene = duplicates.learned(chains.frame, chains.position, identity, scene)
+        scene = facing.learned(chains, scene, seconds)
+        scene = learning.learned(chains, identity, scene, explained.std, seconds)
+    return scene
+
+
+def _told(
+    explained: _Explained, labelled: bool, start: SceneParameters, found: SceneParameters
+) -> Iterable[LearnedOfScene]:
+    """All parameters that can be learned, and why those were not that the recording does not show."""
+    chains = explained.chains(found)
+    seen = np.isfinite(chains.facing).sum(axis=0)
+    absent = {
+        "position_std": "all detections say their own" * bool(np.isfinite(explained.std).all()),
+        "occlusion_seconds": "no gap in any track" * (not learning.gaps_of(chains, explained.identity).any()),
+    }
+    if labelled and (explained.identity >= 0).all():
+        none = "no row without an identity or with the label 'false'"
+        absent |= dict.fromkeys(("clutter_density", "duplicate_rate", "duplicate_spread"), none)
+    for count, (kind, names) in zip(seen.tolist(), _ANGLES.items(), strict=True):
+        if not count:
+            absent |= dict.fromkeys(names, f"no {kind} observed")
+    for one in fields(SceneParameters):
+        if one.name in SET:
+            continue
+        before, after, note = getattr(start, one.name), getattr(found, one.name), absent.get(one.name, "")
+        yield LearnedOfScene(one.name, one.metadata["unit"], before, before if note else after, note)
