@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from itertools import chain
 from pathlib import Path
@@ -27,21 +28,25 @@ def name_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imported(node: ast.AST) -> Iterator[str]:
+def imported_by(node: ast.AST) -> Iterator[str]:
     """Names that are imported when a module runs, in its functions too; not for a type checker alone."""
-    if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-        return
-    if isinstance(node, ast.Import):
-        yield from (name.name for name in node.names)
-    if isinstance(node, ast.ImportFrom) and node.module:
-        yield from (f"{node.module}.{name.name}" for name in node.names)
-    for child in ast.iter_child_nodes(node):
-        yield from imported(child)
+    left = [node]
+    while left:
+        one = left.pop()
+        if isinstance(one, ast.Import):
+            yield from (name.name for name in one.names)
+        elif isinstance(one, ast.ImportFrom) and one.module:
+            yield from (f"{one.module}.{name.name}" for name in one.names)
+        for_checker = isinstance(one, ast.If) and isinstance(one.test, ast.Name)
+        if not (for_checker and one.test.id == "TYPE_CHECKING") and not isinstance(one, ast.expr):
+            left += ast.iter_child_nodes(one)
 
 
-def trees(folder: str) -> dict[Path, ast.Module]:
-    """The syntax trees of all modules below a folder."""
-    return {path: ast.parse(path.read_text("utf-8")) for path in sorted((ROOT / folder).rglob("*.py"))}
+@cache
+def imports(folder: str) -> dict[Path, list[str]]:
+    """What each module below a folder imports."""
+    modules = sorted((ROOT / folder).rglob("*.py"))
+    return {path: list(imported_by(ast.parse(path.read_text("utf-8")))) for path in modules}
 
 
 def within(name: str) -> set[str]:
@@ -52,11 +57,11 @@ def within(name: str) -> set[str]:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_modules_do_not_import_each_other_in_a_circle(package: str) -> None:
-    known = {name_of(path): tree for path, tree in trees(package).items()}
+    known = {name_of(path): names for path, names in imports(package).items()}
     assert len(known) > 50
     needed = {}
-    for name, tree in known.items():
-        names: set[str] = set().union(*map(within, imported(tree)))
+    for name, imported in known.items():
+        names: set[str] = set().union(*map(within, imported))
         # The packages around a module have begun before it, and it does not wait for their end.
         needed[name] = (names & set(known)) - within(name)
     TopologicalSorter(needed).prepare()  # or CycleError, which names the circle
@@ -66,8 +71,8 @@ def test_graphtrack_knows_nothing_of_perception() -> None:
     def users(of: str, folder: str) -> set[str]:
         return {
             name_of(path)
-            for path, tree in trees(folder).items()
-            if any(name.partition(".")[0] == of for name in imported(tree))
+            for path, names in imports(folder).items()
+            if any(name.partition(".")[0] == of for name in names)
         }
 
     assert users("perception", "graphtrack") == set()
@@ -75,11 +80,11 @@ def test_graphtrack_knows_nothing_of_perception() -> None:
 
 
 def test_test_modules_are_imported_by_nobody() -> None:
-    found = trees("tests")
+    found = imports("tests")
     modules = {path.stem for path in found if path.stem.startswith("test_") or path.stem == "conftest"}
     assert len(modules) > 50
-    for path, tree in found.items():
-        parts = chain.from_iterable(name.split(".") for name in imported(tree))
+    for path, names in found.items():
+        parts = chain.from_iterable(name.split(".") for name in names)
         assert not modules & set(parts), path
 
 

@@ -65,12 +65,14 @@ def seen_in(packed: PackedTracks, model: Model) -> Seen:
 def initial_states(track: Track, model: Model) -> States:
     """Where the optimiser starts; NaN angles for orientations that the model does not have.
 
+    Terms of your own have no part in it: nothing is compiled for them.
+
     Raises
     ------
     SolveError
         If no position was observed.
     """
-    packed = pack([track], model)
+    packed = pack([track], Model(model.preset, model.parameters))
     require_position(track)
     result = empty_result(packed)
     initialise(problem_of(packed), seen_in(packed, model), False, np.empty((3, len(track))), result)

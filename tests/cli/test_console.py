@@ -78,7 +78,7 @@ PHRASES = st.lists(WORDS, min_size=1, max_size=4).map(" ".join)
     st.sampled_from([80, 100, 160]),
     st.data(),
 )
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=20)
 def test_nothing_of_a_table_is_cut(
     headings: dict[str, bool], n: int, width: int, data: st.DataObject
 ) -> None:

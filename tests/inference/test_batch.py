@@ -311,7 +311,7 @@ def test_the_estimate_costs_less_than_start_truth_and_data(preset: str) -> None:
 )
 def test_covariances_are_the_inverse_of_the_exact_curvature(preset: str, situation: str) -> None:
     track, parameters = SITUATIONS[situation]
-    track = track[:6]
+    track = track[:4]
     model = Model(preset, parameters)
     found = smooth_track(track, model, options=EXACTLY).track
     columns = free(model)

@@ -89,7 +89,7 @@ def compare_with_gtsam(seeds: range, presets_each: int, monkeypatch: pytest.Monk
 
 
 def test_the_optimum_is_that_of_gtsams_graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    compare_with_gtsam(range(8), 2, monkeypatch)
+    compare_with_gtsam(range(10), 1, monkeypatch)
 
 
 @pytest.mark.slow
@@ -182,28 +182,31 @@ def grid_course(states: States, track: Track, model: Model, bins: int = 72) -> S
     return replace(states, body=angles[places[:, 0]], head=angles[places[:, 1]])
 
 
-def share_worse_than_the_grid(tracks: int, options: SolverOptions) -> float:
-    worse, models = 0, list(hard_models().values())
+def shares_worse_than_the_grid(tracks: int, *several: SolverOptions) -> list[float]:
+    """Of the hard tracks, those whose course costs more than the best on a grid, with each of the options."""
+    worse, models = [0] * len(several), list(hard_models().values())
     for seed in range(tracks):
         model = models[seed % len(models)]
         kind = "flipped" if seed // len(models) % 2 else "opposed"
         track = contradicted(np.random.default_rng(seed), kind)
-        found = smooth_track(track, model, options=options, engine="chain")
-        states = states_of(found.track)
-        on_grid = model.cost(grid_course(states, track, model), track)
-        worse += model.cost(states, track) > on_grid + 1e-6 * (1.0 + abs(on_grid))
-    return worse / tracks
+        found = [states_of(smooth_track(track, model, options=one, engine="chain").track) for one in several]
+        on_grid = model.cost(grid_course(found[0], track, model), track)
+        for k, states in enumerate(found):
+            worse[k] += model.cost(states, track) > on_grid + 1e-6 * (1.0 + abs(on_grid))
+    return [count / tracks for count in worse]
 
 
 def test_contradictions_do_not_keep_it_from_the_best_course() -> None:
-    assert share_worse_than_the_grid(16, SolverOptions()) == 0.0
-    # Without another start it would be worse on many of the first of each kind: they are hard.
-    assert share_worse_than_the_grid(8, SolverOptions(restart=False)) > 0.2
+    found, without_another_start = shares_worse_than_the_grid(
+        8, SolverOptions(), SolverOptions(restart=False)
+    )
+    assert found == 0.0
+    assert without_another_start > 0.2, "they are not hard"
 
 
 @pytest.mark.slow
 def test_at_most_one_in_a_hundred_hard_tracks_costs_more_than_on_a_grid() -> None:
-    assert share_worse_than_the_grid(300, SolverOptions()) <= 0.01
+    assert shares_worse_than_the_grid(300, SolverOptions())[0] <= 0.01
 
 
 def test_an_orientation_on_the_wrong_side_is_no_solution() -> None:

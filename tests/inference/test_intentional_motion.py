@@ -54,7 +54,7 @@ def compare_with_gtsam(count: int) -> None:
 
 
 def test_the_optimum_is_that_of_gtsams_graph() -> None:
-    compare_with_gtsam(16)
+    compare_with_gtsam(6)
 
 
 @pytest.mark.slow

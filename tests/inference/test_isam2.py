@@ -60,7 +60,7 @@ def test_the_full_history_ends_at_the_batch_answer(preset: str, robust: Any) -> 
 @pytest.mark.parametrize("preset", others_slow(["separate", "joint"], ["joint"]))
 def test_the_window_agrees_with_the_other_windows(preset: str) -> None:
     """They let frames go at the optimum; with the exact curvature there, the kernels' other, or GTSAM's."""
-    track = walk(120, seed=2, noise=0.1, angle_kappa=3.0)
+    track = walk(60, seed=2, noise=0.1, angle_kappa=3.0)
     _, found, covariance = online(track, preset, engine="isam2", lag=2.0, **CONVERGED)
     _, fixed, expected = online(track, preset, engine="fixed-lag", lag=2.0, **CONVERGED)
     _, chain, _ = online(track, preset, engine="chain", lag=2.0)
@@ -73,7 +73,7 @@ def test_the_window_agrees_with_the_other_windows(preset: str) -> None:
 
 @BOTH_MODES
 def test_a_step_touches_no_more_of_a_long_track(lag: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    track = walk(700, seed=1, noise=0.1, angle_kappa=2.0)
+    track = walk(500, seed=1, noise=0.1, angle_kappa=2.0)
     exchanged: list[int] = []
     eliminated: list[int] = []
     update = Isam2._update
@@ -86,10 +86,10 @@ def test_a_step_touches_no_more_of_a_long_track(lag: float | None, monkeypatch: 
     monkeypatch.setattr(Isam2, "_update", spy)
     smoother, _, _ = online(track, "joint", engine="isam2", lag=lag)
     for counts in (exchanged, eliminated):
-        young, old = np.mean(counts[100:300]), np.mean(counts[-200:])
+        young, old = np.mean(counts[100:300]), np.mean(counts[-150:])
         assert old < 1.3 * young
     assert max(eliminated[30:]) < 40
-    assert (len(smoother.history()) == 700) == (lag is None)
+    assert (len(smoother.history()) == 500) == (lag is None)
 
 
 @BOTH_MODES
@@ -112,7 +112,7 @@ def test_a_history_that_turns_round_is_followed(lag: float | None, turn: float) 
 @BOTH_MODES
 def test_the_default_threshold_costs_little_accuracy(lag: float | None) -> None:
     """The default threshold stays far within the uncertainty of what exchanging all finds."""
-    track = walk(150, seed=4, noise=0.1, angle_kappa=2.0)
+    track = walk(80, seed=4, noise=0.1, angle_kappa=2.0)
     _, found, _ = online(track, "joint", engine="isam2", lag=lag)
     _, exact, covariance = online(track, "joint", engine="isam2", lag=lag, relinearize_threshold=1e-6)
     spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
@@ -136,7 +136,7 @@ def test_kernels_and_factors_lead_to_the_same_estimates(
     lag: float | None, seen: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where their curvatures differ, the steps to the optimum do; it is the same in the end."""
-    track = walk(40, seed=6, noise=0.1, angle_kappa=4.0, classes=seen == "classes", uneven=True)
+    track = walk(30, seed=6, noise=0.1, angle_kappa=4.0, classes=seen == "classes", uneven=True)
     _, kernels, spread = online(track, "joint-intentional", engine="isam2", lag=lag, **CONVERGED)
     monkeypatch.setattr(isam, "has_own_kernels", lambda model: True)
     smoother, factors, other = online(track, "joint-intentional", engine="isam2", lag=lag, **CONVERGED)

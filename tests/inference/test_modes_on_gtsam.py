@@ -33,7 +33,7 @@ def side_stepping(seconds: float = 2.0) -> Track:
 
 
 def classified() -> Track:
-    return walk(60, seed=5, noise=0.1, classes=True)
+    return walk(40, seed=5, noise=0.1, classes=True)
 
 
 def unseen_for_a_while() -> Track:
@@ -97,9 +97,9 @@ def test_online_gtsam_is_within_the_uncertainty_of_the_chain(make: Any, engine: 
 
 @GTSAM_ENGINES
 def test_who_side_steps_is_found_out(engine: Any, lag: Any) -> None:
-    track = side_stepping(5.0)
+    track = side_stepping(4.0)
     found, _, modes = online(track, engine=engine, lag=lag)
-    late = track.t > track.t[0] + 3.0
+    late = track.t > track.t[0] + 2.5
     assert modes[late, 0].mean() < 0.3
     assert np.degrees(np.abs(difference(found[late, 4], track.true_body[late]))).mean() < 15.0
 

@@ -76,16 +76,25 @@ SCENES: dict[str, Callable[[int], Track]] = {
 }
 
 
+KEPT = [
+    ("chain", "full", 120),
+    ("chain", "position", 80),
+    ("fixed-lag", "joint", 60),
+    ("fixed-lag", "full", 60),
+]
+QUICK = [
+    (*KEPT[0], "classes"),
+    (*KEPT[0], "pixels"),
+    (*KEPT[1], "pixels"),
+    (*KEPT[2], "pixels"),
+    (*KEPT[3], "classes"),
+]
+
+
 @pytest.mark.parametrize(
-    ("engine", "preset", "n"),
-    [
-        ("chain", "full", 180),
-        ("chain", "position", 80),
-        ("fixed-lag", "joint", 60),
-        ("fixed-lag", "full", 60),
-    ],
+    ("engine", "preset", "n", "scene"),
+    others_slow([(*one, scene) for one in KEPT for scene in SCENES], QUICK),
 )
-@pytest.mark.parametrize("scene", others_slow(SCENES, ["classes", "pixels"]))
 def test_it_goes_on_to_the_last_bit(engine: Any, preset: str, n: int, scene: str) -> None:
     options: dict[str, Any] = {"engine": engine, "lag": 0.5, "camera": CAMERA}
     whole, stopped = OnlineSmoother(preset, **options), OnlineSmoother(preset, **options)

@@ -103,7 +103,7 @@ def assert_same(a: TrackSet, b: TrackSet) -> None:
 
 @pytest.mark.filterwarnings("ignore::graphtrack.errors.InputWarning")
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".ndjson"])
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=20)
 @given(written=tracks())
 def test_files_give_back_the_tracks(suffix: str, written: TrackSet) -> None:
     assert_files_give_back(suffix, written)
@@ -111,7 +111,7 @@ def test_files_give_back_the_tracks(suffix: str, written: TrackSet) -> None:
 
 @pytest.mark.filterwarnings("ignore::graphtrack.errors.InputWarning")
 @pytest.mark.parametrize("suffix", [".csv.gz", ".jsonl.gz"])
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=8)
 @given(written=tracks())
 def test_packed_files_give_back_the_tracks(suffix: str, written: TrackSet) -> None:
     assert_files_give_back(suffix, written)
@@ -128,7 +128,7 @@ def assert_files_give_back(suffix: str, written: TrackSet) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::graphtrack.errors.InputWarning")
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=20)
 @given(written=tracks())
 def test_tables_give_back_the_tracks(written: TrackSet) -> None:
     assert_same(written, TrackSet.from_table(written.to_table()))
@@ -150,7 +150,7 @@ CELL = st.one_of(
 )
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 @given(st.lists(st.tuples(CELL, CELL), min_size=1, max_size=6), st.sampled_from(["\n", "\r\n", "\n\n"]))
 def test_the_fast_reader_of_csv_agrees_with_the_slow_one(rows: list[tuple[str, str]], end: str) -> None:
     text = end.join(["track_id,x,other", *(f"1,{a},{b}" for a, b in rows)])

@@ -22,6 +22,11 @@ PROGRAMS = {"graphtrack": graphtrack.cli.main, "perception": perception.cli.main
 NOT_RUN = ("make ", "pip ")
 """What sets the program up: CI has done so before."""
 SLOW = ("graphtrack reproduce ",)
+SHORTER = {
+    "graphtrack simulate -o tracks.csv": "--steps 60",
+    "graphtrack demo": "--seconds 12",
+}
+"""Added to lines that begin so, unless what takes minutes is run too."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, 
     Parameters
     ----------
     names : of the Python blocks, before and then after them
-    slow : whether lines that take minutes are run too
+    slow : whether lines that take minutes are run too, and all as printed
 
     Returns
     -------
@@ -84,7 +89,10 @@ def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, 
             exec(compile(block.text, "document", "exec"), vars(module))
         for line in block.lines() if block.kind == "sh" else ():
             if not line.startswith(NOT_RUN) and (slow or not line.startswith(SLOW)):
-                written[line] = run_line(line)
+                more = (
+                    [] if slow else [shorter for begin, shorter in SHORTER.items() if line.startswith(begin)]
+                )
+                written[line] = run_line(" ".join([line, *more]))
     names.update(vars(module))
     return written
 
