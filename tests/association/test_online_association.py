@@ -41,7 +41,7 @@ def run(
 
 def test_most_identities_are_right_at_once_and_more_after_revision() -> None:
     once, last = [], []
-    for seed in range(3):
+    for seed in range(2):
         detections, whose = street(np.random.default_rng(seed), people=14, frames=80, miss=0.1, false=0.5)
         at_once, revised, _ = run(detections)
         once.append(idf1(at_once, whose))
@@ -143,10 +143,10 @@ def test_who_is_missed_is_told_where_the_model_expects_them() -> None:
 def test_what_is_forgotten_bounds_the_memory() -> None:
     association = OnlineAssociation(SCENE)
     rng, sizes = np.random.default_rng(6), []
-    for k in range(300):
+    for k in range(200):
         association.update(0.1 * k, rng.uniform(-8.0, 8.0, (4, 2)))
         sizes.append(len(association.chains.t))
-    assert max(sizes[150:]) <= max(sizes[:150]) + 4
+    assert max(sizes[100:]) <= max(sizes[:100]) + 4
 
 
 def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:

@@ -433,11 +433,11 @@ def test_backward_simulation_is_rauch_tung_striebel_on_the_linear_model() -> Non
     track = without(walk(20, noise=0.1, dt=0.3), "position", [6, 7, 8, 9])
     exact = rauch_tung_striebel(track, PARAMETERS)
     runs = [
-        particle_smoother(track, LINEAR, options=options(4000, paths=200), seed=s).track for s in range(6)
+        particle_smoother(track, LINEAR, options=options(4000, paths=200), seed=s).track for s in range(4)
     ]
     mean = np.mean([r.position for r in runs], axis=0)
     online = np.mean(
-        [particle_filter(track, LINEAR, options=options(4000), seed=s).track.position for s in range(6)],
+        [particle_filter(track, LINEAR, options=options(4000), seed=s).track.position for s in range(4)],
         axis=0,
     )
     off = np.linalg.norm(mean - exact.position, axis=1)
@@ -456,7 +456,7 @@ def test_after_a_gap_in_small_steps_it_takes_many_particles_to_be_rauch_tung_str
     def excess(count: int) -> float:
         """Mean squared distance from the exact answer over runs."""
         own = options(count, paths=50)
-        runs = [particle_smoother(track, LINEAR, options=own, seed=s).track.position for s in range(6)]
+        runs = [particle_smoother(track, LINEAR, options=own, seed=s).track.position for s in range(4)]
         return float(np.mean([np.sum((found - exact) ** 2) for found in runs]))
 
     assert excess(6000) < 0.4 * excess(250)

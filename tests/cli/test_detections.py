@@ -79,6 +79,14 @@ def test_streams_do_not_know_of_each_other() -> None:
     assert all("stream" not in row for row in answers([{**row, "stream": None} for row in one]))
 
 
+@pytest.fixture(scope="module")
+def in_two_parts():
+    """Rows, those that follow, and the answers to all of them."""
+    rows = rows_of(3, frames=11)
+    later = [{**one, "t": one["t"] + 4.4, "frame": None} for one in rows]
+    return rows, later, answers([*rows, *later])
+
+
 @pytest.mark.parametrize(
     ("row", "told"),
     [
@@ -91,14 +99,14 @@ def test_streams_do_not_know_of_each_other() -> None:
         ({"end": "now"}, "the time of the frame that ends"),
     ],
 )
-def test_what_cannot_be_used_is_told_and_changes_nothing(row: dict[str, object], told: str) -> None:
-    rows, of = rows_of(3, frames=11), scenes()
-    found = answers([*rows, row, *[{**one, "t": one["t"] + 4.4, "frame": None} for one in rows]], of)
+def test_what_cannot_be_used_is_told_and_changes_nothing(
+    row: dict[str, object], told: str, in_two_parts
+) -> None:
+    rows, later, undisturbed = in_two_parts
+    found = answers([*rows, row, *later])
     (wrong,) = [one for one in found if "error" in one]
     assert told in wrong["error"]
     assert wrong["line"] == len(rows) + 1
-    del wrong
-    undisturbed = answers([*rows, *[{**one, "t": one["t"] + 4.4, "frame": None} for one in rows]])
     assert [one for one in found if "error" not in one] == undisturbed
 
 

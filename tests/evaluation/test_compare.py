@@ -120,14 +120,14 @@ def test_online_and_offline_stand_apart_and_the_caption_says_what_was_used(compa
 
 
 def test_online_methods_do_not_see_the_future(tracks: TrackSet) -> None:
-    track = next(iter(tracks))
+    track = next(iter(tracks))[:24]
     later = track.position.copy()
-    later[31:] += 50.0
+    later[16:] += 50.0
     changed = replace(track, position=later)
     for name in registry:
         method = make_method(name)
         same = np.allclose(
-            method.estimate(track, None).position[:31], method.estimate(changed, None).position[:31]
+            method.estimate(track, None).position[:16], method.estimate(changed, None).position[:16]
         )
         assert same is method.online, name
 

@@ -44,7 +44,7 @@ def test_without_couplings_it_is_the_plain_model() -> None:
 
 def test_couplings_make_people_face_where_they_go() -> None:
     rng = np.random.default_rng(2)
-    people = sample_graph(TRUE, n_tracks=100, n_steps=12, rng=rng, particles=500)
+    people = sample_graph(TRUE, n_tracks=50, n_steps=12, rng=rng, particles=300)
     velocity = np.array([np.diff(one.true_position, axis=0) / 0.1 for one in people])
     body = np.array([one.true_body for one in people])[:, 1:]
     apart = np.abs(difference(body, direction(velocity)))[np.linalg.norm(velocity, axis=2) > 1.0]

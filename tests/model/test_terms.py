@@ -280,7 +280,7 @@ def situation(seed: int, n: int = 3) -> tuple[States, Track]:
     return States(position, velocity, body, head), track
 
 
-def every_situation(case: Case, count: int = 40) -> Iterator[tuple[States, Track]]:
+def every_situation(case: Case, count: int = 16) -> Iterator[tuple[States, Track]]:
     """Situations of a case, away from the kink of the coupling where differences would reach across it."""
     for seed in range(count):
         states, track = situation(seed)
@@ -332,7 +332,7 @@ def test_the_kernels_add_up_to_the_written_density(case: Case) -> None:
 @EVERY_CASE
 def test_gradient_and_curvature_are_the_derivatives_of_the_cost(case: Case) -> None:
     term = case.term(case.parameters)
-    for states, track in every_situation(case, 12):
+    for states, track in every_situation(case, 6):
         packed, rows = packed_alone(term, track, CAMERA), rows_of(states)
         both = np.concatenate([rows[0], rows[1]])
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from selection import others_slow
 
 from graphtrack.errors import InputError
 from perception.evaluation.measures import evaluate
@@ -52,7 +53,10 @@ BUILDERS: dict[str, tuple[Callable[[HeadSet], FeatureClassifier], float]] = {
 }
 
 
-@pytest.fixture(scope="module", params=list(BUILDERS))
+@pytest.fixture(
+    scope="module",
+    params=others_slow(BUILDERS, ["templates", "templates, fisher", "exemplars, weighed filters"]),
+)
 def fitted(request: pytest.FixtureRequest, heads: Heads) -> tuple[FeatureClassifier, float]:
     build, error = BUILDERS[request.param]
     model = build(heads[0])
@@ -285,10 +289,10 @@ def test_without_pytorch_training_is_refused_in_one_line(
 
 
 def test_the_network_of_the_package_meets_its_bars() -> None:
-    made = make_heads(400, np.random.default_rng(99))
+    made = make_heads(200, np.random.default_rng(99))
     scores = evaluate(load_classifier("deep_belief"), made.images, made.pan)
     assert scores.accuracy > 0.75 and scores.within_one > 0.94
-    assert scores.expected_calibration_error < 0.07  # of 400 images; noise alone gives about 0.03
+    assert scores.expected_calibration_error < 0.09  # of 200 images; noise alone gives about 0.04
 
 
 def test_mirror_images_have_the_mirrored_classes() -> None:

@@ -89,14 +89,14 @@ def test_scores_are_the_weighted_votes(weak: Weak) -> None:
 
 @pytest.fixture(scope="module")
 def people() -> People:
-    return make_pedestrians(60, np.random.default_rng(1), EASY), make_pedestrians(
+    return make_pedestrians(40, np.random.default_rng(1), EASY), make_pedestrians(
         10, np.random.default_rng(2), EASY
     )
 
 
 @pytest.fixture(scope="module")
 def fitted(people: People) -> HeadLocaliser:
-    return HeadLocaliser(rounds=60).fit(people[0].images, people[0].head_box)
+    return HeadLocaliser(rounds=40).fit(people[0].images, people[0].head_box)
 
 
 def mean_overlap(model: HeadLocaliser, made: PedestrianSet) -> float:

@@ -108,7 +108,7 @@ def test_projections_keep_distances() -> None:
 def test_rendered_people_are_told_apart_in_boxes_that_are_off(fitted: bool) -> None:
     """The same picture in two boxes of a detector against two people: the area under the ROC curve."""
     people = make_pedestrians(
-        70, np.random.default_rng(5), PedestrianVariation(margin=1.3, offset=0.0, scale=0.0)
+        45, np.random.default_rng(5), PedestrianVariation(margin=1.3, offset=0.0, scale=0.0)
     )
     rng = np.random.default_rng(1)
 

@@ -365,9 +365,9 @@ def test_a_folder_without_people_is_one_line(tmp_path: Path, monkeypatch: pytest
 
 @pytest.fixture(scope="module")
 def long_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A rendered street of 12 frames, whose people have several candidates of the head."""
+    """A rendered street of 8 frames, whose people have several candidates of the head."""
     folder = tmp_path_factory.mktemp("street") / "clip"
-    done = run("simulate", "-o", folder, "--frames", 12, "--seed", 12, "--images")
+    done = run("simulate", "-o", folder, "--frames", 8, "--seed", 12, "--images")
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -389,7 +389,7 @@ def cut(clip: Path, folder: Path, count: int) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("boxes_given", "count"), [(True, 5), (True, 9), pytest.param(False, 7, marks=pytest.mark.slow)]
+    ("boxes_given", "count"), [(True, 3), (True, 5), pytest.param(False, 5, marks=pytest.mark.slow)]
 )
 def test_causal_rows_do_not_change_when_later_frames_are_cut_off(
     long_clip: Path, tmp_path: Path, boxes_given: bool, count: int
