@@ -67,7 +67,7 @@ def constancy(
     """
     later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     ratios = model.log_ratio(descriptors[chains.preceding[later]], descriptors[later])
-    known = np.isfinite(descriptors).all(axis=1)
+    known = np.asarray(np.isfinite(descriptors).all(axis=1))
     both = known[later] & known[chains.preceding[later]]
     return np.where(known, max(float(ratios[both].mean()), 0.0) if both.any() else 0.0, 0.0)
 
