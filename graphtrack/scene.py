@@ -20,6 +20,8 @@ class SceneParameters:
     acceleration_density : q of white-noise acceleration, m²/s³
     speed_std : of a velocity that nothing is known of, m/s on each axis
     position_std : of detections that do not say how noisy they are, m
+    jump_probability : that a detection is further off than that, or where its person is drawn has jumped
+    jump_std : how far, on each axis, m
     detection_probability : of a person in view, in a frame
     occlusion_probability : that a frame is the last one before somebody is hidden
     occlusion_seconds : that one is hidden for, on average
@@ -41,6 +43,8 @@ class SceneParameters:
     acceleration_density: float = number(0.1, 1e-4, 100.0, "m²/s³")
     speed_std: float = number(1.0, 0.05, 30.0, "m/s")
     position_std: float = number(0.1, 1e-4, 100.0, "m")
+    jump_probability: float = number(0.01, 0.0, 0.5)
+    jump_std: float = number(0.5, 0.01, 10.0, "m")
     detection_probability: float = number(0.9, 0.01, 0.999)
     occlusion_probability: float = number(0.01, 1e-6, 0.5)
     occlusion_seconds: float = number(2.0, 0.05, 60.0, "s")
@@ -68,6 +72,8 @@ class SceneParameters:
         return (
             self.acceleration_density,
             self.speed_std**2,
+            self.jump_probability,
+            self.jump_std**2,
             math.log1p(-self.detection_probability),
             math.log(self.occlusion_probability),
             self.occlusion_seconds,

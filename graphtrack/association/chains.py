@@ -23,6 +23,8 @@ class Scene(NamedTuple):
 
     density: float
     speed_variance: float
+    jump_probability: float
+    jump_variance: float
     log_missed: float
     log_hidden: float
     hidden_seconds: float

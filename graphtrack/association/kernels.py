@@ -35,7 +35,11 @@ def missed(frames: int, scene: Scene) -> float:
 def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
     """The state after a later detection of somebody whose state was ``before`` at an earlier one.
 
-    Returns the log density of its place.
+    The place may have jumped: of the two states after that, the one that has their mean and covariance.
+
+    Returns
+    -------
+    The log density of the detection's place.
     """
     dt, q = later.t - earlier.t, scene.density
     p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
@@ -44,11 +48,25 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: Floa
     x, y = before[0] + dt * before[2], before[1] + dt * before[3]
     spread = p + later.variance
     off_x, off_y = later.x - x, later.y - y
+    square = 0.5 * (off_x * off_x + off_y * off_y)
+    wide = spread + scene.jump_variance
+    # More than the exponential holds is added to the logarithm.
+    likelier = square / spread - square / wide
+    beyond = max(likelier - 500.0, 0.0) if scene.jump_probability > 0.0 else 0.0
+    stays = 1.0 - scene.jump_probability
+    odds = scene.jump_probability * spread / (stays * wide) * math.exp(min(likelier, 500.0))
+    share = odds / (1.0 + odds)
     gain, turn = p / spread, pv / spread
+    wide_gain, wide_turn = (p + scene.jump_variance) / wide, pv / wide
+    apart, apart_turn = wide_gain - gain, wide_turn - turn
+    between = share * (1.0 - share) * square
+    gain, turn = gain + share * apart, turn + share * apart_turn
     state[0], state[1] = x + gain * off_x, y + gain * off_y
     state[2], state[3] = before[2] + turn * off_x, before[3] + turn * off_y
-    state[4], state[5], state[6] = p * (1.0 - gain), pv * (1.0 - gain), v - turn * pv
-    return -math.log(2.0 * math.pi * spread) - 0.5 * (off_x * off_x + off_y * off_y) / spread
+    state[4] = p * (1.0 - gain) + share * scene.jump_variance * (1.0 - wide_gain) + between * apart * apart
+    state[5] = pv * (1.0 - gain) + between * apart * apart_turn
+    state[6] = v - turn * pv + between * apart_turn * apart_turn
+    return math.log(stays * (1.0 + odds) / (2.0 * math.pi * spread)) + beyond - square / spread
 
 
 @inlined
@@ -76,7 +94,7 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
 
 @inlined
 def is_within(
-    off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, density: float
+    off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, scene: Scene
 ) -> bool:
     """Whether a detection so far from where somebody would be by then can be theirs.
 
@@ -85,9 +103,10 @@ def is_within(
     off_x, off_y : metres from the predicted place
     dt : seconds since p, pv and v were the person's covariance on each axis
     variance : of the detection, m²
-    density : of white-noise acceleration
     """
-    spread = p + 2.0 * dt * pv + dt * dt * v + density * dt**3 / 3.0 + variance
+    spread = p + 2.0 * dt * pv + dt * dt * v + scene.density * dt**3 / 3.0 + variance
+    if scene.jump_probability > 0.0:
+        spread += scene.jump_variance
     return off_x * off_x + off_y * off_y < GATE * GATE * spread
 
 
@@ -107,7 +126,7 @@ def near_ones(
             continue
         off_x = other.x - state[0] - dt * state[2]
         off_y = other.y - state[1] - dt * state[3]
-        if is_within(off_x, off_y, dt, state[4], state[5], state[6], other.variance, scene.density):
+        if is_within(off_x, off_y, dt, state[4], state[5], state[6], other.variance, scene):
             found[count] = j
             count += 1
     return count

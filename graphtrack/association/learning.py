@@ -194,7 +194,7 @@ def _motion(
     if not names:
         return {}
     lowest, highest = np.log([_MOTION[name] for name in names]).T
-    start = np.log([getattr(scene, name) for name in names])
+    start = np.clip(np.log([max(getattr(scene, name), 1e-9) for name in names]), lowest, highest)
 
     def values(logarithms: FloatArray) -> dict[str, Any]:
         return dict(zip(names, np.exp(np.clip(logarithms, lowest, highest)).tolist(), strict=True))
@@ -208,10 +208,15 @@ def _motion(
         off = logarithms - start
         return -total / max(count, 1) + 0.5 * float(off @ off) / max(count, 1)
 
-    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 60, "xatol": 0.05, "fatol": 1e-4})
+    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 120, "xatol": 0.05, "fatol": 1e-4})
     best = values(found.x)
     return best if unknown.any() else best | {"position_std": scene.position_std}
 
 
-_MOTION = {"acceleration_density": (1e-2, 10.0), "position_std": (0.03, 3.0)}
-"""Least and greatest acceleration density (m²/s³) and standard deviation (m) of people and detectors."""
+_MOTION = {
+    "acceleration_density": (1e-2, 10.0),
+    "position_std": (0.03, 3.0),
+    "jump_probability": (1e-4, 0.2),
+    "jump_std": (0.1, 1.5),
+}
+"""Least and greatest of what is learned of how people move and how they are seen to, in m²/s³, m, 1 and m."""
