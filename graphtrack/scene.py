@@ -20,7 +20,7 @@ class SceneParameters:
     acceleration_density : q of white-noise acceleration, m²/s³
     speed_std : of a velocity that nothing is known of, m/s on each axis
     position_std : of detections that do not say how noisy they are, m
-    jump_probability : that a detection is further off than that, or where its person is drawn has jumped
+    jump_probability : that a detection is further off than that, or its person has jumped or turned abruptly
     jump_std : how far, on each axis, m
     detection_probability : of a person in view, in a frame
     occlusion_probability : that a frame is the last one before somebody is hidden

@@ -35,7 +35,8 @@ def missed(frames: int, scene: Scene) -> float:
 def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
     """The state after a later detection of somebody whose state was ``before`` at an earlier one.
 
-    The place may have jumped: of the two states after that, the one that has their mean and covariance.
+    The place may have jumped, after which nothing is known of the velocity: of the two states after that, the
+    one that has their mean and covariance.
 
     Returns
     -------
@@ -65,7 +66,7 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: Floa
     state[2], state[3] = before[2] + turn * off_x, before[3] + turn * off_y
     state[4] = p * (1.0 - gain) + share * scene.jump_variance * (1.0 - wide_gain) + between * apart * apart
     state[5] = pv * (1.0 - gain) + between * apart * apart_turn
-    state[6] = v - turn * pv + between * apart_turn * apart_turn
+    state[6] = v - turn * pv + share * scene.speed_variance + between * apart_turn * apart_turn
     return math.log(stays * (1.0 + odds) / (2.0 * math.pi * spread)) + beyond - square / spread
 
 
