@@ -28,6 +28,7 @@ from graphtrack.evaluation.reproduce.caviar_people import (
     relabelled_rate,
     with_noise,
 )
+from graphtrack.evaluation.reproduce.experiment import ISAM2
 from graphtrack.evaluation.statistics import travel_velocity
 from graphtrack.geometry.angles import difference, direction, unit, wrap
 from graphtrack.model import Model
@@ -139,6 +140,10 @@ def test_every_method_predicts_the_same_frames() -> None:
     assert found["graph joint"][0] == pytest.approx(found["kf fitted"][0], rel=0.2)
     assert found["graph joint"][1] == pytest.approx(found["kf fitted"][1], rel=0.2)
     assert found["kf"] == own_outcome(track, IntentionalParameters(), steered=False)
+    # iSAM2 has the same graph, and a step an observation.
+    for method in GRAPHS:
+        assert found[f"{method}{ISAM2}"] == pytest.approx(found[method], rel=0.05)
+        assert found[f"{method}{ISAM2}"] != found[method]
 
 
 def test_without_recordings_it_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ from graphtrack.evaluation.reproduce.caviar_people import (
     relabelled_rate,
 )
 from graphtrack.evaluation.reproduce.experiment import (
+    ISAM2,
     Cell,
     Experiment,
     Progress,
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RATES = (1.0, 0.8, 0.6)
-METHODS = ("printed", "consistent", "kf fitted", "intentional", *GRAPHS)
+DRAWN = ("printed", "consistent", "kf fitted", "intentional", *GRAPHS)
+METHODS = (*DRAWN, *(f"{name}{ISAM2}" for name in GRAPHS))
 OWN = ("printed", "consistent")
 """000's filters with its parameters."""
 
@@ -248,7 +250,7 @@ def _figure(found: Outcomes, controls: Sequence[ControlGain]) -> Figure:
     x = np.arange(len(RATES), dtype=float)
     for measure, axes in enumerate(grid[0]):
         axes.axhline(1.0, color=NEUTRAL_COLOUR, linewidth=1.0, zorder=1)
-        shown = METHODS if measure == 0 else OWN
+        shown = DRAWN if measure == 0 else OWN
         for k, method in enumerate(shown):
             values = [spread(gains(found, rate, method)[measure]) for rate in RATES]
             middle, half = np.array([value[:2] for value in values], dtype=float).T

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from graphtrack.baselines.intentional import OWN_FILTERS, IntentionalParameters, intentional_filter
 from graphtrack.baselines.intentional_continuous import intentional_states
-from graphtrack.evaluation.reproduce.experiment import LAG, Progress, Settings, quietly
+from graphtrack.evaluation.reproduce.experiment import ISAM2, LAG, Progress, Settings, quietly
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
 from graphtrack.evaluation.statistics import head_deviation
 from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.inference import track_online
+from graphtrack.inference.online import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.tracks import Track
 
@@ -182,7 +184,9 @@ def outcomes(track: Track, fitted: Fitted) -> dict[str, tuple[float, float]]:
         error = prediction_error(states.predicted_mean[0, :, :2], track)
         found[name] = error, float(np.nansum(states.log_likelihood))
     blind = replace(track, true_position=None, true_head=None)
-    for name, model in fitted.graphs.items():
-        predicted, logs = one_step_ahead(track_online(blind, model, lag=LAG), track, model)
-        found[name] = prediction_error(predicted, track), float(np.nansum(logs))
+    engines: dict[str, OnlineEngine] = {"": "chain", ISAM2: "isam2"}
+    for (name, model), (suffix, engine) in product(fitted.graphs.items(), engines.items()):
+        estimate = track_online(blind, model, engine=engine, lag=LAG)
+        predicted, logs = one_step_ahead(estimate, track, model)
+        found[name + suffix] = prediction_error(predicted, track), float(np.nansum(logs))
     return found
