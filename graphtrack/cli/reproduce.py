@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,7 @@ from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.reproduce import Reproduction
+    from graphtrack.evaluation.reproduce.experiment import Table
 
 BESIDE = Path("..") / "shared" / "data"
 """Where recordings are looked for when nobody says where they are."""
@@ -46,7 +48,6 @@ def reproduce(
 ) -> None:
     """Run an experiment of the papers again: tables with their numbers beside ours, and a page of figures."""
     from graphtrack.evaluation.reproduce import Settings, all_experiments
-    from graphtrack.io import atomic_path
 
     experiments = all_experiments()
     if name != "all" and name not in experiments:
@@ -67,16 +68,15 @@ def reproduce(
     if folder is None:
         console.print("no recordings: simulated people only; --data names a folder of them", markup=False)
     settings = Settings(quick=quick, seed=seed, data=folder)
-    tables = []
+    tables: list[Table] = []
     for experiment in chosen.values():
         console.print(f"{experiment.name}: {experiment.source}", markup=False)
         with input_warnings_as_notes(), progress_bar(experiment.work(settings), "parts") as advance:
             found = experiment.run(settings, advance)
         write(found, out, experiment.quick if quick else "")
-        tables += [table.to_dict() for table in found.tables]
+        tables += found.tables
     if json_path is not None:
-        with atomic_path(json_path) as temporary:
-            Path(temporary).write_text(json.dumps(tables, indent=1, ensure_ascii=False), encoding="utf-8")
+        write_tables(json_path, tables)
         console.print(f"wrote {json_path}", markup=False)
 
 
@@ -100,7 +100,14 @@ def write(found: Reproduction, folder: Path, quick: str = "") -> None:
     page, numbers = folder / f"{found.name}.png", folder / f"{found.name}.json"
     with atomic_path(page) as temporary:
         found.figure.savefig(temporary, format="png", dpi=120)
-    with atomic_path(numbers) as temporary:
-        tables = [table.to_dict() for table in found.tables]
-        Path(temporary).write_text(json.dumps(tables, indent=1, ensure_ascii=False), encoding="utf-8")
+    write_tables(numbers, found.tables)
     console.print(f"wrote {page} and {numbers}", markup=False)
+
+
+def write_tables(path: Path, tables: Sequence[Table]) -> None:
+    """Tables as JSON: title, columns and rows of each."""
+    from graphtrack.io import atomic_path
+
+    text = json.dumps([table.to_dict() for table in tables], indent=1, ensure_ascii=False)
+    with atomic_path(path) as temporary:
+        Path(temporary).write_text(text, encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,9 +10,12 @@ import numpy as np
 import typer
 
 from graphtrack.cli.console import console, print_table
-from graphtrack.cli.options import Seed, check_outputs
+from graphtrack.cli.options import Json, Seed, check_outputs
 
 _TABLES = ("pose", "localisation", "recognition", "joint", "published")
+
+Show = Callable[[str, Sequence[Mapping[str, Any]]], None]
+"""Takes the title and the rows of a table."""
 
 
 def evaluate(
@@ -36,32 +40,43 @@ def evaluate(
     plot: Annotated[
         Path | None, typer.Option("--plot", help="Picture of reliability and confusion to write (.png).")
     ] = None,
+    json_path: Json = None,
     seed: Seed = 1000,
 ) -> None:
     """Judge the package's models on rendered people whom they were not trained on, as the papers do."""
+    from graphtrack.cli.reproduce import write_tables
     from graphtrack.errors import InputError
+    from graphtrack.evaluation.reproduce.experiment import Table
 
     for name in tables or ():
         if name not in _TABLES:
             raise InputError(f"table {name!r}", f"one of {', '.join(_TABLES)}")
-    check_outputs({"--plot": plot})
+    check_outputs({"--plot": plot, "--json": json_path})
     wanted = tables or _TABLES
     if plot is not None and "pose" not in wanted:
         raise InputError("--plot without the table pose", "pose among the tables")
-    rng = np.random.default_rng(seed)
-    if "pose" in wanted:
-        _pose(count, rng, plot)
-    if "localisation" in wanted:
-        _localisation(count, train, rng)
-    if "recognition" in wanted:
-        _recognition(rng)
-    if "joint" in wanted:
-        _joint(clips, head_pose, rng)
-    if "published" in wanted:
-        _published_forms(count, train, rng)
+    shown: list[Table] = []
+
+    def show(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        print_table(title, rows)
+        shown.append(Table.of(title, rows))
+
+    makers: dict[str, Callable[[np.random.Generator], None]] = {
+        "pose": lambda rng: _pose(count, rng, plot, show),
+        "localisation": lambda rng: _localisation(count, train, rng, show),
+        "recognition": lambda rng: _recognition(rng, show),
+        "joint": lambda rng: _joint(clips, head_pose, rng, show),
+        "published": lambda rng: _published_forms(count, train, rng, show),
+    }
+    for name, make in makers.items():
+        if name in wanted:
+            make(np.random.default_rng(seed))  # a table is the same alone and among others
+    if json_path is not None:
+        write_tables(json_path, shown)
+        console.print(f"wrote {json_path}", markup=False)
 
 
-def _pose(count: int, rng: np.random.Generator, plot: Path | None) -> None:
+def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -> None:
     from perception.evaluation.measures import PoseScores
     from perception.evaluation.measures import evaluate as judge
     from perception.models import HEAD_POSE, load_classifier
@@ -85,10 +100,10 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None) -> None:
         scores.setdefault(name, result)
         degrees.setdefault(name, np.rad2deg(model.classes.pan))
         rows.append({"classifier": name, "images": what, **result.figures()})
-    print_table(f"Errors and calibration on {count} rendered images each", rows)
+    show(f"Errors and calibration on {count} rendered images each", rows)
     network = scores["deep_belief"]
     hits, false_alarms = network.rates
-    print_table(
+    show(
         "deep_belief, heads of 16-32 pixels: confusion in percent and rates (000 Fig. 3)",
         [
             {
@@ -115,7 +130,7 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None) -> None:
         console.print(f"wrote {plot}", markup=False)
 
 
-def _localisation(count: int, train: int, rng: np.random.Generator) -> None:
+def _localisation(count: int, train: int, rng: np.random.Generator, show: Show) -> None:
     from perception.models import load_head_localiser
     from perception.pose.head_detector import Weak
     from perception.pose.heads import HeadLocaliser
@@ -133,7 +148,7 @@ def _localisation(count: int, train: int, rng: np.random.Generator) -> None:
         _published("differential, paper (real pictures)", 0.60, 0.64, 2.3),
         _published("Fisher, paper (real pictures)", 0.58, 0.65, 3.0),
     ]
-    print_table(f"Head localisation on {count} rendered people (002 Table 1)", rows)
+    show(f"Head localisation on {count} rendered people (002 Table 1)", rows)
 
 
 def _published(name: str, first: float, best: float, candidates: float) -> dict[str, Any]:
@@ -141,15 +156,15 @@ def _published(name: str, first: float, best: float, candidates: float) -> dict[
     return {"head localiser": name, **figures}
 
 
-def _published_forms(count: int, train: int, rng: np.random.Generator) -> None:
+def _published_forms(count: int, train: int, rng: np.random.Generator, show: Show) -> None:
     from perception.evaluation.published import published_beside_ours
 
     for name, rows in published_beside_ours(train, count, rng).items():
         title = f"{name}: ours and 002's as printed, both trained on {train} rendered images"
-        print_table(title, rows)
+        show(title, rows)
 
 
-def _recognition(rng: np.random.Generator) -> None:
+def _recognition(rng: np.random.Generator, show: Show) -> None:
     from perception.evaluation.recognition import recognition_table
 
     for title, people, exemplars, repetitions in (
@@ -157,7 +172,7 @@ def _recognition(rng: np.random.Generator) -> None:
         ("70 people train, 70 test, 5 splits (004 Table 3)", 140, (1, 2, 3, 4), 5),
     ):
         rows, confusion = recognition_table(people, exemplars, rng, repetitions=repetitions)
-        print_table(
+        show(
             f"Recognition of 9 pans: {title}",
             [
                 {
@@ -171,7 +186,7 @@ def _recognition(rng: np.random.Generator) -> None:
         )
         if repetitions == 1:
             pans = [f"{degree:g}" for degree in np.arange(-90.0, 91.0, 22.5)]
-            print_table(
+            show(
                 "Confusion in percent, 2 exemplars, saturated (004 Table 2)",
                 [
                     {"true_deg": pan, **dict(zip(pans, row.tolist(), strict=True))}
@@ -180,7 +195,7 @@ def _recognition(rng: np.random.Generator) -> None:
             )
 
 
-def _joint(count: int, head_pose: str, rng: np.random.Generator) -> None:
+def _joint(count: int, head_pose: str, rng: np.random.Generator, show: Show) -> None:
     from graphtrack.evaluation.reproduce.chen_joint import PAPER
     from perception.evaluation.joint_effect import joint_effect
     from perception.models import load_classifier, load_head_localiser
@@ -193,5 +208,5 @@ def _joint(count: int, head_pose: str, rng: np.random.Generator) -> None:
         of_paper = dict(zip(("body_deg", "head_deg"), values, strict=True))
         blank = dict.fromkeys(rows[0], "")
         rows.append({**blank, "estimate": f"paper, {name}", "group": "online", **of_paper})
-    print_table(f"Mean errors on {count} rendered clips, heads by {head_pose} (002 Table 2)", rows)
+    show(f"Mean errors on {count} rendered clips, heads by {head_pose} (002 Table 2)", rows)
     console.print("  the paper's separate filtering is joint-body (κ₂ = 0); ±: standard error", markup=False)

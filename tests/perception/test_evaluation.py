@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -133,11 +134,15 @@ def test_the_experiment_on_pixels_has_the_papers_numbers_and_ours() -> None:
 
 @pytest.mark.slow
 def test_the_pose_table_and_its_picture(tmp_path: Path) -> None:
-    done = run("evaluate", "pose", "--count", 50, "--plot", tmp_path / "p.png")
+    written = tmp_path / "t.json"
+    done = run("evaluate", "pose", "--count", 50, "--plot", tmp_path / "p.png", "--json", written)
     assert done.returncode == 0, done.stderr
     for text in ("templates", "exemplars", "deep_belief", "body_pose", "TPR", "FPR"):
         assert text in done.stdout
     assert cv2.imread(str(tmp_path / "p.png")) is not None
+    errors, confusion = json.loads(written.read_text(encoding="utf-8"))
+    assert {row[0] for row in errors["rows"]} == {"templates", "exemplars", "deep_belief", "body_pose"}
+    assert errors["columns"][2] == "mean_error_deg" and len(confusion["rows"]) == 8
 
 
 def test_wrong_tables_are_refused(tmp_path: Path) -> None:
