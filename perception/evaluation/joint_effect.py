@@ -110,7 +110,7 @@ METHODS: Mapping[str, Method] = {
     "particle": Method("online", _particle, _SEPARATE_AND_JOINT, seeds=3),
     "particle, eq. 12–14": Method("online", _in_image, _SEPARATE_AND_JOINT, seeds=3),
     "graph, chain": Method("online", _chain),
-    "graph, isam2": Method("online", _isam2, _SEPARATE_AND_JOINT),
+    "graph, isam2": Method("online", _isam2),
     "smoother": Method("offline", _smoother),
     "smoother, heads of the whole track": Method("offline", _whole),
 }
