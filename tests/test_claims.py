@@ -7,7 +7,7 @@ from claim import Claim, Results, Shown, numbers
 from documents import ROOT
 from stated import CLAIMS
 
-from graphtrack.evaluation.reproduce import EXPERIMENTS
+from graphtrack.evaluation.reproduce import all_experiments
 
 PAGE = """
 | method | error |
@@ -27,7 +27,7 @@ TABLES = [
 def test_the_page_has_the_numbers_that_are_compared(claim: Claim) -> None:
     shown = claim.shown(ROOT)
     assert shown and all(shown.values())
-    assert claim.command in EXPERIMENTS
+    assert claim.command in all_experiments() or claim.command.startswith("perception evaluate ")
 
 
 def test_numbers_are_read_as_pages_write_them() -> None:

@@ -1,4 +1,4 @@
-"""Measure what README and docs state, at full size: ``python tests/claims/check.py [EXPERIMENT…]``.
+"""Measure what README and docs state, at full size: ``python tests/claims/check.py [COMMAND…]``.
 
 Tables that are in the folder ``claims`` already are not measured again; remove it to begin anew.
 """
@@ -13,15 +13,19 @@ from pathlib import Path
 from claim import Results
 from stated import CLAIMS
 
+from graphtrack.evaluation.reproduce import all_experiments
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def results_of(command: str, folder: Path) -> Results:
-    """The tables of an experiment, which is run where they are not in the folder."""
-    path = folder / f"{command}.json"
+    """The tables of an experiment, or of a command line, which is run where they are not in the folder."""
+    path = folder / f"{command.replace(' ', '_')}.json"
     if not path.is_file():
-        line = ["-m", "graphtrack", "reproduce", command, "--out", str(folder / command), "--json", str(path)]
-        subprocess.run([sys.executable, *line], check=True)
+        line = command.split()
+        if command in all_experiments():
+            line = ["graphtrack", "reproduce", command, "--out", str(folder / command)]
+        subprocess.run([sys.executable, "-m", *line, "--json", str(path)], check=True)
     return Results(json.loads(path.read_text(encoding="utf-8")))
 
 

@@ -76,7 +76,7 @@ class Claim:
     Attributes
     ----------
     page : its path from the root
-    command : the experiment that measures it (`graphtrack reproduce`)
+    command : experiment that measures it (`graphtrack reproduce`), or a command line that has ``--json``
     measured : what was, by label of a line
     header : how the table begins whose lines they are; None: the labels are text, with {} for the numbers
     labels : that text
