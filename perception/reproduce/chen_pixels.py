@@ -109,7 +109,13 @@ def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> 
     top, bottom = parts[0], parts[1]
     grid = top.subplots(2, len(found), sharex=True, sharey="row", squeeze=False)
     draw_errors(grid, found, GROUPS, rng)
-    grid[0, 0].legend(frameon=False, fontsize=8, ncols=2)
+    top.legend(
+        *grid[0, 0].get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=3,
+        frameon=False,
+        fontsize=8,
+    )
     draw_sheet(bottom, sheet)
     return figure
 

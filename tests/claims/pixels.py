@@ -168,7 +168,14 @@ def chen_pixels(results: Results) -> Measured:
 
 
 TEMPLATES = "joint, body and head are {} and {} (particle filter), {} and {} (`chain`), {} and {} (offline)"
-WITH_FULL = "whose modes are of no use to people who face where they go, has {} and {} online"
+WITH_FULL = (
+    "whose modes are of no use to people who face where they go, has {} and {} online (`isam2` {} and {}), and "
+    "{} and {} offline"
+)
+HEADS_GAIN = "takes {}–{}° off the head's error online (`templates`: {}–{}°), and {}–{}° offline"
+CAUSAL = (
+    "*worse* by {}° ({} … {}; `templates` {}°, {} … {}), smoothed jointly the difference is {}° ({} … {})"
+)
 
 
 def chen_pixels_said(results: Results) -> Measured:
@@ -183,7 +190,29 @@ def chen_pixels_said(results: Results) -> Measured:
         for method in ("particle", "graph, chain", "smoother")
         for error in errors("templates", method, "joint")
     ]
-    return {TEMPLATES: found, WITH_FULL: errors("deep_belief", "graph, chain", "full")}
+    methods = ("graph, chain", "graph, isam2", "smoother")
+    full = [error for method in methods for error in errors("deep_belief", method, "full")]
+    return {TEMPLATES: found, WITH_FULL: full}
+
+
+def chen_pixels_differences(results: Results) -> Measured:
+    """What the joint estimate takes off the head's error, and what causal heads cost it."""
+    title, what = "Paired differences", "joint − joint-body"
+    rows = results.rows(title, difference=what)
+    online = {
+        data: [-_values(row["head (°)"])[0] for row in rows if row["data"] == data and not _offline(row)]
+        for data in ("deep_belief", "templates")
+    }
+    offline = [-_values(row["head (°)"])[0] for row in rows if _offline(row)]
+    gains = [end for values in (*online.values(), offline) for end in (min(values), max(values))]
+    whole = "heads of the whole track − causal heads"
+    jointly = results.row(title, data="deep_belief", method="smoother", difference=f"{whole}, joint")
+    costs = [*results.rows(title, method="per frame", difference=whole), jointly]
+    return {HEADS_GAIN: gains, CAUSAL: [value for row in costs for value in _values(row["head (°)"])]}
+
+
+def _offline(row: Record) -> bool:
+    return str(row["method"]).startswith("smoother")
 
 
 def chen_image(results: Results) -> Measured:
@@ -337,6 +366,7 @@ PIXELS: tuple[Claim, ...] = (
     Claim(TRACKERS, "ba-mixed-state", still_heads, labels=(STILL, TABLE_2)),
     Claim(PERCEPTION, "chen-pixels", chen_pixels, "| online, heads by `deep_belief`"),
     Claim(PERCEPTION, "chen-pixels", chen_pixels_said, labels=(TEMPLATES, WITH_FULL)),
+    Claim(PERCEPTION, "chen-pixels", chen_pixels_differences, labels=(HEADS_GAIN, CAUSAL)),
     Claim(PERCEPTION, f"{EVALUATE} localisation --train 250 --count 400", localisation, "| 002 Table 1"),
     Claim(PERCEPTION, f"{EVALUATE} recognition", recognition, "| 004 Tables 1 and 3"),
     Claim(PERCEPTION, f"{EVALUATE} pose --count 400", pose, "| pose |"),
