@@ -169,8 +169,8 @@ def chen_pixels(results: Results) -> Measured:
 
 TEMPLATES = "joint, body and head are {} and {} (particle filter), {} and {} (`chain`), {} and {} (offline)"
 WITH_FULL = (
-    "whose modes are of no use to people who face where they go, has {} and {} online (`isam2` {} and {}), and "
-    "{} and {} offline"
+    "whose modes are of no use to people who face where they go, has {} and {} online (`isam2` {} and {}), "
+    "and {} and {} offline"
 )
 HEADS_GAIN = "takes {}–{}° off the head's error online (`templates`: {}–{}°), and {}–{}° offline"
 CAUSAL = (

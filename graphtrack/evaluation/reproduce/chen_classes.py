@@ -11,6 +11,7 @@ import numpy as np
 
 from graphtrack.baselines.particle.filter import ParticleOptions, particle_filter
 from graphtrack.evaluation.reproduce import chen_image
+from graphtrack.evaluation.reproduce.chen_engines import LAG, OTHERS, engine_table
 from graphtrack.evaluation.reproduce.chen_joint import (
     ANGLES,
     POSITION_STD,
@@ -42,9 +43,6 @@ from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, TrackSet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-LAG = 2.0
-"""Seconds that the online graphs keep open, as `graphtrack track` does."""
 
 FLIPPED, AT_RANDOM = 0.2, 0.1
 """Shares of the answers that take front for back, and that are any class."""
@@ -144,13 +142,16 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "Answers in the image: classes of the angles at which a camera 3 m above the ground sees them, "
         "judged there at each particle's position (eq. 13–14 as printed), or turned to the world once, where "
         "the position was observed; of the first people only.",
+        "Every online engine: the people of the first source.",
     )
     in_image = replace(
         detail(pictured, chen_image.GROUPS, rng), title="Answers in the image of a camera (eq. 13–14)"
     )
+    whole = detail(found, GROUPS, rng)
+    engines = engine_table(found[0], next(iter(everyone.values())), settings.rng(98), progress)
     return Reproduction(
         "chen-classes",
-        (detail(found, GROUPS, rng), in_image, beside(found, GROUPS, BESIDE)),
+        (whole, in_image, engines, beside(found, GROUPS, BESIDE)),
         _figure(found, rng),
         notes,
     )
@@ -168,8 +169,9 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
 
 def work(settings: Settings) -> int:
     """Estimates."""
-    total = 0
-    for tracks in people(settings).values():
+    total, everyone = 0, people(settings)
+    total += len(OTHERS) * len(next(iter(everyone.values())))
+    for tracks in everyone.values():
         total += 1  # answers in the image
         for method in METHODS:
             presets = len(PRESETS) + (method in WITH_MODES)
