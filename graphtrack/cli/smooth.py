@@ -23,7 +23,10 @@ def smooth(
     model: options.BestModelName = None,
     engine: Annotated[
         Literal["auto", "chain", "gtsam"],
-        typer.Option("--engine", help="auto takes chain, which is compiled, where it can."),
+        typer.Option(
+            "--engine",
+            help="auto takes chain, which is compiled, where it can; isam2 and fixed-lag are for track.",
+        ),
     ] = "auto",
     jobs: Annotated[
         int | None,

@@ -238,6 +238,21 @@ def chen_classes(results: Results) -> Measured:
     return found
 
 
+def online_engines(results: Results) -> Measured:
+    """Errors of `joint` on people who walk, by engine; times are not compared."""
+    labels = {
+        "chain (default)": ("chain", 0, 2),
+        "isam2": ("isam2", 1, 1),  # before them the 2 of iSAM2
+        "isam2 --lag none": ("isam2, full history", 0, 4),
+        "fixed-lag": ("fixed-lag", 0, 1),
+    }
+    found: dict[str, list[float | None]] = {}
+    for label, (method, before, after) in labels.items():
+        rows = [results.row("Every online engine", angle=angle, method=method) for angle in ("body", "head")]
+        found[label] = [*[None] * before, *(row["error (°)"] for row in rows), *[None] * after]
+    return found
+
+
 CLAIMS: Sequence[Claim] = (
     Claim("README.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
     Claim("README.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"),
@@ -251,5 +266,6 @@ CLAIMS: Sequence[Claim] = (
     Claim("README.md", "chen-joint", chen_joint, "| body | observed |"),
     Claim("README.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
     Claim("docs/engine.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
+    Claim("README.md", "chen-classes", online_engines, "| engine | | body, head, online"),
     *PIXELS,
 )
