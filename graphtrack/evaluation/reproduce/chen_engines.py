@@ -10,7 +10,7 @@ import numpy as np
 from graphtrack.evaluation.reproduce.chen_joint import ANGLES, Scores
 from graphtrack.evaluation.reproduce.chen_tables import detail
 from graphtrack.evaluation.reproduce.experiment import Progress, Table
-from graphtrack.geometry.angles import mean_absolute_error
+from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.inference import track_online
 from graphtrack.inference.online import OnlineEngine
 from graphtrack.model import Model
@@ -40,8 +40,9 @@ def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, prog
     tracks : the people
     rng : source of the intervals' resampling
     """
-    errors = {("observation", "", angle): known.errors["observation", "", angle] for angle in ANGLES}
+    errors: dict[tuple[str, str, str], FloatArray] = {}
     for angle in ANGLES:
+        errors["observation", "", angle] = known.errors["observation", "", angle]
         for name, method in KNOWN.items():
             errors[_PRESET, name, angle] = known.errors[_PRESET, method, angle]
     model = Model(_PRESET)
