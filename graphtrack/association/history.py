@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from graphtrack.association import duplicates, facing, learning, places
 from graphtrack.association.chains import Chains, IntArray, link_by, unlinked
+from graphtrack.association.looks import widened
+from graphtrack.association.looks_online import Looks, of_tracks
+from graphtrack.association.notes import NOBODY, Notes
+from graphtrack.association.packing import packed, unpacked
 from graphtrack.association.places import Places
-from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.state import from_text, to_text
 from graphtrack.scene import Known, SceneParameters
 
-NOBODY = -1
 LEARNED_AT = (50, 200, 800, 3200, 12800)
 """Detections after which the scene's parameters are learned; then after as many more as the last."""
 
@@ -27,21 +27,24 @@ class History:
     """The newest detections that were decided upon, for parameters to be learned from."""
 
     def __init__(self) -> None:
-        self.t, self.std = np.zeros(0), np.zeros(0)
-        self.position, self.facing = np.zeros((0, 2)), np.zeros((0, 2))
+        self.t, self.std, self.score = np.zeros(0), np.zeros(0), np.zeros(0)
+        self.position, self.facing, self.descriptor = np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0))
         self.frame, self.owner = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self.count, self.times = 0, 0
 
-    def add(self, chains: Chains, std: FloatArray, owner: IntArray, first: int, end: int) -> None:
+    def add(self, chains: Chains, notes: Notes, owner: IntArray, first: int, end: int) -> None:
         """Remember the detections ``first`` up to ``end``, and forget as many where there are too many."""
         new = {
             "t": chains.t,
-            "std": std,
+            "std": notes.std,
+            "score": notes.score,
+            "descriptor": notes.descriptor,
             "position": chains.position,
             "facing": chains.facing,
             "frame": chains.frame,
             "owner": owner,
         }
+        self.descriptor = widened(self.descriptor, notes.descriptor.shape[1])
         for name, values in new.items():
             setattr(self, name, np.concatenate([getattr(self, name), values[first:end]])[-REMEMBERED:])
         self.count += end - first
@@ -67,8 +70,14 @@ class History:
 
     def learned(
         self, scene: SceneParameters, step_seconds: float, known: Known
-    ) -> tuple[SceneParameters, Places]:
-        """The parameters that the remembered tracks speak for but those known; where people come and go."""
+    ) -> tuple[SceneParameters, Places, Looks]:
+        """What the remembered tracks say.
+
+        Returns
+        -------
+        The parameters that they speak for but those known, where people come and go, and what looks and
+        scores are worth.
+        """
         self.times += 1
         chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
         chains.gain[:] = 0.0
@@ -78,30 +87,6 @@ class History:
         link_by(chains, identity)
         scene = duplicates.learned(chains.frame, self.position, identity, scene, known)
         scene = learning.learned(chains, identity, scene, self.std, step_seconds, known)
-        return facing.learned(chains, scene, step_seconds, known), places.learned(chains, identity)
-
-
-def packed(values: NDArray[Any]) -> list[Any]:
-    """An array as JSON-able data: its shape, its kind and its numbers."""
-    return [list(values.shape), values.dtype.kind, to_text(values)]
-
-
-def unpacked(saved: list[Any]) -> NDArray[Any]:
-    """The inverse of `packed`."""
-    shape, kind, text = saved
-    # Whole numbers as large as these are doubles of their own.
-    return from_text(text).reshape(shape).astype(np.int64 if kind == "i" else float)
-
-
-def pack_records(records: NDArray[np.void]) -> dict[str, list[Any]]:
-    """Records as JSON-able data, field by field."""
-    return {name: packed(np.ascontiguousarray(records[name])) for name in records.dtype.names or ()}
-
-
-def unpack_records(saved: Mapping[str, list[Any]], kind: np.dtype[np.void]) -> NDArray[np.void]:
-    """The inverse of `pack_records`."""
-    fields = {name: unpacked(values) for name, values in saved.items()}
-    records = np.zeros(len(next(iter(fields.values()))), kind)
-    for name, values in fields.items():
-        records[name] = values
-    return records
+        scene = facing.learned(chains, scene, step_seconds, known)
+        shown = of_tracks(chains, identity, self.descriptor, self.score)
+        return scene, places.learned(chains, identity), shown

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from graphtrack.association.appearance import AppearanceModel
 from graphtrack.association.chains import Chains, Scene
@@ -15,6 +18,8 @@ _TAUGHT_SECONDS = 0.6
 """Two detections of one person teach what stays the same if they are no further apart."""
 _APART = 1.0
 """Metres between two detections of a frame beyond which they show two people."""
+_PRIOR = 5.0
+"""Pairs of false detections that looks tell nothing of, until more are seen."""
 _BINS = 6
 """Into which scores are put, as many in each."""
 
@@ -47,17 +52,22 @@ def compared(
 ) -> tuple[Chains, Scene]:
     """Chains and scene that compare looks as the model does."""
     looks = np.ascontiguousarray(model.whitened(descriptors))
-    scene = scene._replace(looks_offset=model.offset, looks_slope=model.slope, looks_outliers=model.outlier)
-    return chains._replace(looks=looks), scene
+    return chains._replace(looks=looks), in_scene(scene, model)
+
+
+def in_scene(scene: Scene, model: AppearanceModel) -> Scene:
+    """A scene that compares looks as the model does."""
+    return scene._replace(looks_offset=model.offset, looks_slope=model.slope, looks_outliers=model.outlier)
 
 
 def constancy(
     chains: Chains, identity: NDArray[np.int64], model: AppearanceModel, descriptors: FloatArray
-) -> FloatArray:
-    """(n,) log ratio that looks bring on average where nobody changed; 0: the detection has no descriptor.
+) -> float:
+    """Log ratio that looks bring on average where nobody changed; at least 0.
 
     What is false resembles itself from frame to frame as much as a person does, when it is a thing or a part
-    of somebody: looks tell who is who, and not whether there is anybody.
+    of somebody: looks tell who is who, and not whether there is anybody. So a detection with a descriptor
+    has as much less to gain.
 
     Parameters
     ----------
@@ -67,24 +77,79 @@ def constancy(
     """
     later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     ratios = model.log_ratio(descriptors[chains.preceding[later]], descriptors[later])
-    known = np.asarray(np.isfinite(descriptors).all(axis=1))
-    both = known[later] & known[chains.preceding[later]]
-    return np.where(known, max(float(ratios[both].mean()), 0.0) if both.any() else 0.0, 0.0)
+    has = known(descriptors)
+    both = has[later] & has[chains.preceding[later]]
+    return max(float(ratios[both].mean()), 0.0) if both.any() else 0.0
 
 
-def score_ratio(score: FloatArray, identity: IntArray) -> FloatArray:
-    """Log of how much more probable each score (n,) is of people than of false detections; 0: not scored.
+def resemblance_of_false_ones(
+    chains: Chains, identity: NDArray[np.int64], model: AppearanceModel, descriptors: FloatArray
+) -> float:
+    """Log ratio that looks bring on average where a false detection follows a near one; at least 0.
 
-    By shares of those who are thought to be either, with as much doubt as a few detections outweigh.
+    Detections have as much less to gain: `constancy`, as who decides at once can measure it. There
+    links are made because looks agree, so that the mean of those of people would rise by itself.
+
+    Parameters
+    ----------
+    chains : the detections, in the order of time
+    identity, model, descriptors : as in `constancy`
     """
-    known = np.isfinite(score)
-    if known.sum() < 10 * _BINS or np.ptp(score[known]) == 0.0:
-        return np.zeros(len(score))
-    edges = np.unique(np.quantile(score[known], np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
-    place, bins = np.searchsorted(edges, score[known], "right"), len(edges) + 1
-    person = identity[known] >= 0
-    shares = [np.bincount(place[side], minlength=bins) + 3.0 for side in (person, ~person)]
-    ratio = np.log(shares[0] / shares[0].sum()) - np.log(shares[1] / shares[1].sum())
-    found = np.zeros(len(score))
-    found[known] = ratio[place]
-    return found
+    false = np.flatnonzero((identity < 0) & known(descriptors))
+    if not len(false):
+        return 0.0
+    # Frames far apart on a third axis, as in `duplicates.near`.
+    step = np.array([0.0, 0.0, 10.0 * _APART])
+    places = np.column_stack([chains.position[false], step[2] * chains.frame[false]])
+    distance, before = cKDTree(places).query(places - step, distance_upper_bound=_APART)
+    later = np.flatnonzero(np.isfinite(distance))
+    ratios = model.log_ratio(descriptors[false[before[later]]], descriptors[false[later]])
+    return max(float(ratios.sum()) / (len(ratios) + _PRIOR), 0.0)
+
+
+def known(descriptors: FloatArray) -> NDArray[np.bool_]:
+    """Whether each detection (n,) has a descriptor."""
+    return np.asarray(np.isfinite(descriptors).all(axis=1))
+
+
+def widened(descriptors: FloatArray, size: int) -> FloatArray:
+    """Descriptors (n, size): those given, or none of anybody where they have no numbers yet."""
+    return descriptors if descriptors.shape[1] == size else np.full((len(descriptors), size), np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreRatio:
+    """How much more probable scores are of people than of false detections.
+
+    Attributes
+    ----------
+    edges : (bins − 1,) between the bins into which scores are put
+    ratio : (bins,) log of how much more probable each is of people; none: scores say nothing
+    """
+
+    edges: FloatArray = field(default_factory=lambda: np.zeros(0))
+    ratio: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def learned(cls, score: FloatArray, identity: IntArray) -> ScoreRatio:
+        """By shares of those who are thought to be either, with as much doubt as a few detections outweigh.
+
+        Parameters
+        ----------
+        score : (n,), NaN where there is none
+        identity : (n,) of each detection; −1: false
+        """
+        known = np.isfinite(score)
+        if known.sum() < 10 * _BINS or np.ptp(score[known]) == 0.0:
+            return cls()
+        edges = np.unique(np.quantile(score[known], np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
+        place, bins = np.searchsorted(edges, score[known], "right"), len(edges) + 1
+        person = identity[known] >= 0
+        shares = [np.bincount(place[side], minlength=bins) + 3.0 for side in (person, ~person)]
+        return cls(edges, np.log(shares[0] / shares[0].sum()) - np.log(shares[1] / shares[1].sum()))
+
+    def of(self, score: FloatArray) -> FloatArray:
+        """Log ratio (n,) of scores (n,); 0: not scored."""
+        if not len(self.ratio):
+            return np.zeros(len(score))
+        return np.where(np.isfinite(score), self.ratio[np.searchsorted(self.edges, score, "right")], 0.0)

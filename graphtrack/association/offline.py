@@ -183,9 +183,10 @@ class _Search(Moves):
         false = scene.clutter_density * clutter + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
         if self._looks is not None and self._descriptors is not None:
-            self.chains.gain[:] -= looks.constancy(self.chains, identity, self._looks, self._descriptors)
+            each = looks.constancy(self.chains, identity, self._looks, self._descriptors)
+            self.chains.gain[:] -= each * looks.known(self._descriptors)
         if self._score is not None and (identity >= 0).any():
-            self.chains.gain[:] += looks.score_ratio(self._score, identity)
+            self.chains.gain[:] += looks.ScoreRatio.learned(self._score, identity).of(self._score)
         self.filter_from(0)
 
     def learned(self) -> SceneParameters:

@@ -15,9 +15,13 @@ import numpy as np
 from graphtrack.association import duplicates, learning
 from graphtrack.association.chains import DETECTION, Chains, IntArray, Scene, unlinked
 from graphtrack.association.detections import Detections
-from graphtrack.association.history import NOBODY, History, pack_records, packed, unpack_records, unpacked
+from graphtrack.association.history import History
 from graphtrack.association.kernels import missed
+from graphtrack.association.looks import widened
+from graphtrack.association.looks_online import Looks
 from graphtrack.association.moves import Moves
+from graphtrack.association.notes import NOBODY, Notes
+from graphtrack.association.packing import pack_records, packed, unpack_records, unpacked
 from graphtrack.association.places import Places
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -64,44 +68,6 @@ class Decision:
     revised: tuple[Revision, ...]
 
 
-@dataclass
-class _Notes:
-    """What is known of the n detections beside their chains.
-
-    Attributes
-    ----------
-    std : metres that a detection says itself; NaN: it does not
-    place : of it in its update
-    said : track id that was last said of it
-    number : track id of the track that begins with it, once there is one
-    before : detections of its track that are forgotten by now
-    clutter : how many times the mean rate detections are false there
-    """
-
-    std: FloatArray
-    place: IntArray
-    said: IntArray
-    number: IntArray
-    before: IntArray
-    clutter: FloatArray
-
-    @classmethod
-    def of(cls, std: FloatArray, clutter: FloatArray) -> _Notes:
-        """Of the detections of a new frame."""
-        n = len(std)
-        nobody = np.full(n, NOBODY)
-        return cls(std, np.arange(n), nobody, nobody.copy(), np.zeros(n, np.int64), clutter)
-
-    def extended(self, new: _Notes) -> _Notes:
-        """With those of further detections."""
-        both = zip(vars(self).values(), vars(new).values(), strict=True)
-        return _Notes(*(np.concatenate(pair) for pair in both))
-
-    def of_some(self, some: IntArray) -> _Notes:
-        """Those of some detections."""
-        return _Notes(*(values[some] for values in vars(self).values()))
-
-
 class OnlineAssociation(Moves):
     """Who is who, frame by frame.
 
@@ -119,12 +85,18 @@ class OnlineAssociation(Moves):
         empty, none = np.zeros(0), np.zeros(0, np.int64)
         nowhere = np.zeros((0, 2))
         super().__init__(unlinked(empty, none, nowhere, nowhere.copy()), Scene(*self.scene.packed(1.0)))
-        self._notes = _Notes.of(empty, empty)
+        self._notes = Notes.of(empty, empty, empty, np.zeros((0, 0)))
         self._first: list[int] = []  # detection of each frame that can be revised, oldest first
         self._history = History()
         self._places: Places | None = None
+        self._looks = Looks()
         self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
+
+    @property
+    def descriptor_size(self) -> int:
+        """How many numbers the descriptors of looks have; 0: none has come so far."""
+        return int(self._notes.descriptor.shape[1])
 
     @property
     def step_seconds(self) -> float:
@@ -145,6 +117,7 @@ class OnlineAssociation(Moves):
             "places": None
             if self._places is None
             else [packed(grid) for grid in vars(self._places).values()],
+            "looks": self._looks.state(),
             "counts": [self._next, self.updates],
             "last": self._last if self.updates else None,
             "intervals": self._intervals,
@@ -164,14 +137,15 @@ class OnlineAssociation(Moves):
         rows, *others = state["chains"]
         found.chains = Chains(unpack_records(rows, DETECTION), *(unpacked(saved) for saved in others))
         found.link_p = unpacked(state["link_p"])
-        found._notes = _Notes(**{name: unpacked(text) for name, text in state["notes"].items()})
+        found._notes = Notes(**{name: unpacked(text) for name, text in state["notes"].items()})
         found._first, found._intervals = list(state["first"]), list(state["intervals"])
         found._history = History.from_state(state["history"])
         if state["places"] is not None:
             found._places = Places(*(unpacked(grid) for grid in state["places"]))
+        found._looks = Looks.from_state(state["looks"])
         found._next, found.updates = state["counts"]
         found._last = -np.inf if state["last"] is None else state["last"]
-        found.packed = Scene(*found.scene.packed(found.step_seconds))
+        found._pack()
         return found
 
     def open_detections(self) -> list[tuple[tuple[int, int], int]]:
@@ -205,6 +179,8 @@ class OnlineAssociation(Moves):
         position: FloatArray,
         std: FloatArray | None = None,
         facing: FloatArray | None = None,
+        score: FloatArray | None = None,
+        descriptor: FloatArray | None = None,
     ) -> Decision:
         """Take in a frame's detections.
 
@@ -214,24 +190,35 @@ class OnlineAssociation(Moves):
         position : (n, 2) metres; n may be 0
         std : (n,) metres, NaN where unknown
         facing : (n, 2) radians, body and head as they were observed; NaN: not observed
+        score : (n,) how sure the detector was, in its own units; NaN: it does not say
+        descriptor : (n, d) what each looks like, NaN where that is not known; d is the same in all frames
 
         Raises
         ------
         InputError
-            If time does not increase, or a position is not finite. Nothing has changed then.
+            If time does not increase, a position is not finite or descriptors have another size than before.
+            Nothing has changed then.
         """
         position = np.asarray(position, float).reshape(-1, 2)
         self.check_time(t)
         if not np.isfinite(position).all():
             raise InputError("a detection without a position", "both of its coordinates")
         n = len(position)
+        shown = (
+            np.full((n, self.descriptor_size), np.nan)
+            if descriptor is None
+            else np.asarray(descriptor, float)
+        )
+        if shown.ndim != 2 or shown.shape[1] != (self.descriptor_size or shown.shape[1]):
+            raise InputError(f"descriptors of shape {shown.shape}", f"(n, {self.descriptor_size or 'd'})")
         if self.updates:
             self._intervals = [*self._intervals[-24:], t - self._last]
         self._last = t
         self._forget(t)
         std = np.full(n, np.nan) if std is None else np.asarray(std, float)
         angles = np.full((n, 2), np.nan) if facing is None else np.asarray(facing, float)
-        first = self._append(t, position, std, angles)
+        scores = np.full(n, np.nan) if score is None else np.asarray(score, float)
+        first = self._append(t, position, angles, Notes.of(std, np.ones(n), scores, shown))
         self.updates += 1
         self._learn()
         self._prepare()
@@ -241,7 +228,7 @@ class OnlineAssociation(Moves):
         ends = [*self._first[1:], len(self.chains.t)]
         ages = next(some for least, some in AGES.items() if self.step_seconds >= least)
         for age in ages:
-            if age < len(ends):
+            if age < len(self._first):
                 begin, end = self._first[-1 - age], ends[-1 - age]
                 self.move(begin, end)
                 self.filter_from(end)
@@ -255,17 +242,19 @@ class OnlineAssociation(Moves):
 
     # -- one step ------------------------------------------------------------------------------------------
 
-    def _append(self, t: float, position: FloatArray, std: FloatArray, facing: FloatArray) -> int:
+    def _append(self, t: float, position: FloatArray, facing: FloatArray, notes: Notes) -> int:
         """Put a frame's detections behind the others; where they begin."""
         chains, n, first = self.chains, len(position), len(self.chains.t)
         new = unlinked(np.full(n, t), np.full(n, self.updates), position, facing)
-        clutter = np.ones(n)
+        if self._looks.model is not None:
+            new = new._replace(looks=self._looks.model.whitened(notes.descriptor))
         if self._places is not None:
-            births, deaths, clutter = self._places.at(position)
+            births, deaths, notes.clutter = self._places.at(position)
             new.birth[:], new.death[:] = np.log(births), np.log(deaths)
         self.chains = Chains(*(np.concatenate(both) for both in zip(chains, new, strict=True)))
         self.link_p = np.concatenate([self.link_p, np.ones(n)])
-        self._notes = self._notes.extended(_Notes.of(std, clutter))
+        self._notes.descriptor = widened(self._notes.descriptor, notes.descriptor.shape[1])
+        self._notes = self._notes.extended(notes)
         if n:
             self._first.append(first)
         return first
@@ -281,7 +270,7 @@ class OnlineAssociation(Moves):
         root, value = self.roots()
         number, times = self._notes.number[root], self._times()
         owner = np.where(value[root] > 0.0, number, NOBODY)
-        self._history.add(chains, self._notes.std, owner, open_before, settled)
+        self._history.add(chains, self._notes, owner, open_before, settled)
         following = chains.following[:settled]
         heads = (following < 0) | (following >= settled)
         heads &= chains.t[:settled] >= t - self.scene.longest_gap
@@ -302,7 +291,7 @@ class OnlineAssociation(Moves):
 
     def _prepare(self) -> None:
         """Variances and gains of the frames that can be revised, and their tracks filtered anew."""
-        self.packed = Scene(*self.scene.packed(self.step_seconds))
+        self._pack()
         chains = self.chains
         if not self._first:
             return
@@ -311,9 +300,12 @@ class OnlineAssociation(Moves):
         chains.variance[first:] = np.where(np.isnan(std), self.scene.position_std, std) ** 2
         self._weigh_duplicates()
 
+    def _pack(self) -> None:
+        self.packed = self._looks.in_scene(Scene(*self.scene.packed(self.step_seconds)))
+
     def _weigh_duplicates(self) -> None:
         """What detections gain as a person's: less where they are near somebody who is detected already."""
-        chains, first = self.chains, self._first[0]
+        chains, notes, first = self.chains, self._notes, self._first[0]
         root, value = self.roots()
         track = np.where(value[root] > 0.0, root, NOBODY)
         times = np.zeros(len(root), np.int64)
@@ -321,8 +313,9 @@ class OnlineAssociation(Moves):
         near = duplicates.density(
             chains.frame[first:], chains.position[first:], track[first:], self.scene, times
         )
-        false = self.scene.clutter_density * self._notes.clutter[first:] + near
+        false = self.scene.clutter_density * notes.clutter[first:] + near
         chains.gain[first:] = np.log(self.scene.detection_probability) - np.log(false)
+        chains.gain[first:] += self._looks.gain(notes.descriptor[first:], notes.score[first:])
         self.filter_from(first)
 
     def _times(self) -> IntArray:
@@ -363,7 +356,10 @@ class OnlineAssociation(Moves):
         if not len(chains.t):
             return
         if history.is_due():
-            self.scene, self._places = history.learned(self.scene, self.step_seconds, self.known)
+            found = history.learned(self.scene, self.step_seconds, self.known)
+            self.scene, self._places, self._looks = found
+            if self._looks.model is not None:
+                self.chains = chains._replace(looks=self._looks.model.whitened(self._notes.descriptor))
         elif not history.times:
             guess = learning.first_guess(Detections(chains.frame, chains.t, chains.position))
             self.scene = replace(guess, **self.known)

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.association.facing import observed
 from graphtrack.association.online import Decision, OnlineAssociation, Revision
+from graphtrack.association.shown import descriptors_of, facing_of, scores_of, to_smooth
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.observed import checked
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother
 from graphtrack.inference.state import DAMAGES, Estimate, damaged, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
@@ -109,22 +110,29 @@ class OnlineTracker:
         Parameters
         ----------
         t : seconds, after those of the update before; any step
-        detections : observations, whose own times do not matter, or positions (n, 2) in metres; none is fine
+        detections : observations, whose own times do not matter, or positions (n, 2) in metres; none is fine.
+            What they look like is their input ``appearance``, of one size in all frames
 
         Raises
         ------
         InputError
-            If time does not increase or a detection has no position. Nothing has changed then.
+            If time does not increase, a detection has no position or cannot be used, or a descriptor of
+            looks has another size than before. Nothing has changed then.
         """
         seen = [self.on_the_ground(one, t) for one in detections]
         position = np.array([one.position for one in seen], float).reshape(-1, 2)
+        descriptors = descriptors_of(seen, self.descriptor_size)
         std = [math.nan if one.position_std is None else one.position_std for one in seen]
-        # Nobody knows better how noisy they are than who saw them follow each other.
-        seen = [replace(one, position_std=one.position_std or self.scene.position_std) for one in seen]
-        association = self._association
-        decision = association.update(t, position, np.array(std), _facing(seen))
+        association, noise = self._association, self.scene.position_std
+        decision = association.update(
+            t, position, np.array(std), facing_of(seen), scores_of(seen), descriptors
+        )
         number = association.updates - 1
-        self._seen |= {(number, place): one for place, one in enumerate(seen)}
+        # Nobody knows better how noisy they are than who saw them follow each other.
+        self._seen |= {
+            (number, place): replace(to_smooth(one), position_std=one.position_std or noise)
+            for place, one in enumerate(seen)
+        }
         owners, hidden = association.open_detections(), association.hidden()
         # Who is hidden sees an empty frame, in which the model predicts.
         self._seen[number, UNSEEN] = Observation(t=t)
@@ -170,6 +178,11 @@ class OnlineTracker:
     def updates(self) -> int:
         """Frames that were taken in."""
         return self._association.updates
+
+    @property
+    def descriptor_size(self) -> int:
+        """How many numbers the descriptors of looks have; 0: none has come so far."""
+        return self._association.descriptor_size
 
     def check_time(self, t: float) -> None:
         """Raise InputError unless a frame may come at a time (seconds)."""
@@ -236,7 +249,7 @@ class OnlineTracker:
         Raises
         ------
         InputError
-            If it has none at all.
+            If it has none at all, or cannot be used.
         """
         if not isinstance(detection, Observation):
             x, y = (float(value) for value in detection)
@@ -246,7 +259,7 @@ class OnlineTracker:
             detection = replace(detection, position=(x, y))
         if detection.position is None:
             raise InputError("a detection without a position", "x and y in metres, or u, v and a camera")
-        return replace(detection, t=t)
+        return checked(replace(detection, t=t))
 
 
 @dataclass
@@ -256,17 +269,3 @@ class _Person:
     smoother: OnlineSmoother
     estimate: Estimate | None = None
     keys: list[Key] = field(default_factory=list)
-
-
-def _facing(seen: Sequence[Observation]) -> FloatArray:
-    """Observed body and head, (n, 2) radians; NaN where there is none."""
-    channels: dict[str, FloatArray] = {}
-    for name in ("body", "head"):
-        angles = [getattr(one, name) for one in seen]
-        channels[name] = np.array([math.nan if angle is None else angle for angle in angles])
-        classes = [getattr(one, f"{name}_likelihood") for one in seen]
-        size = next((len(one) for one in classes if one is not None), 0)
-        if size:
-            none = (math.nan,) * size
-            channels[f"{name}_likelihood"] = np.array([none if one is None else one for one in classes])
-    return observed(channels, len(seen))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
+from graphtrack.association.shown import descriptors_of
 from graphtrack.association.tracker import OnlineTracker
 from graphtrack.cli.stream import Told, error_row, estimate_row, observation_of, text_of
 from graphtrack.errors import InputError
@@ -114,6 +115,8 @@ class Scenes:
         tracker = self._make() if frame is None else frame.tracker
         one = tracker.on_the_ground(one, one.t)
         tracker.check_time(one.t)
+        size = tracker.descriptor_size
+        descriptors_of([one] if size or frame is None else [*frame.seen, one], size)
         if frame is None:
             frame = Frame(tracker)
         self.before_change(name)

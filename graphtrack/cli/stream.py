@@ -123,6 +123,7 @@ def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
         "position": _pair(cells, "x", "y"),
         "position_std": cells.get("pos_std"),
         "pixel": _pair(cells, "u", "v"),
+        "score": cells.get("score"),
     }
     for name, n_classes in _CLASSES.items():
         degrees = cells.get(f"{name}_deg")

@@ -34,6 +34,7 @@ class Observation:
     head_kappa: float | None = None
     body_likelihood: tuple[float, ...] | None = None
     head_likelihood: tuple[float, ...] | None = None
+    score: float | None = None
     inputs: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
 
 

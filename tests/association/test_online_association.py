@@ -97,6 +97,14 @@ def test_empty_frames_and_changing_rates_are_fine_and_bad_ones_change_nothing() 
     assert tracker.update(t + 0.4, [(1.2 * (t + 0.4), 0.0)])[0].observed
 
 
+def test_nobody_for_long_is_fine_and_so_is_a_beginning_with_nobody() -> None:
+    tracker = gt.OnlineTracker("position", scene=SCENE)
+    for k in range(40):
+        people = tracker.update(0.4 * k, [(0.4 * k, 0.0)] if 5 < k < 12 or k > 35 else [])
+        assert len(people) == 1 if 9 < k < 12 else len(people) <= 1
+    assert people[0].observed
+
+
 def test_estimates_are_those_of_a_smoother_that_knew_who_is_who() -> None:
     """Revised identities included: what is taken back leaves no trace."""
     detections, _ = street(np.random.default_rng(5), people=6, frames=40, noise=0.05)

@@ -29,6 +29,12 @@ def rows_of(seed: int, frames: int = 20, **more: object) -> list[dict[str, objec
     ]
 
 
+def looks_of(k: int) -> dict[str, float]:
+    """Some descriptor and score of detection k."""
+    shown = np.random.default_rng(k).random(4).tolist()
+    return {"score": shown[3]} | {f"appearance_{i}": value for i, value in enumerate(shown[:3])}
+
+
 def scenes() -> Scenes:
     return Scenes(lambda: OnlineTracker("position", scene=SCENE), None)
 
@@ -82,7 +88,7 @@ def test_streams_do_not_know_of_each_other() -> None:
 @pytest.fixture(scope="module")
 def in_two_parts():
     """Rows, those that follow, and the answers to all of them."""
-    rows = rows_of(3, frames=11)
+    rows = [row | looks_of(k) for k, row in enumerate(rows_of(3, frames=11))]
     later = [{**one, "t": one["t"] + 4.4, "frame": None} for one in rows]
     return rows, later, answers([*rows, *later])
 
@@ -96,6 +102,8 @@ def in_two_parts():
         ({"t": 3.0, "x": 1.0, "y": 1.0}, "a time from 4 on"),
         ({"t": 4.0, "x": 1.0, "y": 1.0, "track_id": 3}, "--associate always"),
         ({"t": 4.0, "x": 1.0, "y": 1.0, "stream": [1]}, "stream = "),
+        ({"t": 4.0, "x": 1.0, "y": 1.0, "appearance_0": 1.0}, "a descriptor of 1 numbers"),
+        ({"t": 4.0, "x": 1.0, "y": 1.0, "score": -1.0}, "score"),
         ({"end": "now"}, "the time of the frame that ends"),
     ],
 )
@@ -116,7 +124,8 @@ class Killed(BaseException):
 
 @pytest.mark.parametrize("kills_wanted", [3, pytest.param(100, marks=pytest.mark.slow)])
 def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path: Path, kills_wanted) -> None:
-    given = sorted(rows_of(4, frames=60, stream="a") + rows_of(5, frames=60), key=lambda row: row["t"])
+    named = [row | looks_of(k) for k, row in enumerate(rows_of(4, frames=60, stream="a"))]
+    given = sorted(named + rows_of(5, frames=60), key=lambda row: row["t"])
     lines, state = [json.dumps(row).encode() + b"\n" for row in given], tmp_path / "state"
     rng, kills = np.random.default_rng(1), 0
     told: dict[int, list[str]] = {}

@@ -42,6 +42,34 @@ def street(
     return detections, whose[detections.row]
 
 
+def looks_of(rng: np.random.Generator, whose: np.ndarray, size: int = 8, noise: float = 0.3) -> np.ndarray:
+    """(n, size) descriptors of the detections of people (n,), much as the person's others; −1: of nobody."""
+    people = rng.normal(0.0, 1.0, (whose.max() + 1, size))
+    of_nobody = rng.normal(0.0, 1.0, (len(whose), size))
+    shown = np.where(whose[:, None] >= 0, people[whose], of_nobody)
+    return shown + rng.normal(0.0, noise, shown.shape)
+
+
+def met_behind_a_pillar(rng: np.random.Generator, people: int = 8) -> tuple[Detections, np.ndarray]:
+    """Two who meet where nobody sees them, and turn back; others walk elsewhere. Whose each detection is.
+
+    The two come out where either would if they had gone on: by their motion each is taken for the other.
+    """
+    rows, owners = [], []
+    for k in range(50):
+        along = abs(0.4 * 1.2 * (k - 35))
+        for person in range(people):
+            rows.append((k, 0.3 * k, 6.0 + 4.0 * person))
+            owners.append(person)
+        if along > 1.5:
+            rows += [(k, along, 0.0), (k, -along, 0.0)]
+            owners += [people, people + 1]
+    table = np.array(rows)
+    frame = table[:, 0].astype(np.int64)
+    detections = Detections(frame, 0.4 * frame, table[:, 1:] + rng.normal(0.0, 0.05, (len(table), 2)))
+    return detections, np.array(owners)[detections.row]
+
+
 def idf1(found: np.ndarray, whose: np.ndarray) -> float:
     """F1 of the detections under the best pairing of tracks with people."""
     both = (found >= 0) & (whose >= 0)

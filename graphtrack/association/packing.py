@@ -1,0 +1,37 @@
+"""Arrays and records as JSON-able data, and back to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.inference.state import from_text, to_text
+
+
+def packed(values: NDArray[Any]) -> list[Any]:
+    """An array as JSON-able data: its shape, its kind and its numbers."""
+    return [list(values.shape), values.dtype.kind, to_text(values)]
+
+
+def unpacked(saved: list[Any]) -> NDArray[Any]:
+    """The inverse of `packed`."""
+    shape, kind, text = saved
+    # Whole numbers as large as these are doubles of their own.
+    return from_text(text).reshape(shape).astype(np.int64 if kind == "i" else float)
+
+
+def pack_records(records: NDArray[np.void]) -> dict[str, list[Any]]:
+    """Records as JSON-able data, field by field."""
+    return {name: packed(np.ascontiguousarray(records[name])) for name in records.dtype.names or ()}
+
+
+def unpack_records(saved: Mapping[str, list[Any]], kind: np.dtype[np.void]) -> NDArray[np.void]:
+    """The inverse of `pack_records`."""
+    fields = {name: unpacked(values) for name, values in saved.items()}
+    records = np.zeros(len(next(iter(fields.values()))), kind)
+    for name, values in fields.items():
+        records[name] = values
+    return records
