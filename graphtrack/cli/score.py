@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from graphtrack.evaluation.tracking.judge import Pair
     from graphtrack.evaluation.tracking.scores import SequenceScore, Threshold, TrackingScore
     from graphtrack.table.rows import Rows
+    from graphtrack.tracks import TrackSet
 
 
 def score(
@@ -56,6 +57,15 @@ def score(
         ),
     ] = None,
     json_path: options.Json = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            help="Write an HTML report too: figures, replay, and a timeline with every switch; of one "
+            "sequence, on the ground.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Judge tracks against the truth: HOTA, IDF1, MOTA, identity switches.
 
@@ -66,10 +76,18 @@ def score(
     from graphtrack.io.pairs import paired_files
 
     threshold = threshold_of(metres, iou)
-    options.check_outputs({"--json": json_path}, reading.inputs([*inputs, *truth]))
+    if report is not None and threshold.measure == "iou":
+        raise InputError("--report and --iou", "one of them: the report shows places on the ground")
+    outputs = {"--json": json_path, "--report": report}
+    options.check_outputs(outputs, reading.inputs([*inputs, *truth]))
     pairs = paired_files(inputs, truth)
-    found = judge(_read(pairs, reading, threshold), threshold)
+    if report is not None and len(pairs) > 1:
+        raise InputError(f"--report of {len(pairs)} sequences", "one sequence: a file and its truth")
+    read: list[tuple[TrackSet, TrackSet]] = []
+    found = judge(_read(pairs, reading, threshold, read), threshold)
     print_score(found)
+    if report is not None:
+        _write_report(report, found, *read[0])
     if json_path is not None:
         with atomic_path(json_path) as temporary:
             temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
@@ -77,9 +95,12 @@ def score(
 
 
 def _read(
-    pairs: dict[str, tuple[Path, Path]], reading: options.CameraReading, threshold: Threshold
+    pairs: dict[str, tuple[Path, Path]],
+    reading: options.CameraReading,
+    threshold: Threshold,
+    kept: list[tuple[TrackSet, TrackSet]],
 ) -> Iterator[Pair]:
-    """What is compared of each pair of files, as they are read."""
+    """What is compared of each pair of files, as they are read; of one pair the tracks are kept."""
     from graphtrack.evaluation.tracking.detections import boxes, estimated_detections, true_detections
 
     if threshold.measure == "iou" and reading.select:
@@ -88,8 +109,39 @@ def _read(
         if threshold.measure == "iou":
             yield name, boxes(_boxes(estimates, reading)), boxes(_boxes(truth, reading))
         else:
-            estimated = estimated_detections(reading.tracks([estimates]))
-            yield name, estimated, true_detections(reading.tracks([truth]))
+            found = reading.tracks([estimates])
+            estimated, true = estimated_detections(found), reading.tracks([truth])
+            if len(pairs) == 1:
+                kept.append((found, true))
+            yield name, estimated, true_detections(true)
+
+
+def _write_report(path: Path, found: TrackingScore, estimates: TrackSet, truth: TrackSet) -> None:
+    """The figures, and the tracks beside the truth."""
+    from graphtrack.evaluation.tracking.events import judge_events
+    from graphtrack.evaluation.tracking.scores import COUNTS, HEADINGS, SHARES
+    from graphtrack.report.build import tracking_report
+    from graphtrack.report.content import Card, DataTable, Section
+    from graphtrack.report.html import write_report
+
+    judged = judge_events(estimates, truth, metres=found.threshold.value)
+    figures = found.together
+    cards = [Card(HEADINGS[name], f"{getattr(figures, name):.3f}") for name in ("hota", "idf1", "mota")]
+    cards.append(Card(HEADINGS["switches"].capitalize(), str(figures.switches)))
+    tables = tuple(
+        DataTable.from_records(title, [figures.shown(names)])
+        for title, names in ((f"Tracks and identities, {found.threshold}", SHARES), ("Counted", COUNTS))
+    )
+    page = tracking_report(
+        judged.tracks,
+        title="Tracks beside the truth",
+        subtitle="Errors are those of rows that match somebody of the truth.",
+        cards=tuple(cards),
+        sections=(Section("Score", tables),),
+        events=judged.events,
+    )
+    write_report(path, page)
+    console.print(f"report: {path}", markup=False)
 
 
 def _boxes(path: Path, reading: options.CameraReading) -> Rows:

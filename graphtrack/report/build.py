@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.report.content import AngleChart, Card, DataTable, Note, Picture, Report, Section
+from graphtrack.report.lives import identities_section, identity_cards, is_associated, life_of
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots import plot_errors, plot_nees
 from graphtrack.report.plots.orientation import plot_angles_of
@@ -18,6 +19,9 @@ from graphtrack.report.replay import replay_data
 from graphtrack.report.rows import Records
 from graphtrack.report.shapes import probability_ellipse
 from graphtrack.tracks import ReadSummary, Track, TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.evaluation.tracking.events import IdentityEvent
 
 PersonErrors = dict[str, float | None]
 """Column of the table of people → error of one of them."""
@@ -40,6 +44,7 @@ def tracking_report(
     cards: tuple[Card, ...] = (),
     sections: tuple[Section, ...] = (),
     interactive: bool = True,
+    events: Sequence[IdentityEvent] | None = None,
 ) -> Report:
     """Put together what a reader of a tracking run wants to see.
 
@@ -54,6 +59,8 @@ def tracking_report(
     sections : further sections, put at the end
     interactive : a chart of angles that follows the replay, of whomever the reader chooses, instead of still
         pictures of the first few people
+    events : where identities went wrong, as `graphtrack.evaluation.tracking.events.judge_events` finds it;
+        with it, or with tracks that were associated, there is a timeline of identities
 
     Returns
     -------
@@ -70,6 +77,8 @@ def tracking_report(
         subtitle = f"{subtitle} Times count from {origin:.0f} s.".strip()
     pairs = pair_tracks(estimates, observations)
     errors = tuple(person_errors(pair) for pair in pairs)
+    lives = [life_of(pair) for pair in pairs] if events is not None or is_associated(pairs) else None
+    replay = replay_data(pairs, lives=lives, events=events or ())
     words = (
         "The time that people spent where, under everybody's path, and the paths by the way they went; "
         "a dot is where one ends"
@@ -77,7 +86,8 @@ def tracking_report(
         else "Everybody's path from above, with body and head at regular times"
     )
     picture = Picture(words, plot_pairs(pairs), f"Bird's-eye view of the paths of {len(pairs)} people.")
-    parts = [
+    parts = [] if lives is None else [identities_section(pairs, lives, events or (), bool(replay["people"]))]
+    parts += [
         _angles_section(pairs, interactive),
         Section("People", (people_table(pairs, errors),)),
         Section("From above", (picture,)),
@@ -90,8 +100,8 @@ def tracking_report(
     return Report(
         title=title,
         subtitle=subtitle,
-        cards=(*_cards(pairs, errors), *cards),
-        replay=replay_data(pairs),
+        cards=(*_cards(pairs, errors), *identity_cards(lives or ()), *cards),
+        replay=replay,
         sections=(*parts, *sections),
     )
 

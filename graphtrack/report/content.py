@@ -93,11 +93,25 @@ class AngleChart:
 
 
 @dataclass(frozen=True)
+class Timeline:
+    """A bar for each person over time, drawn from the data of the report's replay.
+
+    Attributes
+    ----------
+    title : str
+    note : a sentence below
+    """
+
+    title: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
 class Section:
     """A heading and what stands below it."""
 
     title: str
-    items: tuple[Note | DataTable | Picture | AngleChart, ...]
+    items: tuple[Note | DataTable | Picture | AngleChart | Timeline, ...]
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from graphtrack.io.atomic import atomic_path
-from graphtrack.report.content import AngleChart, Card, DataTable, Note, Picture, Report, Section
-from graphtrack.report.replay_html import render_angle_chart, render_replay
+from graphtrack.report.content import AngleChart, Card, DataTable, Note, Picture, Report, Section, Timeline
+from graphtrack.report.replay_html import render_angle_chart, render_replay, render_timeline
 from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
 
 SECURITY = (
@@ -26,6 +26,7 @@ SECURITY = (
 
 SCRIPTS = (
     "replay_data.js",
+    "lives.js",
     "people.js",
     "canvas_pointer.js",
     "replay_draw.js",
@@ -35,6 +36,8 @@ SCRIPTS = (
     "people_list.js",
     "angles_draw.js",
     "angles_chart.js",
+    "timeline_draw.js",
+    "timeline.js",
     "tables.js",
     "page.js",
 )
@@ -143,13 +146,15 @@ def _section(anchor: str, section: Section) -> str:
     return f'<section aria-labelledby="{anchor}">{heading}\n{body}\n</section>'
 
 
-def _item(item: Note | DataTable | Picture | AngleChart) -> str:
+def _item(item: Note | DataTable | Picture | AngleChart | Timeline) -> str:
     if isinstance(item, DataTable):
         return _table(item)
     if isinstance(item, Picture):
         return _picture(item)
     if isinstance(item, AngleChart):
         return render_angle_chart(item)
+    if isinstance(item, Timeline):
+        return render_timeline(item)
     return f"<p>{html.escape(item.text)}</p>"
 
 

@@ -20,7 +20,8 @@ class Pair:
     estimate : Track
     observation : Track or None
     seen : (n,) bool
-        Whether the position was observed at each frame of the estimate; None without observations.
+        Whether the position was observed at each frame of the estimate; without observations what the
+        estimate says of it itself, None if nothing.
     seen_position : (n, 2) metres, the observed position at the frames of the estimate; NaN where not observed
     seen_body, seen_head : (n,) radians, the observed angles (`observed_angle`) there; NaN where not observed
     true_position, true_body, true_head : (n, 2), (n,), (n,)
@@ -57,6 +58,8 @@ def pair_track(estimate: Track, observation: Track | None = None) -> Pair:
     n = len(estimate)
     seen_position = np.full((n, 2), np.nan)
     seen: NDArray[np.bool_] | None = None
+    if observation is None and estimate.observed is not None:
+        seen = np.asarray(estimate.observed != 0.0)
     if observation is not None:
         seen_position = _at_frames(observation.position, observation, estimate)
         seen = finite_rows(seen_position)

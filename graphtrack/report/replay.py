@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.report.lives import UNSURE, Life, event_times, least_between
 from graphtrack.report.pairing import Pair
 from graphtrack.report.shapes import longest_step, probability_ellipse
 from graphtrack.report.style import person_colour, person_dash
+
+if TYPE_CHECKING:
+    from graphtrack.evaluation.tracking.events import IdentityEvent
 
 TIME_STEP: Final = 1e-3
 """Seconds a unit of a coded time."""
@@ -22,6 +26,9 @@ LENGTH_STEP: Final = 1e-3
 ANGLE_STEP: Final = float(np.radians(0.1))
 """Radians a unit of a coded angle."""
 
+SURE_STEP: Final = 1e-2
+"""Probability a unit of a coded one."""
+
 MAX_SAMPLES: Final = 200_000
 """Person-frames in a page. Packed, noisy ones with every channel take up to 33 bytes each: 7 MB of a page."""
 
@@ -29,27 +36,36 @@ Codes = list[int | None]
 
 
 def replay_data(
-    pairs: Sequence[Pair], *, max_rate: float = 30.0, max_samples: int = MAX_SAMPLES
+    pairs: Sequence[Pair],
+    *,
+    max_rate: float = 30.0,
+    max_samples: int = MAX_SAMPLES,
+    lives: Sequence[Life] | None = None,
+    events: Sequence[IdentityEvent] = (),
 ) -> dict[str, Any]:
     """Everything the replay and the charts of angles show, ready for `json.dumps`.
 
     Each channel of a person is a list of integers: the first is the value in units of `TIME_STEP`,
-    `LENGTH_STEP` or `ANGLE_STEP`, the following ones are differences to the last known value, and None is a
-    missing value. Differences of rounded values do not accumulate error. A channel that is known nowhere is
-    None.
+    `LENGTH_STEP`, `ANGLE_STEP` or `SURE_STEP`, the following ones are differences to the last known value,
+    and None is a missing value. Differences of rounded values do not accumulate error. A channel that is
+    known nowhere is None.
 
     Parameters
     ----------
     pairs : the people to show; those without a finite position are left out
     max_rate : frames a second that are kept
     max_samples : samples that are kept of all people together; of every n frames one is kept to stay below
+    lives : of each of the people, if births, deaths, gaps and joins are to be shown
+    events : switches and fragmentations, where the truth is known
 
     Returns
     -------
     dict
         ``frame`` (seconds from one frame to the next, as shown; None where nobody has two), ``every`` (one
         of how many frames is shown), ``kept`` and ``of`` (person-frames shown, and there), ``steps`` (the
-        three units) and ``people``.
+        four units), ``people``, ``events`` (each time, true person, track before, track after, whether a
+        switch, whether found again), ``lives``, whether births, deaths and gaps are shown, and ``unsure``,
+        the probability below which a link is.
     """
     placed = [(i, pair) for i, pair in enumerate(pairs) if np.isfinite(pair.estimate.position).any()]
     times = [pair.estimate.t for _, pair in placed]
@@ -60,8 +76,35 @@ def replay_data(
         "every": every,
         "kept": sum(map(len, kept)),
         "of": sum(map(len, times)),
-        "steps": {"time": TIME_STEP, "length": LENGTH_STEP, "angle": ANGLE_STEP},
-        "people": [_person(i, pair, at) for (i, pair), at in zip(placed, kept, strict=True)],
+        "steps": {"time": TIME_STEP, "length": LENGTH_STEP, "angle": ANGLE_STEP, "sure": SURE_STEP},
+        "people": [
+            _person(i, pair, at) | ({} if lives is None else _life(pair, lives[i], at))
+            for (i, pair), at in zip(placed, kept, strict=True)
+        ],
+        "lives": lives is not None,
+        "unsure": UNSURE,
+        "events": [
+            [round(t, 3), str(e.person), str(e.before), str(e.after), int(e.switch), int(e.found_again)]
+            for e, t in zip(events, event_times(pairs, events), strict=True)
+        ],
+    }
+
+
+def _life(pair: Pair, life: Life, at: NDArray[np.intp]) -> dict[str, Any]:
+    """How sure links are to the samples that are kept; gaps: from, to, filled, joined, how sure."""
+    sure = pair.estimate.identity_p
+    return {
+        "sure": None if sure is None else delta_code(least_between(sure, at), SURE_STEP),
+        "gaps": [
+            [
+                round(gap.start, 3),
+                round(gap.end, 3),
+                int(gap.filled),
+                int(gap.joined),
+                round(gap.probability, 3) if np.isfinite(gap.probability) else None,
+            ]
+            for gap in life.gaps
+        ],
     }
 
 

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.report.content import AngleChart
+from graphtrack.report.content import AngleChart, Timeline
+from graphtrack.report.lives import UNSURE
 
 _ARROW = (
     '<line x1="2" y1="8" x2="16" y2="8" stroke="var(--{name})" stroke-width="{width}"/>'
@@ -32,6 +33,9 @@ _KEYS = {
     "observation": '<circle cx="12" cy="8" r="3.4" fill="var(--ink)"/>',
     "truth": '<circle cx="9" cy="8" r="6" fill="none" stroke="var(--ink)" stroke-width="1.3" '
     'stroke-dasharray="3 2"/><line x1="15" y1="8" x2="22" y2="8" stroke="var(--ink)" stroke-width="2"/>',
+    "lives": '<circle cx="6" cy="8" r="4" fill="none" stroke="var(--ink)" stroke-width="1.6"/>'
+    '<path d="M14 4 L22 12 M22 4 L14 12" stroke="var(--ink)" stroke-width="1.6"/>',
+    "events": '<rect x="7" y="3" width="10" height="10" fill="var(--alarm)"/>',
     "label": '<text x="12" y="13" text-anchor="middle" font-size="13" font-weight="600" fill="var(--ink)">'
     "12</text>",
 }
@@ -54,6 +58,31 @@ _CHART_KEYS = {
     "the replay's time": '<line x1="12" y1="0" x2="12" y2="16" stroke="var(--muted)"/>',
 }
 
+_DIAMOND = '<path d="M12 2 L18 8 L12 14 L6 8 Z" fill="{fill}" stroke="var(--ink)" stroke-width="1.5"/>'
+_CROSS = '<path d="M7 3 L17 13 M17 3 L7 13" stroke="var(--ink)" stroke-width="2" fill="none"/>'
+_RING = '<circle cx="12" cy="8" r="5" fill="var(--surface)" stroke="var(--ink)" stroke-width="2"/>'
+_ALARM = '<rect x="7" y="3" width="10" height="10" fill="{fill}" stroke="var(--alarm)" stroke-width="1.8"/>'
+
+_LIFE_KEYS = {
+    "birth": (_RING, "birth"),
+    "death": (_CROSS, "death"),
+    "sure": (
+        '<rect x="0" y="3" width="11" height="10" fill="var(--muted)"/>'
+        '<rect x="13" y="3" width="11" height="10" fill="var(--muted)" fill-opacity=".35"/>',
+        "seen, less sure",
+    ),
+    "filled": (_LINE.format(colour="var(--muted)", width=2.4, dash="2.4 2.4"), "not seen, filled in"),
+    "hole": (_LINE.format(colour="var(--muted)", width=1.5, dash="1.5 4"), "not seen, left open"),
+    "join": (_DIAMOND.format(fill="var(--ink)"), "seen again, joined"),
+    "unsure": (_DIAMOND.format(fill="var(--surface)"), f"joined, less than {100 * UNSURE:.0f}\u202f% sure"),
+    "switch": (
+        '<path d="M12 0 V16" stroke="var(--alarm)" stroke-width="1.2"/>' + _ALARM.format(fill="var(--alarm)"),
+        "identity switch",
+    ),
+    "fragmentation": (_ALARM.format(fill="var(--surface)"), "found again (fragmentation)"),
+}
+"""Name → picture and words of what a timeline has."""
+
 
 def render_replay(data: Mapping[str, Any]) -> str:
     """The stage, the controls and the layers, which double as the legend; scripts fill in the list of people.
@@ -63,7 +92,7 @@ def render_replay(data: Mapping[str, Any]) -> str:
     data : what `graphtrack.report.replay.replay_data` returned, with at least one person
     """
     people = data["people"]
-    layers = [_layer(name, words, shown) for name, words, shown in _layers(people)]
+    layers = [_layer(name, words, shown) for name, words, shown in _layers(data)]
     if any(person["seen"] is not None for person in people):
         layers.append(f"<span>{svg_key(_UNSEEN_KEY)} not observed at this time</span>")
     return _template("replay.html").substitute(
@@ -83,6 +112,18 @@ def render_angle_chart(chart: AngleChart) -> str:
             f'<span data-key="{words}">{svg_key(key)} {words}</span>' for words, key in _CHART_KEYS.items()
         ),
         note=f'<p class="quiet hint">{html.escape(chart.note)}</p>' if chart.note else "",
+    )
+
+
+def render_timeline(timeline: Timeline) -> str:
+    """The canvas, its controls and its legend. It needs the data of a replay in the same page."""
+    return _template("timeline.html").substitute(
+        title=html.escape(timeline.title),
+        legend=" ".join(
+            f'<span data-key="{name}">{svg_key(key)} {words}</span>'
+            for name, (key, words) in _LIFE_KEYS.items()
+        ),
+        note=f'<p class="quiet hint">{html.escape(timeline.note)}</p>' if timeline.note else "",
     )
 
 
@@ -115,8 +156,9 @@ def _thinned(data: Mapping[str, Any]) -> str:
     )
 
 
-def _layers(people: list[Mapping[str, Any]]) -> list[tuple[str, str, bool]]:
+def _layers(data: Mapping[str, Any]) -> list[tuple[str, str, bool]]:
     """Name, words and whether it starts switched on, for the layers that there are data for."""
+    people: list[Mapping[str, Any]] = data["people"]
     known = {
         "body": any(p["body"] is not None for p in people),
         "head": any(p["head"] is not None for p in people),
@@ -124,6 +166,8 @@ def _layers(people: list[Mapping[str, Any]]) -> list[tuple[str, str, bool]]:
         "ellipse": any(p["major"] is not None for p in people),
         "observation": any(p["seen_x"] is not None for p in people),
         "truth": any(p["true_x"] is not None for p in people),
+        "lives": data["lives"],
+        "events": bool(data["events"]),
     }
     layers = [
         ("body", "body", True),
@@ -134,6 +178,8 @@ def _layers(people: list[Mapping[str, Any]]) -> list[tuple[str, str, bool]]:
         ("paths", "whole paths", True),
         ("observation", "observation", True),
         ("truth", "truth", False),
+        ("lives", "births, deaths, joins", True),
+        ("events", "switches", True),
         ("label", "id", True),
     ]
     return [layer for layer in layers if known.get(layer[0], True)]

@@ -28,7 +28,8 @@ def seen(tmp_path_factory):
         return walker(i, n=n, t=t, position=np.stack([x, y], axis=1), label=f"walker {i}<b>")
 
     tracks = tuple(person(i) for i in range(PEOPLE))
-    report = tracking_report(TrackSet(tracks), TrackSet(tuple(observed(track) for track in tracks)))
+    watched = TrackSet(tuple(observed(track) for track in tracks))
+    report = tracking_report(TrackSet(tracks), watched, events=())
     return in_browser(render_report(report), VISIT, tmp_path_factory.mktemp("browser"))
 
 
@@ -51,7 +52,7 @@ def test_keys_and_buttons_step_by_frames(seen):
 
 
 def test_replay_and_chart_are_drawn(seen):
-    assert seen["drawn"] == [True, True]
+    assert seen["drawn"] == [True, True, True]
 
 
 def test_tables_page_search_and_sort(seen):
@@ -75,6 +76,12 @@ def test_one_choice_leads_the_replay_the_chart_the_table_and_the_address(seen):
 def test_the_pointer_names_and_a_click_chooses(seen):
     assert seen["tip"].startswith("0 walker 0<b>")
     assert seen["clicked"] == "Person 0 walker 0<b>"
+
+
+def test_the_timeline_has_everybody_in_order_and_a_click_chooses(seen):
+    assert seen["lives"] == "1–60 of 60"
+    assert seen["life"] == "Person 3 walker 3<b>" and seen["lifeClock"] == pytest.approx(5.8, abs=0.3)
+    assert "3 walker 3<b>, 0.0 to 11.6 s" in seen["story"]
 
 
 def test_every_control_has_a_name(seen):

@@ -53,7 +53,9 @@ class Page(HTMLParser):
 def full():
     estimates, observations = scene(people=3)
     return render_report(
-        tracking_report(estimates, observations, title="A square", comparison=ERRORS, consistency=NEES)
+        tracking_report(
+            estimates, observations, title="A square", comparison=ERRORS, consistency=NEES, events=()
+        )
     )
 
 

@@ -16,12 +16,13 @@ const painted = (canvas) => {
   const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
   return data.filter((value, i) => i % 4 === 3 && value > 0).length;
 };
-const table = document.querySelector(".panel table"), tools = document.querySelector(".tools input");
+const table = [...document.querySelectorAll(".panel table")].find((one) => one.caption.textContent.startsWith("Results"));
+const tools = table.closest(".panel").querySelector(".tools input");
 const heading = () => table.tHead.rows[0].cells[0];
 const rows = () => [...table.tBodies[0].rows].filter((row) => !row.hidden).map((row) => row.cells[0].textContent);
 
 const seen = { names: names(), page: part("page").textContent, tally: part("tally").textContent };
-const drawn = () => ["canvas", "chart"].map((name) => painted(part(name)) > 1000);
+const drawn = () => ["canvas", "chart", "bars"].map((name) => painted(part(name)) > 1000);
 for (let tries = 0; tries < 100 && !drawn().every(Boolean); tries += 1) await next();
 seen.drawn = drawn();
 
@@ -62,6 +63,13 @@ seen.tip = part("tip").hidden ? null : part("tip").textContent;
 part("canvas").dispatchEvent(new PointerEvent("click", middle));
 await next();
 seen.clicked = part("name").textContent;
+
+seen.lives = part("rows").textContent;
+const bars = part("bars").getBoundingClientRect();
+const row = { clientX: bars.left + 52 + (bars.width - 66) / 2, clientY: bars.top + 10 + 3.5 * 14, bubbles: true };
+part("bars").dispatchEvent(new PointerEvent("click", row));
+await next();
+seen.life = part("name").textContent; seen.lifeClock = clock(); seen.story = part("story").textContent;
 
 const named = (control) => control.textContent.trim() || control.getAttribute("aria-label") || (control.labels && control.labels.length);
 seen.unnamed = [...document.querySelectorAll("button, input, select, canvas")].filter((control) => !named(control)).map((control) => control.outerHTML);

@@ -8,6 +8,7 @@ TrackEval, so that figures can be compared.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -74,39 +75,56 @@ class ClearCounts:
         return self.matches / max(1, self.matches + self.false_positives)
 
 
-@dataclass(eq=False)
-class _People:
-    """What is remembered of each true person, (n,) each, from frame to frame.
+@dataclass(frozen=True, eq=False)
+class FrameMatches:
+    """Who is matched with whom in a frame that has both truth and estimates, k pairs.
 
     Attributes
     ----------
-    last : track of the last match, however long ago
-    now : track of the match in the last frame that had both truth and estimates
-    found : frames with a match
-    stretches : times that a stretch of matches began
+    frame : its place among the shared frames
+    truth, estimates : (k,) people and tracks, numbered as in `SharedFrames`
+    similarity : (k,)
+    before : (k,) the track that each of these people was matched with last; `NOBODY` at their first match
+    lost : (k,) whether they were without a match in the frame before that had both
     """
 
-    last: IntArray
-    now: IntArray
-    found: IntArray
-    stretches: IntArray
+    frame: int
+    truth: IntArray
+    estimates: IntArray
+    similarity: FloatArray
+    before: IntArray
+    lost: BoolArray
 
-    @classmethod
-    def unseen(cls, count: int) -> _People:
-        nobody, zero = np.full(count, NOBODY, dtype=np.int64), np.zeros(count, dtype=np.int64)
-        return cls(nobody, nobody.copy(), zero, zero.copy())
+    @property
+    def switched(self) -> BoolArray:
+        """(k,) whether another track has them than the last time."""
+        return (self.before != NOBODY) & (self.before != self.estimates)
 
-    def see(self, truth: IntArray, estimates: IntArray) -> int:
-        """Remember the matches of a frame, and say how many of them are switches."""
-        before = self.last[truth]
-        switches = int(np.count_nonzero((before != NOBODY) & (before != estimates)))
-        self.last[truth] = estimates
-        was_lost = self.now == NOBODY
-        self.now[:] = NOBODY
-        self.now[truth] = estimates
-        self.found[truth] += 1
-        self.stretches += was_lost & (self.now != NOBODY)
-        return switches
+    @property
+    def found_again(self) -> BoolArray:
+        """(k,) whether they had been lost, which ends a fragmentation."""
+        return (self.before != NOBODY) & self.lost
+
+
+def clear_matches(frames: SharedFrames, threshold: float) -> Iterator[FrameMatches]:
+    """Match truth and estimates frame by frame.
+
+    Parameters
+    ----------
+    threshold : similarity from which on two rows can be matched
+    """
+    last = np.full(len(frames.truth_rows), NOBODY, dtype=np.int64)
+    now = last.copy()
+    every = zip(frames.truth, frames.estimates, frames.similarity, strict=True)
+    for k, (truth, estimates, similarity) in enumerate(every):
+        # As in TrackEval a frame without any truth or any estimates ends no stretch.
+        if not similarity.size:
+            continue
+        rows, columns = _matched(similarity, estimates == now[truth][:, None], threshold)
+        people, tracks = truth[rows], estimates[columns]
+        yield FrameMatches(k, people, tracks, similarity[rows, columns], last[people], now[people] == NOBODY)
+        now[:] = NOBODY
+        last[people] = now[people] = tracks
 
 
 def clear_counts(frames: SharedFrames, threshold: float) -> ClearCounts:
@@ -116,24 +134,22 @@ def clear_counts(frames: SharedFrames, threshold: float) -> ClearCounts:
     ----------
     threshold : similarity from which on two rows can be matched
     """
-    people = _People.unseen(len(frames.truth_rows))
-    matches, switches, total = 0, 0, 0.0
-    for truth, estimates, similarity in zip(frames.truth, frames.estimates, frames.similarity, strict=True):
-        # As in TrackEval a frame without any truth or any estimates ends no stretch.
-        if not similarity.size:
-            continue
-        rows, columns = _matched(similarity, estimates == people.now[truth][:, None], threshold)
-        switches += people.see(truth[rows], estimates[columns])
-        matches += len(rows)
-        total += float(similarity[rows, columns].sum())
-    tracked, lost = _mostly(people.found / frames.truth_rows)
+    found = np.zeros(len(frames.truth_rows), dtype=np.int64)
+    matches, switches, fragmentations, total = 0, 0, 0, 0.0
+    for matched in clear_matches(frames, threshold):
+        matches += len(matched.truth)
+        switches += int(np.count_nonzero(matched.switched))
+        fragmentations += int(np.count_nonzero(matched.found_again))
+        total += float(matched.similarity.sum())
+        found[matched.truth] += 1
+    tracked, lost = _mostly(found / frames.truth_rows)
     n_people = len(frames.truth_rows)
     return ClearCounts(
         matches=matches,
         misses=int(frames.truth_rows.sum()) - matches,
         false_positives=int(frames.estimate_rows.sum()) - matches,
         switches=switches,
-        fragmentations=int(np.maximum(people.stretches - 1, 0).sum()),
+        fragmentations=fragmentations,
         mostly_tracked=tracked,
         partly_tracked=n_people - tracked - lost,
         mostly_lost=lost,

@@ -91,7 +91,7 @@ def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
     InputError
         For a sequence without a frame in common.
     """
-    similarity = _similarity(threshold)
+    similarity = similarity_of(threshold)
     counts, notes = {}, []
     for name, estimates, truth in pairs:
         counts[name] = count(share_frames(truth, estimates, similarity, name), threshold)
@@ -104,7 +104,8 @@ def judge(pairs: Iterable[Pair], threshold: Threshold) -> TrackingScore:
     )
 
 
-def _similarity(threshold: Threshold) -> Similarity:
+def similarity_of(threshold: Threshold) -> Similarity:
+    """How alike two detections are where matches are demanded like that."""
     if threshold.measure == "iou":
         return box_similarity
     # Zero at twice the distance: then a similarity of one half stands for the distance itself.

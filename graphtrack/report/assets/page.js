@@ -17,9 +17,11 @@ async function startDrawing() {
     return;
   }
   const crowd = createCrowd(data.people.map((coded) => decodePerson(coded, data.steps)));
-  const replay = startReplay(root, crowd, data.frame || 0);
+  const events = decodeEvents(data.events, crowd.people);
+  const replay = startReplay(root, crowd, data.frame || 0, data.unsure, events);
   startPeople(root, crowd, replay);
   document.querySelectorAll(".angles").forEach((chart) => startAngles(chart, crowd, replay));
+  document.querySelectorAll(".timeline").forEach((chart) => startTimeline(chart, crowd, replay, data.unsure, events));
   tables.forEach((table, i) => linkTable(table, turning[i], crowd, replay));
 }
 

@@ -20,12 +20,19 @@ function undelta(codes, step) {
   return values;
 }
 
+// Python's tuples, with names. p: how sure it is that who was seen again is the same; NaN where that is not known.
+function decodeGaps(coded) {
+  return (coded || []).map(([from, to, filled, joined, p]) => ({ from, to, filled: filled === 1, joined: joined === 1, p: p === null ? NaN : p }));
+}
+
 function decodePerson(coded, steps) {
   const person = { id: coded.id, label: coded.label, colour: coded.colour, dash: coded.dash, hole: coded.hole, seen: coded.seen, shown: true };
   person.name = coded.id + (coded.label ? " " + coded.label : "");
   person.t = undelta(coded.t, steps.time);
   LENGTHS.forEach((name) => { person[name] = undelta(coded[name], steps.length); });
   ANGLES.forEach((name) => { person[name] = undelta(coded[name], steps.angle); });
+  person.sure = undelta(coded.sure, steps.sure);
+  person.gaps = decodeGaps(coded.gaps);
   return person;
 }
 

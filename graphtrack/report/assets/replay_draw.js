@@ -3,7 +3,7 @@
 function readTheme(element) {
   const style = getComputedStyle(element);
   const theme = {};
-  ["body", "head", "velocity", "ink", "muted", "grid", "surface", "accent"].forEach((name) => {
+  ["body", "head", "velocity", "ink", "muted", "grid", "surface", "accent", "alarm"].forEach((name) => {
     theme[name] = style.getPropertyValue("--" + name).trim();
   });
   return theme;
@@ -76,11 +76,29 @@ function tracePath(ctx, view, person, xs, ys, first, last, now) {
   ctx.stroke();
 }
 
+// [first, last, whether a gap] of the parts of a path between samples, by what was seen.
+function trailParts(person, first, last) {
+  const parts = [];
+  let from = first;
+  person.gaps.forEach((gap) => {
+    const start = Math.max(indexAt(person.t, gap.from), from), end = Math.min(indexAt(person.t, gap.to), last);
+    if (!gap.filled || end <= start) return;
+    if (start > from) parts.push([from, start, false]);
+    parts.push([start, end, true]);
+    from = end;
+  });
+  if (from < last || !parts.length) parts.push([from, last, false]);
+  return parts;
+}
+
 function strokePath(ctx, view, person, first, last, now, width, colour) {
   ctx.strokeStyle = colour; ctx.lineWidth = width; ctx.lineJoin = "round"; ctx.lineCap = "butt";
-  setDash(ctx, person, width);
-  ctx.lineDashOffset = alongPath(person)[first] * view.scale;
-  tracePath(ctx, view, person, person.x, person.y, first, last, now);
+  trailParts(person, first, last).forEach(([from, to, gap]) => {
+    // What was filled in is dotted, on no dashes.
+    if (gap) ctx.setLineDash([width, 1.5 * width]); else setDash(ctx, person, width);
+    ctx.lineDashOffset = gap ? 0 : alongPath(person)[from] * view.scale;
+    tracePath(ctx, view, person, person.x, person.y, from, to, to === last ? now : null);
+  });
   ctx.setLineDash([]);
 }
 
@@ -188,9 +206,34 @@ function drawVelocity(ctx, view, state, here, theme) {
   if (speed * view.scale > 6) drawArrow(ctx, here, Math.atan2(state.vy, state.vx), speed * view.scale, 2, theme.velocity, theme.surface);
 }
 
+// Births, deaths and joins, and switches with both ids, for a moment after they happened.
+function drawMarks(ctx, view, scene) {
+  const { people, layers, theme, time, linger } = scene, fresh = (t) => t <= time + 1e-6 && time < t + linger;
+  const place = (person, at) => toScreen(view, person.x[at], person.y[at]);
+  if (layers.lives) {
+    people.filter((person) => person.shown).forEach((person) => marksOf(person).filter((mark) => fresh(mark.t)).forEach((mark) => {
+      const [sx, sy] = place(person, mark.at);
+      ctx.strokeStyle = theme.ink; ctx.fillStyle = "transparent"; ctx.lineWidth = 2;
+      if (mark.kind === "birth") drawRing(ctx, sx, sy, 10);
+      else if (mark.kind === "death") drawCross(ctx, sx, sy, 6);
+      else drawJoin(ctx, sx, sy - 13, 5, mark.p, scene.unsure, theme);
+    }));
+  }
+  if (!layers.events) return;
+  ctx.font = "600 12px system-ui, sans-serif"; ctx.lineJoin = "round";
+  scene.events.filter((event) => event.to >= 0 && people[event.to].shown && fresh(event.t)).forEach((event) => {
+    const person = people[event.to], [sx, sy] = place(person, Math.max(indexAt(person.t, event.t), 0));
+    ctx.strokeStyle = theme.alarm; ctx.lineWidth = 2; ctx.strokeRect(sx - 10, sy - 10, 20, 20);
+    if (!event.isSwitch) return;
+    const words = event.before + " → " + event.after;
+    ctx.strokeStyle = theme.surface; ctx.lineWidth = 3; ctx.strokeText(words, sx + 12, sy - 8);
+    ctx.fillStyle = theme.alarm; ctx.fillText(words, sx + 12, sy - 8);
+  });
+}
+
 function markSize(count) { return count <= 12 ? 1 : Math.max(0.6, Math.sqrt(12 / count)); }
 
-// scene: {people, layers, theme, time, trail, backdrop, strong}. `strong` holds the indices of those to be made plain.
+// scene: {people, layers, theme, time, trail, backdrop, strong, unsure, events, linger}. `strong` holds the indices of those to be made plain.
 // Returns how many people are there.
 function drawMoment(ctx, view, scene) {
   ctx.clearRect(0, 0, view.width, view.height);
@@ -206,6 +249,7 @@ function drawMoment(ctx, view, scene) {
   present.sort((a, b) => a.strong - b.strong);
   const size = markSize(present.length);
   present.forEach(({ person, state, strong }) => drawPerson(ctx, view, person, state, scene, strong ? 1 : size, strong));
+  drawMarks(ctx, view, scene);
   if (scene.layers.label) drawLabels(ctx, view, present.slice().reverse(), scene.theme);
   return present.length;
 }

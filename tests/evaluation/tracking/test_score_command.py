@@ -66,6 +66,19 @@ def test_a_pair_of_files(here):
     assert found["sequences"][0] | {"name": "together"} == found["together"]
 
 
+def test_a_report_has_the_figures_and_when_identities_were_switched(here):
+    # From frame 10 on each has the other's identity.
+    header, *rows = table().splitlines()
+    cells = [row.split(",") for row in rows]
+    lines = [",".join([str(3 - int(one)) if int(k) >= 10 else one, k, *rest]) for one, k, *rest in cells]
+    (here / "swapped.csv").write_text("\n".join([header, *lines]) + "\n")
+    done = run("swapped.csv", "--truth", "truth.csv", "--report", "report.html")
+    assert done.returncode == 0, done.stderr
+    assert "report: report.html" in done.stdout + done.stderr
+    page = (here / "report.html").read_text()
+    assert "Switches and fragmentations" in page and "HOTA" in page and "Identities over time" in page
+
+
 def test_folders_of_files_with_the_same_names(here):
     (here / "true" / ".hidden").write_text("nothing")
     done = run("estimates", "--truth", "true", "--metres", "0.5", "--json", "score.json")
@@ -134,6 +147,9 @@ WRONG = {
     "a row twice": ("boxes.txt --truth twice.txt --iou 0.5", "track 2 again in frame 0"),
     "a truth without boxes": ("boxes.txt --truth nowhere.txt --iou 0.5", "nowhere.txt: found no boxes"),
     "no camera": ("boxes.txt --truth truth.txt", "no camera for the estimates"),
+    "a report of boxes": ("boxes.txt --truth truth.txt --iou 0.5 --report r.html", "--report and --iou"),
+    "a report of several": ("estimates --truth true --report r.html", "--report of 2 sequences"),
+    "a report over the truth": ("one.csv --truth truth.csv --report truth.csv", "--report"),
     "a folder and a file": ("estimates --truth true/a.csv", "nothing to go with b.csv, expected the truth"),
     "other names": ("estimates --truth other", "nothing to go with b.csv"),
     "estimates of fewer": ("estimates/a.csv --truth true", "nothing to go with b.csv, expected estimates"),

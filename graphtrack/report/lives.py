@@ -1,0 +1,242 @@
+"""When people were there, when they were not seen in between, and how sure it is that they are the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.report.content import Card, DataTable, Note, Section, Timeline
+from graphtrack.report.pairing import Pair
+from graphtrack.report.shapes import longest_step
+
+if TYPE_CHECKING:
+    from graphtrack.evaluation.tracking.events import IdentityEvent
+
+UNSURE = 0.9
+"""Probability of a link below which it is shown as one that may be wrong."""
+
+MAX_ROWS = 1000
+"""Lines of a table in the page."""
+
+_TITLE = "Identities over time"
+_NOTE = (
+    "A bar for everybody from first to last row, the fainter the less sure it is who is who. Point at it to "
+    "read what was there; a click chooses the person and takes the replay to that time. Drag to move, "
+    "ctrl + wheel to zoom, double-click to fit."
+)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A time in which somebody was not seen.
+
+    Attributes
+    ----------
+    start : seconds, when they were seen last; where they had not been seen yet, the first row
+    end : seconds, when they were seen again, or the last row if they were not
+    filled : whether there are estimates in between
+    joined : whether they were seen before and after
+    probability : that who was seen again is the same person; NaN where that is not known
+    """
+
+    start: float
+    end: float
+    filled: bool
+    joined: bool
+    probability: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Life:
+    """One person from birth to death: the times (s) of the first and of the last row, and what was between.
+
+    Attributes
+    ----------
+    person : the id
+    label : a name to read, or nothing
+    birth, death : seconds
+    gaps : in the order of time
+    least : probability of the least sure link, the one across a gap or from one row to the next; NaN: none
+    unsure : links that are less sure than `UNSURE`
+    """
+
+    person: int
+    label: str
+    birth: float
+    death: float
+    gaps: tuple[Gap, ...]
+    least: float
+    unsure: int
+
+    @property
+    def joined(self) -> tuple[Gap, ...]:
+        """The gaps across which tracks were joined."""
+        return tuple(gap for gap in self.gaps if gap.joined)
+
+
+def is_associated(pairs: Sequence[Pair]) -> bool:
+    """Whether the tracks say how sure they are of who is who, or when nobody was seen."""
+    return any(pair.estimate.identity_p is not None or pair.estimate.observed is not None for pair in pairs)
+
+
+def life_of(pair: Pair) -> Life:
+    """What the rows of one person say about when they were there."""
+    track = pair.estimate
+    t, sure = track.t, track.identity_p
+    # NaN: not known, as in a table in which other tracks say it.
+    links = np.empty(0) if sure is None else sure[1:][np.isfinite(sure[1:])]
+    return Life(
+        person=track.track_id,
+        label=pair.label,
+        birth=float(t[0]),
+        death=float(t[-1]),
+        gaps=_gaps(t, _seen(pair), sure),
+        least=float(links.min()) if len(links) else float("nan"),
+        unsure=int(np.count_nonzero(links < UNSURE)),
+    )
+
+
+def least_between(values: FloatArray, at: NDArray[np.intp]) -> FloatArray:
+    """The least of values (n,) since the row that is kept before, for each row kept; NaN where all are.
+
+    Parameters
+    ----------
+    at : (k,) rows that are kept, increasing, the last of all among them
+    """
+    return np.asarray(np.fmin.reduceat(values, np.concatenate([[0], at[:-1] + 1])))
+
+
+def identities_section(
+    pairs: Sequence[Pair], lives: Sequence[Life], events: Sequence[IdentityEvent], drawn: bool
+) -> Section:
+    """The timeline, and who came, left, was lost and found again.
+
+    Parameters
+    ----------
+    pairs, lives : of everybody
+    events : where identities went wrong, if the truth is known
+    drawn : whether there is a replay in the page, of whose data the timeline is drawn
+    """
+    items: list[Timeline | DataTable | Note] = [Timeline(_TITLE, _NOTE)] if drawn else []
+    items.append(_lives_table(lives, events))
+    items += _gaps_table(lives)
+    if events:
+        items.append(_events_table(pairs, events))
+    return Section("Identities", tuple(items))
+
+
+def identity_cards(lives: Sequence[Life]) -> tuple[Card, ...]:
+    """How many gaps were joined, and how many of the joins may be wrong."""
+    joins = [gap for life in lives for gap in life.joined]
+    if not joins:
+        return ()
+    unsure = sum(gap.probability < UNSURE for gap in joins)
+    words = f"{unsure} of them less than {UNSURE:.0%} sure".replace("%", "\u202f%")
+    return (Card("Gaps joined", str(len(joins)), words),)
+
+
+def event_times(pairs: Sequence[Pair], events: Sequence[IdentityEvent]) -> list[float]:
+    """When the events were, in seconds: the time of that row of the track that has the person now."""
+    tracks = {pair.estimate.track_id: pair.estimate for pair in pairs}
+    return [float(tracks[one.after].t[np.searchsorted(tracks[one.after].frame, one.frame)]) for one in events]
+
+
+def _seen(pair: Pair) -> NDArray[np.bool_]:
+    if pair.estimate.observed is not None:
+        return np.asarray(pair.estimate.observed != 0.0)
+    return np.ones(len(pair.estimate), dtype=bool) if pair.seen is None else pair.seen
+
+
+def _gaps(t: FloatArray, seen: NDArray[np.bool_], sure: FloatArray | None) -> tuple[Gap, ...]:
+    rows = np.flatnonzero(seen)
+    if not len(rows):
+        return (Gap(float(t[0]), float(t[-1]), True, False),)
+    found = []
+    if rows[0] > 0:
+        found.append(Gap(float(t[0]), float(t[rows[0]]), True, False))
+    before, after = rows[:-1], rows[1:]
+    filled = after - before > 1
+    for i in np.flatnonzero(filled | (t[after] - t[before] > longest_step(t))).tolist():
+        p = float("nan") if sure is None else float(sure[after[i]])
+        found.append(Gap(float(t[before[i]]), float(t[after[i]]), bool(filled[i]), True, p))
+    if rows[-1] < len(t) - 1:
+        found.append(Gap(float(t[rows[-1]]), float(t[-1]), True, False))
+    return tuple(found)
+
+
+def _lives_table(lives: Sequence[Life], events: Sequence[IdentityEvent]) -> DataTable:
+    switches: dict[int, int] = {}
+    for one in events:
+        for track in {one.before, one.after} if one.switch else ():
+            switches[track] = switches.get(track, 0) + 1
+    columns: tuple[str, ...] = ("person", "born (s)", "died (s)", "gaps", "longest gap (s)")
+    columns += ("least sure link", "unsure links")
+    rows = tuple(
+        (
+            life.person,
+            life.birth,
+            life.death,
+            len(life.gaps),
+            max((gap.end - gap.start for gap in life.gaps), default=None),
+            round(life.least, 3),
+            life.unsure,
+            *((switches.get(life.person, 0),) if events else ()),
+        )
+        for life in lives
+    )
+    note = (
+        "Born and died: first and last row. A link is sure to the probability that a row is of the same "
+        f"person as the row before; unsure below {UNSURE:g}."
+    )
+    if events:
+        columns = (*columns, "switches")
+        note += " Switches: in which the track lost somebody to another, or got them."
+    return _capped("Births and deaths", columns, rows, note)
+
+
+def _gaps_table(lives: Sequence[Life]) -> list[DataTable]:
+    rows = [
+        (
+            life.person,
+            gap.start,
+            gap.end,
+            gap.end - gap.start,
+            gap.filled,
+            round(gap.probability, 3) if gap.joined else None,
+        )
+        for life in lives
+        for gap in life.gaps
+    ]
+    if not rows:
+        return []
+    # What may be wrong first; what is not known last.
+    rows.sort(key=lambda row: (row[-1] is None or np.isnan(row[-1]), row[-1], row[1]))
+    columns = ("person", "from (s)", "to (s)", "seconds", "filled in", "joined, how sure")
+    note = (
+        "From when a person was seen last to when they were seen again, least sure first. A dash: nobody was "
+        "seen again, or how sure it is was not said."
+    )
+    return [_capped("Gaps and joins", columns, tuple(rows), note)]
+
+
+def _events_table(pairs: Sequence[Pair], events: Sequence[IdentityEvent]) -> DataTable:
+    rows = tuple(
+        (one.after, t, one.person, one.before, one.switch, one.found_again)
+        for one, t in zip(events, event_times(pairs, events), strict=True)
+    )
+    columns = ("person", "at (s)", "who it is in the truth", "tracked before as", "switch", "found again")
+    note = "Found again: after nobody had them, which ends a fragmentation. The score counts both kinds."
+    return _capped("Switches and fragmentations", columns, rows, note)
+
+
+def _capped(
+    title: str, columns: tuple[str, ...], rows: tuple[tuple[object, ...], ...], note: str
+) -> DataTable:
+    if len(rows) > MAX_ROWS:
+        note += f" The first {MAX_ROWS} of {len(rows)} lines."
+    return DataTable(title, columns, rows[:MAX_ROWS], note, person_column="person")
