@@ -32,7 +32,8 @@ function drawLife(ctx, person, y, tall, at, scene) {
   // However short it was, it is to be seen.
   seenParts(person).forEach(([from, to]) => ctx.fillRect(at(from), y - half, Math.max(at(to) - at(from), 2), 2 * half));
   unsureLinks(person, 0.995).forEach(({ from, to, p }) => {
-    const wide = Math.max(at(to) - at(from), p < unsure ? 3 : 0), left = (at(from) + at(to) - wide) / 2;
+    // Whole pixels: between parts of them the page would shine through.
+    const first = Math.round(at(from)), wide = Math.max(Math.round(at(to)) - first, p < unsure ? 3 : 0), left = Math.min(first, Math.round(at(to)) - wide);
     ctx.globalAlpha = 1; ctx.fillStyle = theme.surface; ctx.fillRect(left, y - half, wide, 2 * half);
     ctx.globalAlpha = 0.12 + 0.88 * p * p; ctx.fillStyle = person.colour; ctx.fillRect(left, y - half, wide, 2 * half);
   });
@@ -48,7 +49,8 @@ function drawLife(ctx, person, y, tall, at, scene) {
   drawCross(ctx, at(deathOf(person)), y, size);
   person.gaps.forEach((gap) => {
     if (!gap.joined) return;
-    drawJoin(ctx, at(gap.to), y, size + 0.5, gap.p, unsure, theme);
+    // Where much is missed for a moment, sure joins would hide the rest.
+    drawJoin(ctx, at(gap.to), y, gap.p < unsure ? size + 0.5 : 0.65 * size, gap.p, unsure, theme);
     const words = Number.isFinite(gap.p) ? percent(gap.p) : "", wide = at(gap.to) - at(gap.from);
     ctx.font = "10px system-ui, sans-serif";
     const room = ctx.measureText(words).width + 2 * size + 6;
