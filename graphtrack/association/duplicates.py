@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,15 @@ _REACH = 3.0
 """Spreads within which a detection may be a duplicate."""
 
 
+Pairs: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
+"""Two detections each, and their squared distances (m²)."""
+
+
 def density(
     frame: NDArray[np.int64],
     position: FloatArray,
     identity: NDArray[np.int64],
     scene: SceneParameters,
-    times: NDArray[np.int64] | None = None,
 ) -> FloatArray:
     """How densely duplicates of other people are expected where each detection is, (n,) 1/m².
 
@@ -33,11 +36,29 @@ def density(
     frame, position : (n,) and (n, 2) of the detections
     identity : (n,) as they are thought to be; −1: false
     scene : rate and spread of duplicates
-    times : identity → how often it was detected; None: as often as here
     """
-    first, second, square = near(frame, position, _REACH * scene.duplicate_spread)
-    if times is None:
-        times = np.bincount(identity[identity >= 0], minlength=1)
+    times = np.bincount(identity[identity >= 0], minlength=1)
+    return density_of(pairs(frame, position, scene), identity, scene, times)
+
+
+def pairs(frame: NDArray[np.int64], position: FloatArray, scene: SceneParameters) -> Pairs:
+    """Those of which one can be a duplicate of the other, as `near` has them."""
+    return near(frame, position, _REACH * scene.duplicate_spread)
+
+
+def density_of(
+    pairs: Pairs, identity: NDArray[np.int64], scene: SceneParameters, times: NDArray[np.int64]
+) -> FloatArray:
+    """`density` where the pairs are known.
+
+    Parameters
+    ----------
+    pairs : as of `pairs`
+    identity : (n,) as they are thought to be; −1: false
+    scene : rate and spread of duplicates
+    times : identity → how often it was detected
+    """
+    first, second, square = pairs
     strength = np.where(identity >= 0, times[np.maximum(identity, 0)], 0)
     counts = (identity[second] >= 0) & (identity[first] != identity[second])
     counts &= (strength[second] > strength[first]) | (
@@ -46,12 +67,10 @@ def density(
     first, square = first[counts], square[counts]
     variance = scene.duplicate_spread**2
     each = scene.duplicate_rate * np.exp(-0.5 * square / variance) / (2.0 * np.pi * variance)
-    return np.bincount(first, each, minlength=len(frame)).astype(float)
+    return np.bincount(first, each, minlength=len(identity)).astype(float)
 
 
-def near(
-    frame: NDArray[np.int64], position: FloatArray, reach: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+def near(frame: NDArray[np.int64], position: FloatArray, reach: float) -> Pairs:
     """Pairs (both ways) of detections of one frame within reach (m), and their squared distances (m²)."""
     # Frames far apart on a third axis: one tree for all.
     apart = np.column_stack([position, frame * (10.0 * reach)])

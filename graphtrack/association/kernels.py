@@ -316,3 +316,48 @@ def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> No
     for k in range(len(root)):
         if chains.rows[k].following < 0:
             value[root[k]] = chains.rows[k].total + ending(chains, k, scene)
+
+
+@compiled
+def count_up(chains: Chains, times: IntArray) -> None:
+    """How many detections the track of each has up to it (n,); of those that begin one it is given."""
+    for k in range(len(times)):
+        before = chains.rows[k].preceding
+        if before >= 0:
+            times[k] = times[before] + 1
+
+
+@compiled
+def only_pairs(gains: FloatArray, rows: IntArray, columns: IntArray) -> int:
+    """Put the rows and columns of gains above 0 that are the only ones of both into the arrays; their number.
+
+    After them the arrays have the other rows and columns with such gains, with −1 behind them.
+    """
+    of_row, of_column = np.zeros(gains.shape[0], np.int64), np.zeros(gains.shape[1], np.int64)
+    for i in range(gains.shape[0]):
+        for j in range(gains.shape[1]):
+            if gains[i, j] > 0.0:
+                of_row[i] += 1
+                of_column[j] += 1
+    count = 0
+    for i in range(gains.shape[0]):
+        if of_row[i] == 1:
+            for j in range(gains.shape[1]):
+                if gains[i, j] > 0.0:
+                    if of_column[j] == 1:
+                        rows[count], columns[count] = i, j
+                        of_row[i] = of_column[j] = 0
+                        count += 1
+                    break
+    rows[count:], columns[count:] = -1, -1
+    place = count
+    for i in range(gains.shape[0]):
+        if of_row[i] > 0:
+            rows[place] = i
+            place += 1
+    place = count
+    for j in range(gains.shape[1]):
+        if of_column[j] > 0:
+            columns[place] = j
+            place += 1
+    return count

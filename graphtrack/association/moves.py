@@ -9,6 +9,7 @@ from graphtrack.association.chains import Chains, IntArray, Scene
 from graphtrack.association.kernels import (
     gains_of_detections,
     gains_of_links,
+    only_pairs,
     probabilities_of_links,
     refresh,
     remember_rest,
@@ -130,13 +131,16 @@ class Moves:
 
 def match(gains: FloatArray) -> tuple[IntArray, IntArray]:
     """Rows and columns of the pairs whose gains are greatest in sum, each once, and each above 0."""
-    good = gains > 0.0
-    rows, columns = np.flatnonzero(good.any(axis=1)), np.flatnonzero(good.any(axis=0))
-    inner = good[np.ix_(rows, columns)]
-    if len(rows) == len(columns) == inner.sum():
-        i, j = np.nonzero(inner)
-    else:
-        i, j = linear_sum_assignment(np.maximum(gains[np.ix_(rows, columns)], 0.0), maximize=True)
-        kept = inner[i, j]
-        i, j = i[kept], j[kept]
-    return rows[i], columns[j]
+    rows, columns = np.empty(gains.shape[0] + 1, np.int64), np.empty(gains.shape[1] + 1, np.int64)
+    alone = only_pairs(gains, rows, columns)
+    i, j = rows[alone:], columns[alone:]
+    i, j = i[i >= 0], j[j >= 0]
+    if not len(i):
+        return rows[:alone], columns[:alone]
+    inner = np.maximum(gains[i[:, None], j], 0.0)
+    row, column = linear_sum_assignment(inner, maximize=True)
+    kept = inner[row, column] > 0.0
+    return (
+        np.concatenate([rows[:alone], i[row[kept]]]),
+        np.concatenate([columns[:alone], j[column[kept]]]),
+    )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from graphtrack.association import duplicates, learning
 from graphtrack.association.chains import DETECTION, Chains, IntArray, Scene, unlinked
 from graphtrack.association.detections import Detections
 from graphtrack.association.history import History
-from graphtrack.association.kernels import missed
+from graphtrack.association.kernels import count_up, missed
 from graphtrack.association.looks import widened
 from graphtrack.association.looks_online import Looks
 from graphtrack.association.moves import Moves
@@ -92,6 +93,7 @@ class OnlineAssociation(Moves):
         self._looks = Looks()
         self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
+        self._pairs: duplicates.Pairs  # of the frames that can be revised
 
     @property
     def descriptor_size(self) -> int:
@@ -101,7 +103,7 @@ class OnlineAssociation(Moves):
     @property
     def step_seconds(self) -> float:
         """Seconds from a frame to the next, as most were lately."""
-        return float(np.median(self._intervals)) if self._intervals else 1.0
+        return median(self._intervals) if self._intervals else 1.0
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
@@ -296,6 +298,7 @@ class OnlineAssociation(Moves):
         if not self._first:
             return
         first = self._first[0]
+        self._pairs = duplicates.pairs(chains.frame[first:], chains.position[first:], self.scene)
         std = self._notes.std[first:]
         chains.variance[first:] = np.where(np.isnan(std), self.scene.position_std, std) ** 2
         self._weigh_duplicates()
@@ -310,9 +313,7 @@ class OnlineAssociation(Moves):
         track = np.where(value[root] > 0.0, root, NOBODY)
         times = np.zeros(len(root), np.int64)
         np.maximum.at(times, root, self._times())
-        near = duplicates.density(
-            chains.frame[first:], chains.position[first:], track[first:], self.scene, times
-        )
+        near = duplicates.density_of(self._pairs, track[first:], self.scene, times)
         false = self.scene.clutter_density * notes.clutter[first:] + near
         chains.gain[first:] = np.log(self.scene.detection_probability) - np.log(false)
         chains.gain[first:] += self._looks.gain(notes.descriptor[first:], notes.score[first:])
@@ -321,8 +322,7 @@ class OnlineAssociation(Moves):
     def _times(self) -> IntArray:
         """(n,) how many detections its track has up to each one."""
         times = self._notes.before + 1
-        for k in np.flatnonzero(self.chains.preceding >= 0).tolist():
-            times[k] = times[self.chains.preceding[k]] + 1
+        count_up(self.chains, times)
         return times
 
     def _decide(self, first: int) -> Decision:

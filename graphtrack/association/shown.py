@@ -61,9 +61,9 @@ def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
     return found
 
 
-def to_smooth(seen: Observation) -> Observation:
-    """An observation without what says whose it is and not where they are."""
-    if seen.score is None and APPEARANCE not in seen.inputs:
+def to_smooth(seen: Observation, noise: float) -> Observation:
+    """An observation without what says whose it is alone; of that noise (m) where it does not say its own."""
+    if seen.position_std is not None and seen.score is None and not seen.inputs:
         return seen
     inputs = {name: value for name, value in seen.inputs.items() if name != APPEARANCE}
-    return replace(seen, score=None, inputs=inputs)
+    return replace(seen, score=None, inputs=inputs, position_std=seen.position_std or noise)

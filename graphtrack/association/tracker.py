@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -129,10 +129,7 @@ class OnlineTracker:
         )
         number = association.updates - 1
         # Nobody knows better how noisy they are than who saw them follow each other.
-        self._seen |= {
-            (number, place): replace(to_smooth(one), position_std=one.position_std or noise)
-            for place, one in enumerate(seen)
-        }
+        self._seen |= {(number, place): to_smooth(one, noise) for place, one in enumerate(seen)}
         owners, hidden = association.open_detections(), association.hidden()
         # Who is hidden sees an empty frame, in which the model predicts.
         self._seen[number, UNSEEN] = Observation(t=t)
@@ -234,10 +231,11 @@ class OnlineTracker:
             person = self._people.get(track_id)
             if person is None or person.estimate is None or person.estimate.status == "waiting":
                 continue
-            own = {one.name: getattr(person.estimate, one.name) for one in fields(Estimate)}
             place = told.get(track_id, UNSEEN)
             sure = math.nan if place == UNSEEN else float(decision.probability[place])
-            found.append(PersonEstimate(**own, track_id=track_id, detection=place, identity_p=sure))
+            found.append(
+                PersonEstimate(**vars(person.estimate), track_id=track_id, detection=place, identity_p=sure)
+            )
         return found
 
     def _smoother(self) -> OnlineSmoother:

@@ -80,7 +80,10 @@ class Failure:
 
 def bounded(covariance: FloatArray) -> FloatArray:
     """Covariances (..., 6, 6) with no angle less certain than the uniform density on the circle."""
-    if not (covariance[..., (4, 5), (4, 5)] > UNIFORM_STD**2).any():
+    if covariance.ndim == 2:  # of one state, at every observation
+        if not (covariance[4, 4] > UNIFORM_STD**2 or covariance[5, 5] > UNIFORM_STD**2):
+            return covariance
+    elif not (covariance[..., (4, 5), (4, 5)] > UNIFORM_STD**2).any():
         return covariance
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
     shrink = np.ones_like(variance)

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from command import run as run_command
-from crossing_people import idf1, street
+from crossing_people import crowd, idf1, street
 
 import graphtrack as gt
 from graphtrack.association.detections import Detections
@@ -155,6 +155,17 @@ def test_what_is_forgotten_bounds_the_memory() -> None:
         association.update(0.1 * k, rng.uniform(-8.0, 8.0, (4, 2)))
         sizes.append(len(association.chains.t))
     assert max(sizes[100:]) <= max(sizes[:100]) + 4
+
+
+@pytest.mark.slow
+def test_the_state_does_not_grow_over_twenty_thousand_frames() -> None:
+    association, sizes = OnlineAssociation(), []
+    for k, seen in enumerate(crowd(np.random.default_rng(8), people=5, frames=20_000)):
+        association.update(0.04 * k, seen)
+        if k % 250 == 249:
+            sizes.append(len(json.dumps(association.state())))
+    # What is remembered is full by frame 1,000.
+    assert max(sizes[40:]) < 1.1 * max(sizes[4:40])
 
 
 def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:

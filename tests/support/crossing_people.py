@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
@@ -40,6 +42,20 @@ def street(
     frame = table[:, 0].astype(np.int64)
     detections = Detections(frame, frame * step, table[:, 1:])
     return detections, whose[detections.row]
+
+
+def crowd(rng: np.random.Generator, *, people: int, frames: int, step: float = 0.04) -> Iterator[np.ndarray]:
+    """Each frame's detections (n, 2): people who wander in a square and never leave, 16 m² each."""
+    side = 4.0 * np.sqrt(people)
+    position, velocity = rng.uniform(0.0, side, (people, 2)), rng.normal(0.0, 1.0, (people, 2))
+    for _ in range(frames):
+        velocity = velocity + rng.normal(0.0, 0.05, (people, 2))
+        position = position + step * velocity
+        velocity = np.where((position < 0.0) | (position > side), -velocity, velocity)
+        position = np.clip(position, 0.0, side)
+        seen = position[rng.random(people) > 0.1]
+        false = rng.uniform(0.0, side, (rng.poisson(0.02 * people), 2))
+        yield rng.permutation(np.concatenate([seen + rng.normal(0.0, 0.05, seen.shape), false]))
 
 
 def looks_of(rng: np.random.Generator, whose: np.ndarray, size: int = 8, noise: float = 0.3) -> np.ndarray:

@@ -37,13 +37,17 @@ class ChainWindow:
     tolerance : the Newton steps of an observation end when the next one promises a smaller decrease of the
         cost, relative to 1 + the cost
     max_iterations : or after so many
+    show_coupled : `coupled` is kept, which takes some time
 
     Attributes
     ----------
-    coupled : the packed frames of the last solution, with what the modes of the couplings set; None without
+    coupled : the packed frames of the last solution, with what the modes of the couplings set; None without,
+        or where it is not to be shown
     """
 
-    def __init__(self, model: Model, lag: float, tolerance: float, max_iterations: int) -> None:
+    def __init__(
+        self, model: Model, lag: float, tolerance: float, max_iterations: int, *, show_coupled: bool = False
+    ) -> None:
         self._model, self._lag = model, lag
         self._tolerance, self._max_iterations = tolerance, max_iterations
         self._program = program_of(model)
@@ -51,6 +55,7 @@ class ChainWindow:
         self._anchor: Angles | None = None
         self._steps: list[Step] = []
         self._has_prior = False
+        self._show_coupled = show_coupled
         self.coupled: np.ndarray | None = None
         # Whether what was seen may speak for several directions: then other basins are searched.
         self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
@@ -247,6 +252,7 @@ class ChainWindow:
         """Set the couplings by the modes that the states imply."""
         if self._modes is not None:
             self._modes.renew(self._problem, self._states)
+        if self._modes is not None and self._show_coupled:
             # What slides out of the window is cut from it.
             self.coupled = self._problem.records[slice(*self._offsets.tolist())].copy()
 

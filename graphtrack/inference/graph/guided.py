@@ -116,7 +116,7 @@ class Guided:
     def _begin(self) -> ChainWindow:
         make_ready(ONLINE, online_rehearsal(self._model))
         lag = self._lag if self._lag < math.inf else _LAG
-        self._chain = ChainWindow(self._model, lag, _PROMISED_DECREASE, _MOST_STEPS)
+        self._chain = ChainWindow(self._model, lag, _PROMISED_DECREASE, _MOST_STEPS, show_coupled=True)
         return self._chain
 
     def _couple(self, chain: ChainWindow, steps: Sequence[Step]) -> None:
@@ -141,7 +141,7 @@ class Guided:
         window = self._graph.window()
         try:
             if self._lag == math.inf:
-                whole = ChainWindow(self._model, math.inf, _PROMISED_DECREASE, _MOST_STEPS)
+                whole = ChainWindow(self._model, math.inf, _PROMISED_DECREASE, _MOST_STEPS, show_coupled=True)
                 whole.rework(window)
                 found = replace(whole.window(), steps=window.steps)
                 # From here on both know the same of the past.

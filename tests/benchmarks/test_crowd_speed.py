@@ -1,0 +1,40 @@
+"""Speed of the trackers of many people: ratios of processor time a frame, of the same detections."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from crossing_people import crowd
+
+import graphtrack as gt
+from graphtrack.association.online import OnlineAssociation
+from graphtrack.baselines.hungarian import HungarianTracker
+
+pytestmark = pytest.mark.benchmark
+STEP = 0.04
+FIRST, FRAMES = 60, 120
+"""By frame ``FIRST`` windows are full."""
+
+
+def milliseconds(*steps: Callable[[float, np.ndarray], object]) -> list[float]:
+    """Median processor time of a frame with 100 people at 25 Hz; all take the same frames in turn."""
+    spent = []
+    for k, seen in enumerate(crowd(np.random.default_rng(0), people=100, frames=FRAMES, step=STEP)):
+        row = []
+        for step in steps:
+            start = time.process_time()
+            step(STEP * k, seen)
+            row.append(1e3 * (time.process_time() - start))
+        spent.append(row)
+    return np.median(spent[FIRST:], axis=0).tolist()  # type: ignore[no-any-return]
+
+
+def test_a_frame_of_a_crowd_beside_a_plain_tracker(record: Callable[[str, float], None]) -> None:
+    alone, tracker = OnlineAssociation(), gt.OnlineTracker("full")
+    own, whole, peer = milliseconds(alone.update, tracker.update, HungarianTracker().step)
+    print(f"\nms of a frame: association {own:.1f}, tracker with full {whole:.1f}, plain {peer:.1f}")
+    record("frame of 100 people, online association / Kalman and Hungarian, processor time", own / peer)
+    record("frame of 100 people, online tracker full / Kalman and Hungarian, processor time", whole / peer)
