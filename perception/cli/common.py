@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from graphtrack.cli.console import console
+from graphtrack.cli.console import console, progress_bar
 from graphtrack.cli.options import check_outputs
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from perception.images.frames import FrameSource
+    from perception.images.frames import Frame, FrameSource
 
 _SHOWN = 5
 _FPS = 25.0
@@ -80,6 +81,34 @@ def check_places(
 def frame_rate(frames: FrameSource, fps: float | None) -> float:
     """Frames a second: those that are asked for, or else the video's."""
     return fps or frames.fps or _FPS
+
+
+@contextmanager
+def decoded_frames(
+    frames: FrameSource,
+    wanted: Callable[[int], bool],
+    count: int,
+    *,
+    unit: str = "frames",
+    one_size: bool = False,
+) -> Iterator[Iterator[Frame]]:
+    """The frames whose numbers are wanted, ``count`` of them, with a progress bar.
+
+    Parameters
+    ----------
+    one_size : whether a frame of another size than the first is an `InputError`
+    """
+    from perception.images.frames import of_one_size
+
+    found = frames.where(wanted)
+    with progress_bar(count, unit) as advance:
+
+        def told() -> Iterator[Frame]:
+            for frame in of_one_size(found) if one_size else found:
+                advance(1)
+                yield frame
+
+        yield told()
 
 
 def read_camera(homography: Path | None, calibration: Path | None) -> GroundCamera | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from graphtrack.cli.console import console, progress_bar
+from graphtrack.cli.console import console
 from graphtrack.display import counted
 from perception.cli.common import (
     FILE,
@@ -21,6 +21,7 @@ from perception.cli.common import (
     Render,
     VideoOrFolder,
     check_places,
+    decoded_frames,
     frame_rate,
     in_time,
     print_camera_note,
@@ -72,6 +73,12 @@ def observe(
     head_localiser_model: Annotated[
         Path | None, typer.Option("--head-localiser-model", help="A model of your own (.npz).", **FILE)
     ] = None,
+    camera_models: Annotated[
+        Path | None,
+        typer.Option(
+            "--models", help="What the camera has taught itself (.npz, of `perception adapt`).", **FILE
+        ),
+    ] = None,
     write_boxes_to: Annotated[
         Path | None, typer.Option("--write-boxes", help="Write the detected boxes here, as MOT text.")
     ] = None,
@@ -104,6 +111,7 @@ def observe(
     from graphtrack.errors import InputError
     from graphtrack.io import write
     from graphtrack.io.reading import check_table_name, write_detections
+    from perception.adaptation.models import CameraModels
     from perception.cli.observe_stream import observe_stream
     from perception.detection.boxes import read_boxes, write_boxes
     from perception.detection.people import Detections, PeopleTracker
@@ -116,6 +124,9 @@ def observe(
 
     if head_pose not in HEAD_POSE:
         raise InputError(f"--head-pose {head_pose}", " or ".join(HEAD_POSE))
+    own_models = (head_pose_model, body_pose_model, head_localiser_model)
+    if camera_models is not None and any(path is not None for path in own_models):
+        raise InputError("--models beside a model for one of its parts", "one of them")
     if boxes is not None and write_boxes_to is not None:
         raise InputError("--write-boxes beside --boxes", "one of them: given boxes are not detected")
     streamed = str(output) == "-"
@@ -140,6 +151,7 @@ def observe(
             "--head-pose-model": head_pose_model,
             "--body-pose-model": body_pose_model,
             "--head-localiser-model": head_localiser_model,
+            "--models": camera_models,
         },
         table=None if streamed else output,
     )
@@ -156,6 +168,7 @@ def observe(
         load_classifier("body_pose", body_pose_model),
         load_classifier(head_pose, head_pose_model),
         appearance=not identified if appearance is None else appearance,
+        of_camera=None if camera_models is None else CameraModels.load(camera_models),
     )
     camera = read_camera(homography, calibration)
     if streamed:
@@ -175,7 +188,7 @@ def observe(
         if write_boxes_to is not None:
             write_boxes(people, write_boxes_to)
     looked = time.perf_counter()
-    own = [_stamp(path) for path in (head_pose_model, body_pose_model, head_localiser_model)]
+    own = [_stamp(path) for path in (*own_models, camera_models)]
     key = _key(frames.stamp(), head_pose, own, people, models.appearance)
     journal = FrameJournal(known_so_far, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record)
     journal.open()
@@ -186,7 +199,7 @@ def observe(
         with _decoded(frames, journal.frames.keys() | empty, one_size=one_size) as decoded:
             count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
         seen = pipeline.seen_in(journal)
-        observed = pipeline.to_tracks(seen, models.head_pose.classes, camera, rate, causal=bool(causal))
+        observed = pipeline.to_tracks(seen, models.head_classes, camera, rate, causal=bool(causal))
     except InputError:  # the same command would end in the same way
         journal.close(remove=True)
         detections.close(remove=True)
@@ -249,18 +262,12 @@ def _decoded(
     ----------
     one_size : whether a frame of another size than the first is an `InputError`
     """
-    from perception.images.frames import of_one_size
-
     known = frozenset(known)
-    found = frames.where(lambda number: number not in known)
-    with progress_bar(frames.count - len(known), unit) as advance:
-
-        def told() -> Iterator[Frame]:
-            for frame in of_one_size(found) if one_size else found:
-                advance(1)
-                yield frame
-
-        yield told()
+    count = frames.count - len(known)
+    with decoded_frames(
+        frames, lambda number: number not in known, count, unit=unit, one_size=one_size
+    ) as decoded:
+        yield decoded
 
 
 def _detect(

@@ -72,7 +72,7 @@ class LiveObserver:
             return None
         path = self._paths.setdefault(item.track_id, HeadPath()) if self.identified else HeadPath()
         head = np.array([path.update(in_heights(item))])
-        classes = self.models.head_pose.classes
+        classes = self.models.head_classes
         track = to_track([item], head, classes, self.camera, self.fps, projection=self._projection)
         row = {name: values[0].item() for name, values in to_columns(TrackSet((track,))).items()}
         return row if self.identified else row | {"track_id": -1}

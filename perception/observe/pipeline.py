@@ -14,6 +14,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import BEYOND_HORIZON, PERSON_HEIGHT
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, ReadSummary, Track, TrackSet
+from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox, foot_point
 from perception.images.frames import Frame
 from perception.images.pixels import Image, checked_box, crop
@@ -30,12 +31,25 @@ _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES
 
 @dataclass(frozen=True)
 class Models:
-    """What looks at a person: head localiser, body pose and head pose; whether looks are described too."""
+    """What looks at a person.
+
+    Attributes
+    ----------
+    head_localiser, body_pose, head_pose : for any camera
+    appearance : whether looks are described too
+    of_camera : what the camera has taught itself; it takes the place of the three
+    """
 
     head_localiser: HeadLocaliser
     body_pose: Classifier
     head_pose: Classifier
     appearance: bool = False
+    of_camera: CameraModels | None = None
+
+    @property
+    def head_classes(self) -> PoseClasses:
+        """Pan classes of heads."""
+        return (self.head_pose if self.of_camera is None else self.of_camera).classes.pans
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +79,9 @@ def observe_frame(
         people.append((item, crop(image, item.box)))
         # However many people there are, their pictures take no more memory than a few of the whole image.
         if sum(picture.size for _, picture in people) > image.size:
-            seen += _look(people, models, light)
+            seen += _look(image, people, models, light)
             people = []
-    return seen + _look(people, models, light)
+    return seen + _look(image, people, models, light)
 
 
 def _usable(
@@ -84,29 +98,39 @@ def _usable(
 
 
 def _look(
-    people: list[tuple[PersonBox, Image]], models: Models, light: FloatArray | None
+    image: Image, people: list[tuple[PersonBox, Image]], models: Models, light: FloatArray | None
 ) -> list[SeenPerson]:
     """What the models say of people and the pictures of their boxes; given the light, their looks too."""
     if not people:
         return []
-    body = models.body_pose.log_likelihoods([picture for _, picture in people])
-    candidates = [models.head_localiser.locate(picture) for _, picture in people]
-    heads = [
-        _head_crop(picture, box)
-        for (_, picture), found in zip(people, candidates, strict=True)
-        for box in found.boxes
-    ]
-    pan = models.head_pose.classes.pan_log_likelihood(models.head_pose.log_likelihoods(heads))
+    if models.of_camera is not None:
+        said = models.of_camera.look(image, [item.box for item, _ in people])
+    else:
+        said = _said([picture for _, picture in people], models)
     looks: Sequence[NDArray[np.uint8] | None] = [None] * len(people)
     if light is not None:
         looks = list(describe([picture for _, picture in people], light))
-    seen, start = [], 0
-    for (item, _), found, of_body, look in zip(people, candidates, body, looks, strict=True):
-        of_heads = np.asarray(pan[start : start + len(found.boxes)])
+    return [
+        SeenPerson(item.frame, item.track_id, item.box, *of_person, item.score, look)
+        for (item, _), of_person, look in zip(people, said, looks, strict=True)
+    ]
+
+
+def _said(pictures: list[Image], models: Models) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
+    """Of each picture: the body's log likelihoods, heads, and theirs, by the models of any camera."""
+    body = models.body_pose.log_likelihoods(pictures)
+    candidates = [models.head_localiser.locate(picture) for picture in pictures]
+    heads = [
+        _head_crop(picture, box)
+        for picture, found in zip(pictures, candidates, strict=True)
+        for box in found.boxes
+    ]
+    pan = models.head_pose.classes.pan_log_likelihood(models.head_pose.log_likelihoods(heads))
+    said, start = [], 0
+    for found, of_body in zip(candidates, body, strict=True):
+        said.append((of_body, found, np.asarray(pan[start : start + len(found.boxes)])))
         start += len(found.boxes)
-        person = item.frame, item.track_id, item.box
-        seen.append(SeenPerson(*person, of_body, found, of_heads, item.score, look))
-    return seen
+    return said
 
 
 def _head_crop(picture: Image, box: FloatArray) -> Image:

@@ -1,0 +1,237 @@
+"""From pictures of people who walk to the models of their camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, difference
+from perception.adaptation.alignment import HeadSamples, crop_of, head_of_crop
+from perception.adaptation.labels import WalkingLabels
+from perception.adaptation.models import CameraModels
+from perception.adaptation.teaching import BODY, CLASSES, HEAD, HeldOut, Taught, folds_of, taught
+from perception.images.pixels import Image, crop
+from perception.pose.classifier import Classifier
+from perception.pose.head_path import select_along_track
+from perception.pose.heads import HeadLocaliser
+from perception.storage import ModelCard
+
+_SMOOTHNESS = 12.0
+"""Log ratio that a step of one head height along a track costs."""
+
+
+@dataclass(frozen=True)
+class AdaptationParameters:
+    """How a camera learns.
+
+    Attributes
+    ----------
+    least_people : who surely walk
+    most_of_person, most : boxes that are learned from
+    first_heads : boxes in which heads are looked for with the package's localiser, to begin with
+    rounds : of placing heads and learning what they look like
+    """
+
+    least_people: int = 5
+    most_of_person: int = 60
+    most: int = 4000
+    first_heads: int = 500
+    rounds: int = 2
+
+
+@dataclass(frozen=True, eq=False)
+class PackageModels:
+    """The models that a camera begins with: where heads are, and whom to be better than."""
+
+    head_localiser: HeadLocaliser
+    body_pose: Classifier
+    head_pose: Classifier
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """What was learned with heads (n, 2) at some places."""
+
+    heads: FloatArray
+    body: Taught
+    head: Taught
+    body_out: HeldOut
+    head_out: HeldOut
+
+    def loss(self, angle: FloatArray) -> float:
+        return self.body_out.loss(angle) + self.head_out.loss(angle)
+
+
+def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingLabels:
+    """As many of the labels as are learned from, evenly over each person's.
+
+    Raises
+    ------
+    InputError
+        If too few people surely walk.
+    """
+    people = np.unique(labels.person)
+    if len(people) < parameters.least_people:
+        raise InputError(
+            f"{len(people)} people who surely walk, in {labels.tracks} tracks",
+            f"at least {parameters.least_people}: a camera learns from people who walk",
+        )
+    each = min(parameters.most_of_person, max(1, parameters.most // len(people)))
+    kept = []
+    for one in people.tolist():
+        rows = np.flatnonzero(labels.person == one)
+        kept.append(rows[np.unique(np.linspace(0, len(rows) - 1, min(each, len(rows))).astype(int))])
+    return labels.taken(np.concatenate(kept))
+
+
+def learn(
+    patches: Sequence[Image],
+    labels: WalkingLabels,
+    seconds: float,
+    size: tuple[int, int],
+    package: PackageModels,
+    rng: np.random.Generator,
+    parameters: AdaptationParameters = AdaptationParameters(),
+    advance: Callable[[int], None] = lambda count: None,
+) -> CameraModels:
+    """The models of a camera, of people who surely walk.
+
+    Parameters
+    ----------
+    patches : n, as from `patch_of`
+    labels : n, each person's in the order of frames
+    seconds : of the recording
+    size : columns and rows of its frames
+    package : models to begin with
+    advance : is told when one of `stages` is done
+    """
+    angle = labels.angle
+    fold = folds_of(labels.person, rng)
+    some = _some(len(patches), parameters.first_heads)
+    first = np.array([_found(patches[k], package.head_localiser) for k in some.tolist()])
+    figures = _of_package([patches[k] for k in some.tolist()], first, angle[some], package)
+    place = np.median(first, axis=0)
+    advance(1)
+    given = _attempt(patches, np.tile(place, (len(patches), 1)), labels, fold)
+    figures |= _figures(given, labels, "_boxes_as_given")
+    advance(1)
+    best, templates, known = given, None, first
+    for _ in range(parameters.rounds):
+        samples = HeadSamples.of([patches[k] for k in some.tolist()], known, angle[some], rng)
+        heads = _placed(patches, samples, fold[some], labels, fold)
+        tried = _attempt(patches, heads, labels, fold)
+        if tried.loss(angle) < best.loss(angle):
+            best, templates = tried, samples.templates(np.ones(len(some), bool))
+        known = heads[some]
+        advance(1)
+    figures |= _figures(best, labels, "")
+    card = _card(labels, seconds, best, figures, aligned=templates is not None)
+    return CameraModels(templates, place, best.body, best.head, size, card)
+
+
+def stages(parameters: AdaptationParameters) -> int:
+    """How often `learn` tells that it advances."""
+    return 2 + parameters.rounds
+
+
+def _some(n: int, most: int) -> NDArray[np.int64]:
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64))
+
+
+def _found(patch: Image, localiser: HeadLocaliser) -> FloatArray:
+    picture = crop_of(patch)
+    return head_of_crop(localiser.locate(picture).boxes[0], 1.0)
+
+
+def _placed(
+    patches: Sequence[Image],
+    samples: HeadSamples,
+    fold_of_sample: NDArray[np.int64],
+    labels: WalkingLabels,
+    fold: NDArray[np.int64],
+) -> FloatArray:
+    """Heads (n, 2) by templates of other people, along each track."""
+    heads = np.zeros((len(patches), 2))
+    for k in np.unique(fold).tolist():
+        templates = samples.templates(fold_of_sample != k)
+        for one in np.unique(labels.person[fold == k]).tolist():
+            rows = np.flatnonzero(labels.person == one)
+            found = [templates.candidates(patches[j]) for j in rows.tolist()]
+            chosen = select_along_track(found, smoothness=_SMOOTHNESS)
+            boxes = np.array([c.boxes[j] for c, j in zip(found, chosen.tolist(), strict=True)])
+            heads[rows] = boxes[:, :2] + boxes[:, 2:] / 2.0
+    return heads
+
+
+def _attempt(
+    patches: Sequence[Image], heads: FloatArray, labels: WalkingLabels, fold: NDArray[np.int64]
+) -> _Attempt:
+    found = [
+        taught(*view.all_features(patches, heads), labels.angle, labels.person, fold) for view in (BODY, HEAD)
+    ]
+    (body, body_out), (head, head_out) = found
+    return _Attempt(heads, body, head, body_out, head_out)
+
+
+def _of_package(
+    patches: Sequence[Image], heads: FloatArray, angle: FloatArray, package: PackageModels
+) -> dict[str, float]:
+    """Errors of the package's models on some of the boxes as they are given."""
+    from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH
+    from perception.adaptation.patches import ABOVE, COLUMNS, TALL, in_patch
+
+    size = np.array([HEAD_WIDTH, HEAD_HEIGHT]) * TALL
+    people = [patch[ABOVE : ABOVE + TALL, COLUMNS // 2 - 33 : COLUMNS // 2 + 33] for patch in patches]
+    pictures = [
+        crop(patch, np.concatenate([in_patch(head) - 0.53 * size, 1.06 * size]))
+        for patch, head in zip(patches, heads, strict=True)
+    ]
+    figures = {}
+    for name, model, images in (
+        ("body", package.body_pose, people),
+        ("head", package.head_pose, pictures),
+    ):
+        classes = model.classes
+        said = classes.pan_log_likelihood(model.log_likelihoods(images))
+        error = np.abs(difference(classes.pans.mean_pan(said), angle))
+        figures[f"{name}_error_deg_package"] = float(np.rad2deg(error.mean()))
+    return figures
+
+
+def _figures(found: _Attempt, labels: WalkingLabels, of: str) -> dict[str, float]:
+    both = HeldOut(found.body_out.log_likelihood + found.head_out.log_likelihood)
+    figures = {}
+    for name, out in (("body", found.body_out), ("head", found.head_out), ("both", both)):
+        error = out.errors(labels.angle)
+        figures[f"{name}_error_deg{of}"] = float(np.rad2deg(error.mean()))
+        if of:
+            continue
+        figures[f"{name}_error_deg_median"] = float(np.rad2deg(np.median(error)))
+        each = [error[labels.person == one].mean() for one in np.unique(labels.person)]
+        figures[f"{name}_error_deg_by_person"] = float(np.rad2deg(np.mean(each)))
+        if name != "both":
+            figures[f"{name}_expected_calibration_error"] = out.calibration_error(labels.angle)
+    return figures
+
+
+def _card(
+    labels: WalkingLabels, seconds: float, best: _Attempt, figures: dict[str, float], *, aligned: bool
+) -> ModelCard:
+    people = len(np.unique(labels.person))
+    said = f"the directions of travel of {people} people who surely walk, in {seconds / 60.0:.1f} minutes"
+    unseen = unseen_views(best.body.seen)
+    parameters: dict[str, Any] = {"people": people, "minutes": seconds / 60.0, "aligned": aligned}
+    fails = "another view or other light; people who look or stand aside are known by what walkers show"
+    if unseen:
+        fails += f"; nobody walked at {', '.join(unseen)} to the camera: the likelihoods are flat there"
+    return ModelCard(CameraModels.kind, said, fails, len(labels), parameters, figures)
+
+
+def unseen_views(seen: NDArray[np.bool_]) -> list[str]:
+    """The directions that (almost) nobody walked in, or its mirror image, to print."""
+    return [f"{np.rad2deg(a):.0f}°" for a in CLASSES.pan[~seen].tolist()]

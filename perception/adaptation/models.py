@@ -1,0 +1,127 @@
+"""The models of one camera: where heads are, how bodies and heads point; all in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH, HeadTemplates
+from perception.adaptation.patches import patch_of
+from perception.adaptation.teaching import BODY, CLASSES, HEAD, Taught
+from perception.images.pixels import Image
+from perception.pose.heads import HeadCandidates
+from perception.storage import ModelCard, Stored
+
+_SCALE = 6.0
+"""Log ratio of a candidate that counts as a score of 1 along a track."""
+
+
+@dataclass(eq=False)
+class CameraModels(Stored):
+    """What a camera has taught itself.
+
+    Attributes
+    ----------
+    templates : of heads; None: boxes are taken as they are
+    body, head : the models of the directions
+    size : columns and rows of the frames
+    """
+
+    kind: ClassVar[str] = "camera"
+
+    templates: HeadTemplates | None
+    place: FloatArray
+    body: Taught
+    head: Taught
+    size: tuple[int, int]
+    card: ModelCard
+
+    classes = CLASSES
+
+    def candidates(self, patch: Image) -> HeadCandidates:
+        """Where the head may be in a patch, best first, in heights of the box from the middle of its top."""
+        if self.templates is not None:
+            return self.templates.candidates(patch)
+        left, top = self.place - np.array([HEAD_WIDTH, HEAD_HEIGHT]) / 2.0
+        return HeadCandidates(np.array([[left, top, HEAD_WIDTH, HEAD_HEIGHT]]), np.zeros(1))
+
+    def look(
+        self, image: Image, boxes: Sequence[tuple[float, float, float, float]]
+    ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
+        """Of each box of a frame: the body's log likelihoods (8,), heads in its crop, and theirs (k, 8).
+
+        Raises
+        ------
+        InputError
+            If the frame is not as large as those that the camera learned from.
+        """
+        self.check_size(image)
+        return [self._look(patch_of(image, box), box) for box in boxes]
+
+    def check_size(self, image: Image) -> None:
+        """Refuse frames of another size; the error is an `InputError`."""
+        size = (image.shape[1], image.shape[0])
+        if size != self.size:
+            raise InputError(
+                f"a frame of {size[0]} × {size[1]} pixels",
+                f"{self.size[0]} × {self.size[1]}, as of the camera that --models is of",
+            )
+
+    def _look(
+        self, patch: Image, box: tuple[float, float, float, float]
+    ) -> tuple[FloatArray, HeadCandidates, FloatArray]:
+        found = self.candidates(patch)
+        middles = found.boxes[:, :2] + found.boxes[:, 2:] / 2.0
+        features, mirrored = BODY.features(patch, middles[0])
+        body = self.body.log_likelihoods(features[None], mirrored[None])[0]
+        head = self.head.log_likelihoods(*HEAD.all_features([patch] * len(middles), middles))
+        left, top, width, height = box
+        start = np.array([left - round(left) + width / 2.0, top - round(top), 0.0, 0.0])
+        in_crop = HeadCandidates(found.boxes * height + start, found.scores / _SCALE)
+        return body, in_crop, head
+
+    def parameters(self) -> dict[str, Any]:
+        """Size of the frames, and calibrations."""
+        of_parts = {
+            name: {"temperature": part.temperature, "share": part.share, "seen": part.seen.tolist()}
+            for name, part in (("body", self.body), ("head", self.head))
+        }
+        return {"size": list(self.size), **of_parts}
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Templates and weights."""
+        found: dict[str, NDArray[Any]] = {"place": self.place}
+        for name, part in (("body", self.body), ("head", self.head)):
+            found |= {f"{name}_weight": part.weight, f"{name}_bias": part.bias}
+        if self.templates is not None:
+            found |= {
+                "template_weight": self.templates.weight,
+                "template_bias": self.templates.bias,
+                "template_place": self.templates.place,
+            }
+        return found
+
+    @classmethod
+    def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
+        """The models of a file."""
+        parts = {}
+        for name in ("body", "head"):
+            given = card.parameters[name]
+            parts[name] = Taught(
+                arrays[f"{name}_weight"],
+                arrays[f"{name}_bias"],
+                float(given["temperature"]),
+                float(given["share"]),
+                np.array(given["seen"], bool),
+            )
+        templates = None
+        if "template_weight" in arrays:
+            templates = HeadTemplates(*(arrays[f"template_{name}"] for name in ("weight", "bias", "place")))
+        width, height = (int(value) for value in card.parameters["size"])
+        return cls(templates, arrays["place"], parts["body"], parts["head"], (width, height), card)

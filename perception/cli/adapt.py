@@ -1,0 +1,180 @@
+"""`perception adapt`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from graphtrack.cli.console import console, print_table, progress_bar
+from graphtrack.cli.options import Seed
+from graphtrack.display import counted
+from perception.cli.common import (
+    FILE,
+    Calibration,
+    Fps,
+    Homography,
+    VideoOrFolder,
+    check_places,
+    decoded_frames,
+    frame_rate,
+    print_skipped,
+    read_camera,
+)
+
+if TYPE_CHECKING:
+    from graphtrack.geometry.camera import GroundCamera
+    from perception.adaptation.labels import WalkingLabels
+    from perception.detection.boxes import PersonBox
+    from perception.images.frames import FrameSource
+    from perception.storage import ModelCard
+
+
+def adapt(
+    source: VideoOrFolder,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.npz).")],
+    boxes: Annotated[
+        Path | None,
+        typer.Option(
+            "--boxes",
+            help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1; without it "
+            "people are detected.",
+            **FILE,
+        ),
+    ] = None,
+    homography: Homography = None,
+    calibration: Calibration = None,
+    fps: Fps = None,
+    seed: Seed = 0,
+) -> None:
+    """Let a camera teach itself how bodies and heads point, from people who surely walk.
+
+    `perception observe --models` uses the file.
+    """
+    from graphtrack.errors import InputError
+    from perception.adaptation.learning import AdaptationParameters, PackageModels, learn, stages, thinned
+    from perception.adaptation.recording import check_camera, patches_in
+    from perception.detection.boxes import read_boxes
+    from perception.images.frames import FrameSource
+    from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+
+    if output.suffix != ".npz":
+        raise InputError(f"--output {output.name}", "a name that ends in .npz")
+    inputs = {"--boxes": boxes, "--homography": homography, "--calibration": calibration}
+    check_places({"--output": output}, None, source, inputs)
+    camera = read_camera(homography, calibration)
+    if camera is None:
+        raise InputError("no camera", "--calibration or --homography: where people go is seen on the ground")
+    frames = FrameSource.open(source)
+    size = _size(frames)
+    check_camera(camera, size)
+    rate = frame_rate(frames, fps)
+    refused: dict[str, None] = {}
+    refuse = refused.setdefault
+    people = _detected(frames, camera, refuse) if boxes is None else read_boxes(boxes, refuse)
+    if not people:
+        raise InputError("a recording without people", "people who walk")
+    parameters = AdaptationParameters()
+    labels = thinned(_labels(frames, people, camera, rate, refuse), parameters)
+    chosen = [people[k] for k in labels.box.tolist()]
+    wanted = {item.frame for item in chosen}
+    with decoded_frames(frames, wanted.__contains__, len(wanted), one_size=True) as decoded:
+        found = patches_in(decoded, chosen, refuse)
+    there = np.array(sorted(found), np.int64)
+    labels = thinned(labels.taken(there), parameters)  # boxes of frames that did not come are gone
+    package = PackageModels(
+        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
+    )
+    seconds = (max(item.frame for item in people) - min(item.frame for item in people) + 1) / rate
+    with progress_bar(stages(parameters), "rounds") as advance:
+        models = learn(
+            [found[k] for k in there.tolist()],
+            labels,
+            seconds,
+            size,
+            package,
+            np.random.default_rng(seed),
+            parameters,
+            advance,
+        )
+    models.save(output)
+    print_skipped(list(refused))
+    console.print(
+        f"learned from {len(labels)} boxes of {len(np.unique(labels.person))} people who "
+        f"surely walk, of {counted(labels.tracks, 'track')}",
+        markup=False,
+    )
+    _print_figures(models.card)
+    console.print(f"wrote {output}", markup=False)
+
+
+def _size(frames: FrameSource) -> tuple[int, int]:
+    """Columns and rows of the first frame that can be decoded."""
+    from graphtrack.errors import InputError
+
+    for frame in frames:
+        if frame.image is not None:
+            return frame.image.shape[1], frame.image.shape[0]
+    raise InputError("no frame that can be decoded", "a video or a folder of images", path=frames.path)
+
+
+def _labels(
+    frames: FrameSource,
+    people: list[PersonBox],
+    camera: GroundCamera,
+    rate: float,
+    refuse: Callable[[str], object],
+) -> WalkingLabels:
+    """Who surely walks; for detections the frames are decoded, to see what people look like."""
+    from perception.adaptation.labels import walking_labels
+    from perception.adaptation.recording import looks_of
+
+    looks = None
+    if not people[0].identified:
+        wanted = {item.frame for item in people}
+        with decoded_frames(frames, wanted.__contains__, len(wanted), one_size=True) as decoded:
+            looks, _ = looks_of(decoded, people, refuse)
+    return walking_labels(people, looks, camera, rate)
+
+
+def _detected(frames: FrameSource, camera: GroundCamera, refuse: Callable[[str], object]) -> list[PersonBox]:
+    """People that OpenCV's detector finds, joined to tracks."""
+    from perception.detection.people import Detections, PeopleDetector, PeopleTracker
+
+    detector, tracker = PeopleDetector(), PeopleTracker(camera)
+    with decoded_frames(frames, lambda number: True, frames.count, one_size=True) as decoded:
+        for frame in decoded:
+            if frame.image is None:
+                refuse(frame.reason)
+            else:
+                tracker.update(frame.number, Detections.of(frame.image, *detector.detect(frame.image)))
+    return tracker.tracks()
+
+
+def _print_figures(card: ModelCard) -> None:
+    """Errors on people left out, step by step."""
+    steps = (
+        ("chance", None),
+        ("the package's models", "_package"),
+        ("learned in the boxes as given", "_boxes_as_given"),
+        ("learned in aligned boxes" if card.parameters["aligned"] else "what is written", ""),
+    )
+    rows = [
+        {
+            "people left out": name,
+            **{
+                part: 90.0 if of is None else card.figures.get(f"{part}_error_deg{of}", float("nan"))
+                for part in ("body", "head", "both")
+            },
+        }
+        for name, of in steps
+    ]
+    print_table("mean error against the direction of travel, degrees", rows)
+    errors = ", ".join(
+        f"{part} {card.figures[f'{part}_expected_calibration_error']:.3f}" for part in ("body", "head")
+    )
+    console.print(f"expected calibration error: {errors}", markup=False)
+    console.print(f"fails with: {card.fails_when}", markup=False)
