@@ -174,7 +174,7 @@ class HeadSamples:
         for patch, best in zip(patches, nearest.tolist(), strict=True):
             windows = _windows(orientations(patch))
             far = np.flatnonzero(np.hypot(_X - _X[best], _Y - _Y[best]) > _NOT_NEAR)
-            seen.append(windows[best])
+            seen.append(windows[best].copy())  # a view would keep all of them
             beside.append(windows[rng.choice(far, _BESIDE_EACH, replace=False)])
         heads, others = np.array(seen), np.concatenate(beside)
         others = np.vstack([others, _mirrored(others)])

@@ -62,7 +62,8 @@ def pasted_street(
         image = np.full((SIZE[1], SIZE[0], 3), 110, np.uint8)
         _paste(image, picture, box)
         frames.append(Frame(k, image))
-        left, top, width, height = (box + offset * _TALL * np.append(rng.normal(size=2), [0.0, 0.0])).tolist()
+        off = offset * _TALL * rng.normal(size=2) * (1.0, 0.4)
+        left, top, width, height = (box + np.append(off, [0.0, 0.0])).tolist()
         boxes.append(PersonBox(k, 1 + k // _STEPS, (left, top, width, height)))
     return PastedStreet(frames, boxes, np.array(angles), camera)
 

@@ -1,0 +1,211 @@
+"""A camera that teaches itself: labels, alignment, what it learns, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import run
+from pasted_street import FPS, PastedStreet, pasted_street
+
+from graphtrack import io
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import difference
+from graphtrack.geometry.camera import GroundCamera
+from perception.adaptation.labels import walking_labels
+from perception.adaptation.learning import AdaptationParameters, thinned
+from perception.adaptation.models import CameraModels
+from perception.adaptation.patches import COLUMNS, ROWS, TALL, in_patch, of_patch, patch_of
+from perception.adaptation.recording import check_camera
+from perception.adaptation.teaching import CLASSES, calibrated, folds_of, seen_directions, taught
+from perception.detection.boxes import write_boxes
+from perception.models import load_classifier, load_head_localiser
+from perception.observe.pipeline import Models, observe_frame
+
+
+def write_street(street: PastedStreet, folder: Path) -> list[object]:
+    """A folder of frames, boxes and a homography; the arguments of a command that name them."""
+    (folder / "frames").mkdir(parents=True)
+    for frame in street.frames:
+        assert frame.image is not None
+        cv2.imwrite(str(folder / "frames" / f"{frame.number:04d}.png"), frame.image)
+    write_boxes(street.boxes, folder / "boxes.txt")
+    np.savetxt(folder / "homography.txt", street.camera.homography)
+    options = ["--boxes", folder / "boxes.txt", "--homography", folder / "homography.txt", "--fps", FPS]
+    return [folder / "frames", *options]
+
+
+@pytest.fixture(scope="module")
+def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The file that a camera wrote, and what it said."""
+    folder = tmp_path_factory.mktemp("adapted")
+    arguments = write_street(pasted_street(24, np.random.default_rng(0)), folder / "street")
+    done = run("adapt", *arguments, "-o", folder / "camera.npz")
+    assert done.returncode == 0, done.stderr
+    return folder / "camera.npz", done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def others() -> PastedStreet:
+    return pasted_street(8, np.random.default_rng(1))
+
+
+def test_labels_are_where_people_go_and_nobody_who_stands_has_one() -> None:
+    street = pasted_street(4, np.random.default_rng(2), offset=0.0)
+    labels = walking_labels(street.boxes, None, street.camera, FPS)
+    assert len(np.unique(labels.person)) == 4
+    assert np.abs(difference(labels.angle, street.angle[labels.box])).max() < np.deg2rad(20.0)
+    at_once = [replace(item, box=street.boxes[0].box) for item in street.boxes]
+    assert len(walking_labels(at_once, None, street.camera, FPS)) == 0
+
+
+def test_too_few_who_walk_are_refused() -> None:
+    street = pasted_street(2, np.random.default_rng(3), offset=0.0)
+    labels = walking_labels(street.boxes, None, street.camera, FPS)
+    with pytest.raises(InputError, match="2 people who surely walk, in 2 tracks"):
+        thinned(labels, AdaptationParameters())
+    few = thinned(labels, AdaptationParameters(least_people=2, most_of_person=3))
+    assert np.bincount(few.person)[1:].tolist() == [3, 3]
+
+
+def test_a_patch_holds_the_box_in_its_middle() -> None:
+    image = np.zeros((200, 300, 3), np.uint8)
+    image[60:100, 150:170] = 255
+    patch = patch_of(image, (150, 60, 20, 40))
+    assert patch.shape == (ROWS, COLUMNS, 3)
+    rows, columns = np.nonzero(patch[..., 0] > 127)
+    top_left = of_patch(np.array([columns.min(), rows.min()], float))
+    np.testing.assert_allclose(top_left, [-0.25, 0.0], atol=1.5 / TALL)
+    np.testing.assert_allclose(of_patch(in_patch(np.array([0.1, 0.2]))), [0.1, 0.2])
+    assert patch_of(image, (-30, -30, 20, 400)).shape == (ROWS, COLUMNS, 3)
+
+
+def test_nobody_is_in_two_folds() -> None:
+    person = np.repeat(np.arange(7), 5)
+    fold = folds_of(person, np.random.default_rng(0))
+    assert len(np.unique(fold)) == 5
+    assert all(len(np.unique(fold[person == one])) == 1 for one in range(7))
+
+
+def test_a_direction_that_nobody_walked_in_is_neither_likely_nor_unlikely() -> None:
+    label, person = np.repeat([0, 4, 1], 2), np.arange(6)
+    seen = seen_directions(label, person)
+    # Mirror images count: who goes to the left shows how it looks to the right.
+    assert seen.tolist() == [True, True, False, False, True, False, False, True]
+    said = np.exp(calibrated(np.array([[9.0, 0, 5, 5, 0, 5, 5, 0]]), 1.0, 0.0, seen)[0])
+    np.testing.assert_allclose(said.sum(), 1.0)
+    np.testing.assert_allclose(said[~seen], 1.0 / 8.0, rtol=1e-3)
+    assert said[0] > 0.4
+
+
+def test_likelihoods_are_flat_where_nothing_can_be_told() -> None:
+    rng = np.random.default_rng(4)
+    features = rng.normal(size=(240, 30)).astype(np.float32)
+    person = np.repeat(np.arange(24), 10)
+    angle = np.repeat(rng.uniform(-np.pi, np.pi, 24), 10)
+    _, out = taught(features, features, angle, person, folds_of(person, rng))
+    assert out.calibration_error(angle) < 0.12
+    assert np.exp(out.log_likelihood).max() < 0.6
+
+
+def test_a_head_is_found_where_it_is_however_the_box_lies(
+    adapted: tuple[Path, str], others: PastedStreet
+) -> None:
+    models = CameraModels.load(adapted[0])
+    assert models.templates is not None
+    moved = np.array([0.06, -0.04])
+    apart = []
+    for frame, item in zip(others.frames[:20], others.boxes[:20], strict=True):
+        assert frame.image is not None
+        box = np.array(item.box)
+        there = box + box[3] * np.array([*moved, 0.0, 0.0])
+        first, second = (models.candidates(patch_of(frame.image, b)).boxes[0, :2] for b in (box, there))
+        apart.append(first - second - moved)
+    assert np.abs(np.median(apart, axis=0)).max() < 0.03
+
+
+def test_an_adapted_camera_sees_bodies_better_than_the_models_of_the_package(
+    adapted: tuple[Path, str], others: PastedStreet
+) -> None:
+    def error(of_camera: CameraModels | None) -> float:
+        parts = load_head_localiser(), load_classifier("body_pose"), load_classifier("deep_belief")
+        models = Models(*parts, of_camera=of_camera)
+        said = []
+        for frame, item in zip(others.frames, others.boxes, strict=True):
+            assert frame.image is not None
+            (seen,) = observe_frame(frame.image, frame.number, [item], models, pytest.fail)
+            said.append(seen.body)
+        return float(np.abs(difference(CLASSES.mean_pan(np.array(said)), others.angle)).mean())
+
+    assert error(CameraModels.load(adapted[0])) < 0.75 * error(None)
+
+
+def test_the_card_and_the_command_tell_of_people_left_out(adapted: tuple[Path, str]) -> None:
+    path, said = adapted
+    card = CameraModels.load(path).card
+    assert card.parameters["people"] > 15
+    assert card.figures["body_expected_calibration_error"] < 0.15
+    for text in ("of 24 tracks", "boxes as given", "expected calibration error"):
+        assert text in said
+
+
+def test_observe_uses_what_the_camera_has_learned(
+    adapted: tuple[Path, str], others: PastedStreet, tmp_path: Path
+) -> None:
+    arguments = write_street(others, tmp_path / "street")
+    done = run("observe", *arguments, "--models", adapted[0], "-o", tmp_path / "o.csv")
+    assert done.returncode == 0, done.stderr
+    tracks = io.read(tmp_path / "o.csv")
+    assert len(tracks) == 8
+    body = np.concatenate([track.body_likelihood for track in tracks if track.body_likelihood is not None])
+    models = CameraModels.load(adapted[0])
+    image = others.frames[0].image
+    assert image is not None
+    first = np.exp(models.look(image, [others.boxes[0].box])[0][0])
+    # The table turns by the ray and interpolates; what is surest in the image stays about as sure.
+    assert abs(body[0].max() - first.max()) < 0.25
+    np.testing.assert_allclose(body.sum(axis=1), 1.0, atol=1e-3)
+
+
+def test_frames_of_another_size_are_refused(adapted: tuple[Path, str]) -> None:
+    models = CameraModels.load(adapted[0])
+    with pytest.raises(InputError, match="320 × 240"):
+        models.look(np.zeros((100, 100, 3), np.uint8), [(10, 10, 20, 40)])
+
+
+def test_a_calibration_of_another_image_size_is_refused() -> None:
+    intrinsics = np.array([[1000.0, 0.0, 960.0], [0.0, 1000.0, 540.0], [0.0, 0.0, 1.0]])
+    camera = GroundCamera(np.eye(3), intrinsics)
+    check_camera(camera, (1920, 1080))
+    with pytest.raises(InputError, match="principal point is 960, 540"):
+        check_camera(camera, (960, 540))
+
+
+@pytest.mark.parametrize("case", ["no camera", "nobody walks", "name"])
+def test_what_cannot_be_learned_from_is_one_line_and_nothing_is_written(case: str, tmp_path: Path) -> None:
+    street = pasted_street(2, np.random.default_rng(5))
+    if case == "nobody walks":
+        street = replace(street, boxes=[replace(item, box=street.boxes[0].box) for item in street.boxes])
+    arguments = write_street(street, tmp_path / "street")
+    if case == "no camera":
+        at = arguments.index("--homography")
+        del arguments[at : at + 2]
+    (tmp_path / "out").mkdir()
+    output = tmp_path / "out" / ("camera.txt" if case == "name" else "camera.npz")
+    done = run("adapt", *arguments, "-o", output)
+    assert done.returncode == 2
+    said = {"no camera": "--calibration or --homography", "nobody walks": "surely walk", "name": ".npz"}
+    assert said[case] in done.stderr and done.stderr.count("error:") == 1
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_models_beside_a_model_of_one_part_are_refused(
+    adapted: tuple[Path, str], others: PastedStreet, tmp_path: Path
+) -> None:
+    arguments = write_street(others, tmp_path / "street")
+    own = ["--body-pose-model", adapted[0]]
+    done = run("observe", *arguments, "--models", adapted[0], *own, "-o", tmp_path / "o.csv")
+    assert done.returncode == 2 and "one of them" in done.stderr
