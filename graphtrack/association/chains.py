@@ -76,7 +76,7 @@ Row: TypeAlias = Any
 class Chains(NamedTuple):
     """n detections in the order of time, and the tracks that they are chained to.
 
-    A field of all records is an attribute, (n,): ``chains.following``; it is a view of them.
+    What is asked of all records at once is an attribute, (n,): ``chains.following``; it is a view of them.
     """
 
     rows: NDArray[np.void]  # (n,) of DETECTION
@@ -127,16 +127,6 @@ class Chains(NamedTuple):
     def preceding(self) -> IntArray:
         """(n,) the one before, or −1."""
         return self.rows["preceding"]
-
-    @property
-    def evidence(self) -> FloatArray:
-        """(n,) given those before."""
-        return self.rows["evidence"]
-
-    @property
-    def total(self) -> FloatArray:
-        """(n,) up to there."""
-        return self.rows["total"]
 
     @property
     def position(self) -> FloatArray:

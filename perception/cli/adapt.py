@@ -13,7 +13,7 @@ from graphtrack.cli.console import console, print_table, progress_bar
 from graphtrack.cli.options import Seed
 from graphtrack.display import counted
 from perception.cli.common import (
-    FILE,
+    Boxes,
     Calibration,
     Fps,
     Homography,
@@ -36,15 +36,7 @@ if TYPE_CHECKING:
 def adapt(
     source: VideoOrFolder,
     output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.npz).")],
-    boxes: Annotated[
-        Path | None,
-        typer.Option(
-            "--boxes",
-            help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1; without it "
-            "people are detected.",
-            **FILE,
-        ),
-    ] = None,
+    boxes: Boxes = None,
     homography: Homography = None,
     calibration: Calibration = None,
     fps: Fps = None,

@@ -26,6 +26,15 @@ FILE = {"exists": True, "dir_okay": False}
 VideoOrFolder = Annotated[
     Path, typer.Argument(help="A video, or a folder of images.", metavar="VIDEO|FOLDER", exists=True)
 ]
+Boxes = Annotated[
+    Path | None,
+    typer.Option(
+        "--boxes",
+        help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1; without it "
+        "people are detected.",
+        **FILE,
+    ),
+]
 Homography = Annotated[
     Path | None,
     typer.Option("--homography", help="File with 3×3 numbers: image → ground in metres.", **FILE),

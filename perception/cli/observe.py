@@ -15,6 +15,7 @@ from graphtrack.cli.console import console
 from graphtrack.display import counted
 from perception.cli.common import (
     FILE,
+    Boxes,
     Calibration,
     Fps,
     Homography,
@@ -49,15 +50,7 @@ def observe(
             "frame by frame.",
         ),
     ],
-    boxes: Annotated[
-        Path | None,
-        typer.Option(
-            "--boxes",
-            help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1; without it "
-            "people are detected.",
-            **FILE,
-        ),
-    ] = None,
+    boxes: Boxes = None,
     homography: Homography = None,
     calibration: Calibration = None,
     fps: Fps = None,
