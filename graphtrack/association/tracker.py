@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.observed import checked
+from graphtrack.inference.offline import processors
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother
 from graphtrack.inference.state import DAMAGES, Estimate, damaged, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
@@ -85,7 +87,8 @@ class OnlineTracker:
     ) -> None:
         self._options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
         self.model, self._camera = Model.named(model), camera
-        self._smoother()  # checks the options, and compiles what there is to compile
+        smoother = self._smoother()  # checks the options, and compiles what there is to compile
+        self._threads = ThreadPoolExecutor(processors()) if smoother.engine == "chain" else None
         known = {**self.model.scene, **known_values(scene)}
         self._association = OnlineAssociation(known, math.inf if lag is None else lag)
         self._people: dict[int, _Person] = {}
@@ -192,6 +195,7 @@ class OnlineTracker:
             if track_id > 0:
                 of_person.setdefault(track_id, []).append(key)
         hiding, living = set(hidden), self._association.remembered()
+        fed: list[tuple[_Person, list[Key]]] = []
         for track_id, keys in of_person.items():
             person = self._people.get(track_id)
             if person is None:
@@ -201,9 +205,12 @@ class OnlineTracker:
                 seen_in = {update for update, _ in keys}
                 unseen = [key for key in person.keys if key[1] == UNSEEN and key[0] not in seen_in]
                 unseen += [(number, UNSEEN)] if track_id in hiding else []
-                self._feed(person, sorted(keys + unseen))
+                fed.append((person, sorted(keys + unseen)))
             else:
                 del self._people[track_id]
+        # Nobody's smoother knows of another's, and what is compiled does without the interpreter's lock.
+        feed = map if self._threads is None else self._threads.map
+        list(feed(lambda one: self._feed(*one), fed))
 
     def _feed(self, person: _Person, keys: list[Key]) -> None:
         same = 0
