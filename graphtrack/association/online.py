@@ -166,7 +166,8 @@ class OnlineAssociation(Moves):
         for k in np.flatnonzero((chains.following < 0) & (chains.frame < now)).tolist():
             number = int(self._notes.number[root[k]])
             unseen = int(now - chains.frame[k])
-            stays = missed(unseen, self.packed) > self.packed.log_death
+            leaves = self.packed.log_death + float(chains.rows[k]["death"])
+            stays = missed(unseen, self.packed) > leaves
             if number != NOBODY and value[root[k]] > 0.0 and stays:
                 found.append(number)
         return sorted(found)
