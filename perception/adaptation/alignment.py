@@ -34,8 +34,12 @@ _ACROSS, _DOWN = 11, 10
 """Steps that a head is looked for from where it usually is."""
 _USUAL = np.array([0.0, 0.085])
 """The middle of the head, in heights of the box from the middle of its top."""
-_MARGIN = 12
-"""Pixels about the part that is looked at, for filters."""
+_MARGIN = 6
+"""Squares about the part that is looked at, for filters."""
+_BLUR, _BLUR_AROUND = 1.0, 5.0
+"""1-σ in squares."""
+_SQUARES = (2 * _DOWN + 1 + _APART * _CELLS, 2 * _ACROSS + 1 + _APART * _CELLS)
+"""Rows and columns that templates see from all of the places."""
 _SHRINKAGE = 0.05
 _QUARTERS = 4
 _SHARED = 30.0
@@ -56,47 +60,61 @@ _PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])
 
 
 def orientations(patch: Image) -> NDArray[np.float32]:
-    """Gradients (rows, columns, 9) about head and shoulders, every `_STEP` pixels of a patch.
+    """Gradients (rows, columns, 9) about head and shoulders, in squares of `_STEP` pixels of a patch.
 
     They are those of square roots, shared among two orientations each, blurred, and relative to those
     around.
     """
-    middle = np.rint(in_patch(_USUAL)).astype(int)
-    top, left = middle[1] - _STEP * (_ABOVE + _DOWN), middle[0] - _STEP * (_BESIDE + _ACROSS)
-    rows = _STEP * (2 * _DOWN + 1 + _APART * _CELLS)
-    columns = _STEP * (2 * _ACROSS + 1 + _APART * _CELLS)
-    taken_rows = np.clip(np.arange(top - _MARGIN, top + rows + _MARGIN), 0, patch.shape[0] - 1)
-    taken_columns = np.clip(np.arange(left - _MARGIN, left + columns + _MARGIN), 0, patch.shape[1] - 1)
-    values = np.sqrt(grey(patch)[np.ix_(taken_rows, taken_columns)].astype(np.float32))
+    middle = np.rint(in_patch(_USUAL) / _STEP).astype(int)
+    first = middle[::-1] - np.array([_ABOVE + _DOWN, _BESIDE + _ACROSS])
+    small = (patch.shape[1] // _STEP, patch.shape[0] // _STEP)
+    values = np.sqrt(cv2.resize(grey(patch), small, interpolation=cv2.INTER_AREA).astype(np.float32))
+    rows, columns = (
+        np.clip(np.arange(start - _MARGIN, start + squares + _MARGIN), 0, size - 1)
+        for start, squares, size in zip(first.tolist(), _SQUARES, values.shape, strict=True)
+    )
+    values = values[rows[:, None], columns]
     across = cv2.Sobel(values, cv2.CV_32F, 1, 0, ksize=1)
     down = cv2.Sobel(values, cv2.CV_32F, 0, 1, ksize=1)
-    strength = np.hypot(across, down)
-    place = np.mod(np.arctan2(down, across), np.pi) * (BINS / np.pi) - 0.5
-    lower = np.floor(place)
+    strength, angle = (np.asarray(part) for part in cv2.cartToPolar(across, down))
+    place = np.mod(angle, np.pi) * (BINS / np.pi) + (BINS - 0.5)
+    lower = place.astype(np.int32)
     share = place - lower
-    first = np.mod(lower.astype(np.int64), BINS)
     layers = np.zeros((*values.shape, BINS), np.float32)
-    np.put_along_axis(layers, first[..., None], (strength * (1.0 - share))[..., None], axis=2)
-    np.put_along_axis(layers, ((first + 1) % BINS)[..., None], (strength * share)[..., None], axis=2)
-    layers = np.asarray(cv2.GaussianBlur(layers, (0, 0), 2.0), np.float32)
-    around = cv2.GaussianBlur(np.sqrt(np.square(layers).sum(axis=2)), (0, 0), 10.0)
+    square = np.arange(values.size).reshape(values.shape) * BINS
+    layers.flat[square + lower % BINS] = strength * (1.0 - share)
+    layers.flat[square + (lower + 1) % BINS] = strength * share
+    layers = np.asarray(cv2.GaussianBlur(layers, (0, 0), _BLUR))
+    around = cv2.GaussianBlur(np.sqrt(np.einsum("yxb,yxb->yx", layers, layers)), (0, 0), _BLUR_AROUND)
     layers /= np.asarray(around)[..., None] + 0.15
-    inside = layers[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
-    return np.ascontiguousarray((inside[::2, ::2] + inside[1::2, 1::2]) / 2.0)
+    return np.ascontiguousarray(layers[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN])
 
 
-def _windows(layers: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What a template sees at each place, (n, 9 · cells²)."""
-    side = _APART * _CELLS - _APART + 1
-    found = np.lib.stride_tricks.sliding_window_view(layers, (side, side), axis=(0, 1))
-    found = found[: 2 * _DOWN + 1, : 2 * _ACROSS + 1, :, ::_APART, ::_APART]
-    return np.ascontiguousarray(found).reshape(len(_PLACES), -1)
+def _windows(layers: NDArray[np.float32], places: NDArray[np.int64]) -> NDArray[np.float32]:
+    """What a template sees at some of the places (n,), (n, 9 · cells²): row by row, its cells' bins."""
+    row, column = places // (2 * _ACROSS + 1), places % (2 * _ACROSS + 1)
+    cells = _APART * np.arange(_CELLS)
+    found = layers[(row[:, None] + cells)[:, :, None], (column[:, None] + cells)[:, None, :]]
+    return np.ascontiguousarray(found).reshape(len(places), -1)
 
 
 def _mirrored(windows: NDArray[np.float32]) -> NDArray[np.float32]:
     """What a template would see in mirror images (n, d)."""
-    cells = windows.reshape(-1, BINS, _CELLS, _CELLS)[:, ::-1, :, ::-1]
+    cells = windows.reshape(-1, _CELLS, _CELLS, BINS)[:, :, ::-1, ::-1]
     return np.ascontiguousarray(cells).reshape(len(windows), -1)
+
+
+def _correlated(layers: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Templates (k, d) on what they see at each place, (n, k)."""
+    down, across = 2 * _DOWN + 1, 2 * _ACROSS + 1
+    columns = np.arange(across)[:, None] + _APART * np.arange(_CELLS)
+    rows = layers[: down + _APART * (_CELLS - 1), columns].reshape(-1, _CELLS * BINS)
+    by_row = weight.reshape(len(weight), _CELLS, _CELLS * BINS)
+    found = np.zeros((down * across, len(weight)), np.float32)
+    # Row by row of the templates: products as small as these are not worth a second thread.
+    for i in range(_CELLS):
+        found += rows[_APART * i * across :][: len(found)] @ by_row[:, i].T
+    return found
 
 
 def _quarter(angle: FloatArray) -> NDArray[np.int64]:
@@ -120,7 +138,7 @@ class HeadTemplates:
 
     def scores(self, patch: Image) -> FloatArray:
         """Log ratios (n,) of a head at each place where one is looked for, by the likeliest template."""
-        found = _windows(orientations(patch)) @ self.weight.T + self.bias
+        found = _correlated(orientations(patch), self.weight) + self.bias
         away = (_PLACES - self.place[0]) / self.place[1]
         return np.asarray(found.max(axis=1) - 0.5 * np.square(away).sum(axis=1), float)
 
@@ -172,10 +190,11 @@ class HeadSamples:
         nearest = np.argmin(np.square(place[:, None, :] - _PLACES).sum(axis=2), axis=1)
         seen, beside = [], []
         for patch, best in zip(patches, nearest.tolist(), strict=True):
-            windows = _windows(orientations(patch))
             far = np.flatnonzero(np.hypot(_X - _X[best], _Y - _Y[best]) > _NOT_NEAR)
-            seen.append(windows[best].copy())  # a view would keep all of them
-            beside.append(windows[rng.choice(far, _BESIDE_EACH, replace=False)])
+            places = np.array([best, *rng.choice(far, _BESIDE_EACH, replace=False)])
+            windows = _windows(orientations(patch), places)
+            seen.append(windows[0])
+            beside.append(windows[1:])
         heads, others = np.array(seen), np.concatenate(beside)
         others = np.vstack([others, _mirrored(others)])
         mean = others.mean(axis=0)

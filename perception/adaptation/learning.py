@@ -172,7 +172,8 @@ def _attempt(
     patches: Sequence[Image], heads: FloatArray, labels: WalkingLabels, fold: NDArray[np.int64]
 ) -> _Attempt:
     found = [
-        taught(*view.all_features(patches, heads), labels.angle, labels.person, fold) for view in (BODY, HEAD)
+        taught(view.all_features(patches, heads), view.sign, labels.angle, labels.person, fold)
+        for view in (BODY, HEAD)
     ]
     (body, body_out), (head, head_out) = found
     return _Attempt(heads, body, head, body_out, head_out)

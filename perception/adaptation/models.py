@@ -62,7 +62,7 @@ class CameraModels(Stored):
             If the frame is not as large as those that the camera learned from.
         """
         self.check_size(image)
-        return [self._look(patch_of(image, box), box) for box in boxes]
+        return self.look_at([patch_of(image, box) for box in boxes], boxes)
 
     def check_size(self, image: Image) -> None:
         """Refuse frames of another size; the error is an `InputError`."""
@@ -73,18 +73,25 @@ class CameraModels(Stored):
                 f"{self.size[0]} × {self.size[1]}, as of the camera that --models is of",
             )
 
-    def _look(
-        self, patch: Image, box: tuple[float, float, float, float]
-    ) -> tuple[FloatArray, HeadCandidates, FloatArray]:
-        found = self.candidates(patch)
-        middles = found.boxes[:, :2] + found.boxes[:, 2:] / 2.0
-        features, mirrored = BODY.features(patch, middles[0])
-        body = self.body.log_likelihoods(features[None], mirrored[None])[0]
-        head = self.head.log_likelihoods(*HEAD.all_features([patch] * len(middles), middles))
-        left, top, width, height = box
-        start = np.array([left - round(left) + width / 2.0, top - round(top), 0.0, 0.0])
-        in_crop = HeadCandidates(found.boxes * height + start, found.scores / _SCALE)
-        return body, in_crop, head
+    def look_at(
+        self, patches: Sequence[Image], boxes: Sequence[tuple[float, float, float, float]]
+    ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
+        """What `look` says of boxes and their surroundings, as from `patch_of`."""
+        if not patches:
+            return []
+        found = [self.candidates(patch) for patch in patches]
+        middles = [one.boxes[:, :2] + one.boxes[:, 2:] / 2.0 for one in found]
+        bodies = BODY.all_features(patches, [heads[0] for heads in middles])
+        each = [patch for patch, heads in zip(patches, middles, strict=True) for _ in heads]
+        heads = HEAD.all_features(each, np.concatenate(middles))
+        body = self.body.log_likelihoods(bodies, BODY.sign)
+        head = np.split(
+            self.head.log_likelihoods(heads, HEAD.sign), np.cumsum([len(one) for one in middles])[:-1]
+        )
+        return [
+            (of_body, in_crop(one, box), of_head)
+            for of_body, one, of_head, box in zip(body, found, head, boxes, strict=True)
+        ]
 
     def parameters(self) -> dict[str, Any]:
         """Size of the frames, and calibrations."""
@@ -125,3 +132,10 @@ class CameraModels(Stored):
             templates = HeadTemplates(*(arrays[f"template_{name}"] for name in ("weight", "bias", "place")))
         width, height = (int(value) for value in card.parameters["size"])
         return cls(templates, arrays["place"], parts["body"], parts["head"], (width, height), card)
+
+
+def in_crop(heads: HeadCandidates, box: tuple[float, float, float, float]) -> HeadCandidates:
+    """Candidates of a patch in pixels of the picture that is cut out of its box."""
+    left, top, width, height = box
+    start = np.array([left - round(left) + width / 2.0, top - round(top), 0.0, 0.0])
+    return HeadCandidates(heads.boxes * height + start, heads.scores / _SCALE)

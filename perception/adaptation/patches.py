@@ -53,14 +53,19 @@ def cut(patch: Image, head: FloatArray, window: Window, size: tuple[int, int]) -
     x, y = in_patch(head)
     left, top, width, height = (TALL * value for value in window)
     across, down = size[0] / width, size[1] / height
+    # Only what is needed is blurred.
+    edge = np.array([2.0 / across, 2.0 / down])
+    begin = np.clip(np.floor(np.array([x + left, y + top]) - edge).astype(int), 0, (COLUMNS - 2, ROWS - 2))
+    end = np.clip(np.ceil(np.array([x + left + width, y + top + height]) + edge).astype(int), begin + 2, None)
+    part = patch[begin[1] : end[1], begin[0] : end[0]]
     if min(across, down) < 0.7:
-        kernel = (max(1, round(1.0 / across)), max(1, round(1.0 / down)))
-        patch = np.asarray(cv2.blur(patch, kernel), np.uint8)
+        part = np.asarray(cv2.blur(part, (max(1, round(1.0 / across)), max(1, round(1.0 / down)))), np.uint8)
+    start = np.array([x + left, y + top]) - begin
     move: NDArray[Any] = np.array(
         [
-            [across, 0.0, -across * (x + left) + (across - 1.0) / 2.0],
-            [0.0, down, -down * (y + top) + (down - 1.0) / 2.0],
+            [across, 0.0, -across * start[0] + (across - 1.0) / 2.0],
+            [0.0, down, -down * start[1] + (down - 1.0) / 2.0],
         ]
     )
-    found = cv2.warpAffine(patch, move, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    found = cv2.warpAffine(part, move, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(found, np.uint8)

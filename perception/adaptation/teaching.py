@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property, reduce
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_softmax
 
 from graphtrack.geometry.angles import FloatArray, difference
@@ -16,19 +18,23 @@ from perception.adaptation.patches import Window, cut
 from perception.images.pixels import Image, grey
 from perception.pose.calibration import fit_temperature_and_share, reliability, with_neighbours
 from perception.pose.classes import PoseClasses
+from perception.pose.features.hog import BINS
 
 CLASSES = PoseClasses.circle(8)
 """Of bodies and heads."""
 
 _FOLDS = 5
-_STRENGTHS = (0.02, 0.1)
-"""Of the weights' freedom, to choose from by people left out."""
-_COMPONENTS = 100
+_SHRINKAGES = (1.0, 3.0)
+"""To choose from by people left out."""
+_NEVER = 100.0
+"""Log density by which a direction that nobody walked in is behind the others."""
 _LEAST_PEOPLE = 2
 """Who must have walked in a direction, or its mirror image, for it to count as seen."""
 _MIRROR = (-np.arange(len(CLASSES))) % len(CLASSES)
 _COLOURS: Window = (-0.1, -0.09, 0.2, 0.18)
 _COLOUR_SIDE = 8
+_CELL = 8
+"""Pixels of a cell of gradients."""
 
 
 @dataclass(frozen=True)
@@ -44,24 +50,47 @@ class View:
     window: Window
     size: tuple[int, int]
 
-    def features(self, patch: Image, head: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Gradients of the window and colours of the head, (d,), and those of the mirror image."""
+    def features(self, patch: Image, head: FloatArray) -> NDArray[np.float32]:
+        """Gradients of the window and colours of the head, (d,): first what a mirror leaves as it is.
+
+        What changes places in a mirror image counts as sum and difference; `sign` says which is which.
+        """
         shape = grey(cut(patch, head, self.window, self.size))
         colours = cut(patch, head, _COLOURS, (_COLOUR_SIDE, _COLOUR_SIDE)).astype(np.float32) / 255.0
         lab = np.asarray(cv2.cvtColor(colours, cv2.COLOR_BGR2LAB)) / 100.0
-        hog = cv2.HOGDescriptor(self.size, (16, 16), (8, 8), (8, 8), 9)
-        both = [
-            np.concatenate([np.ravel(np.asarray(hog.compute(np.ascontiguousarray(a)))), np.ravel(b)])
-            for a, b in ((shape, lab), (shape[:, ::-1], lab[:, ::-1]))
-        ]
-        return both[0].astype(np.float32), both[1].astype(np.float32)
+        gradients = np.asarray(self._hog.compute(shape))
+        values = np.concatenate([gradients.ravel(), lab.ravel()]).astype(np.float32)
+        same, one, other = self._pairs
+        half = np.float32(math.sqrt(0.5))
+        return np.concatenate(
+            [values[same], half * (values[one] + values[other]), half * (values[one] - values[other])]
+        )
 
-    def all_features(
-        self, patches: Sequence[Image], heads: FloatArray
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Those (n, d) of n patches with heads (n, 2)."""
-        found = [self.features(patch, head) for patch, head in zip(patches, heads, strict=True)]
-        return np.array([a for a, _ in found]), np.array([b for _, b in found])
+    def all_features(self, patches: Sequence[Image], heads: Iterable[FloatArray]) -> NDArray[np.float32]:
+        """Those (n, d) of n patches with heads (2,) each."""
+        return np.array([self.features(patch, head) for patch, head in zip(patches, heads, strict=True)])
+
+    @cached_property
+    def _hog(self) -> cv2.HOGDescriptor:
+        return cv2.HOGDescriptor(self.size, (2 * _CELL, 2 * _CELL), (_CELL, _CELL), (_CELL, _CELL), BINS)
+
+    @cached_property
+    def sign(self) -> NDArray[np.float32]:
+        """What a mirror multiplies the features with, (d,)."""
+        same, one, _ = self._pairs
+        return np.repeat(np.array([1.0, -1.0], np.float32), [len(same) + len(one), len(one)])
+
+    @cached_property
+    def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Which values a mirror leaves in their places, and which it puts in the places of which others."""
+        columns, rows = (size // _CELL - 1 for size in self.size)
+        # OpenCV goes down the blocks of a column, and down the cells of a block's column.
+        gradients = np.arange(columns * rows * 4 * BINS).reshape(columns, rows, 2, 2, BINS)
+        colours = np.arange(3 * _COLOUR_SIDE**2).reshape(_COLOUR_SIDE, _COLOUR_SIDE, 3) + gradients.size
+        image = np.concatenate([gradients[::-1, :, ::-1, :, ::-1].ravel(), colours[:, ::-1].ravel()])
+        place = np.arange(len(image))
+        one = np.flatnonzero(place < image)
+        return np.flatnonzero(place == image), one, image[one]
 
 
 BODY = View((-0.25, -0.11, 0.5, 1.04), (48, 96))
@@ -85,9 +114,9 @@ class Taught:
     share: float
     seen: NDArray[np.bool_]
 
-    def log_likelihoods(self, features: NDArray[np.float32], mirrored: NDArray[np.float32]) -> FloatArray:
-        """Calibrated (n, 8), of features (n, d) and those of the mirror images."""
-        scores = _mean_of_both(features @ self.weight.T + self.bias, mirrored @ self.weight.T + self.bias)
+    def log_likelihoods(self, features: NDArray[np.float32], sign: NDArray[np.float32]) -> FloatArray:
+        """Calibrated (n, 8), of features (n, d) and with `View.sign` (d,) of the mirror images too."""
+        scores = _of_both(features, sign, self.weight, self.bias)
         return calibrated(scores, self.temperature, self.share, self.seen)
 
 
@@ -100,7 +129,11 @@ def calibrated(scores: FloatArray, temperature: float, share: float, seen: NDArr
     return np.asarray(np.log(np.maximum(p / p.sum(axis=1, keepdims=True), 1e-6)), float)
 
 
-def _mean_of_both(scores: FloatArray, of_mirror: FloatArray) -> FloatArray:
+def _of_both(
+    features: NDArray[np.float32], sign: NDArray[np.float32], weight: NDArray[np.float32], bias: FloatArray
+) -> FloatArray:
+    """Mean log scores (n, 8) of pictures and of their mirror images, which say the mirrored directions."""
+    scores, of_mirror = features @ weight.T + bias, features @ (weight * sign).T + bias
     return np.asarray(0.5 * (log_softmax(scores, axis=1) + log_softmax(of_mirror, axis=1)[:, _MIRROR]), float)
 
 
@@ -137,7 +170,7 @@ def folds_of(person: NDArray[np.int64], rng: np.random.Generator, most: int = _F
 
 def taught(
     features: NDArray[np.float32],
-    mirrored: NDArray[np.float32],
+    sign: NDArray[np.float32],
     angle: FloatArray,
     person: NDArray[np.int64],
     fold: NDArray[np.int64],
@@ -146,25 +179,26 @@ def taught(
 
     Parameters
     ----------
-    features, mirrored : (n, d) of pictures and of their mirror images
+    features : (n, d)
+    sign : (d,) as `View.sign`
     angle : (n,) radians in the image frame
     person, fold : (n,) as from `folds_of`
     """
     label = CLASSES.index(angle)
-    parts = np.unique(fold)
-    scores = np.zeros((len(_STRENGTHS), len(label), len(CLASSES)))
-    for k in parts.tolist():
-        rest, out = fold != k, fold == k
-        models = _linear(features[rest], mirrored[rest], label[rest], person[rest], _STRENGTHS)
-        for s, (weight, bias) in enumerate(models):
-            both = (values[out] @ weight.T + bias for values in (features, mirrored))
-            scores[s, out] = _mean_of_both(*both)
+    parts = np.unique(fold).tolist()
+    sums = [_Sums.of(features[fold == k], sign, label[fold == k], person[fold == k]) for k in parts]
+    everybody = reduce(_Sums.__add__, sums)
+    scores = np.zeros((len(_SHRINKAGES), len(label), len(CLASSES)))
+    for k, of_part in zip(parts, sums, strict=True):
+        rest = everybody - of_part
+        for s, shrinkage in enumerate(_SHRINKAGES):
+            scores[s, fold == k] = _of_both(features[fold == k], sign, *rest.discriminant(sign, shrinkage))
     seen = seen_directions(label, person)
     found = [_honest(one, label, fold, seen) for one in scores]
     best = int(np.argmin([one.loss(angle) for one in found]))
     temperature, share = fit_temperature_and_share(scores[best], label)
-    ((weight, bias),) = _linear(features, mirrored, label, person, _STRENGTHS[best : best + 1])
-    return Taught(weight.astype(np.float32), bias, temperature, share, seen), found[best]
+    weight, bias = everybody.discriminant(sign, _SHRINKAGES[best])
+    return Taught(weight, bias, temperature, share, seen), found[best]
 
 
 def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -185,45 +219,82 @@ def _honest(
     return HeldOut(result)
 
 
-def _linear(
-    features: NDArray[np.float32],
-    mirrored: NDArray[np.float32],
-    label: NDArray[np.int64],
-    person: NDArray[np.int64],
-    strengths: Sequence[float],
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Logistic regressions on principal components, as weights (8, d) and biases (8,) of the features."""
-    from sklearn.decomposition import PCA
-    from sklearn.linear_model import LogisticRegression
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """What a linear discriminant is made of, so that people can be left out by subtraction.
 
-    both = np.vstack([features, mirrored])
-    classes = np.concatenate([label, _MIRROR[label]])
-    weight = _sample_weights(classes, np.tile(person, 2))
-    size = min(_COMPONENTS, len(both) - 1, both.shape[1])
-    components = PCA(size, random_state=0, svd_solver="randomized").fit(both)
-    reduced = components.transform(both)
-    found = []
-    for strength in strengths:
-        if len(np.unique(classes)) < 2:
-            found.append((np.zeros((len(CLASSES), both.shape[1])), np.zeros(len(CLASSES))))
-            continue
-        model: Any = LogisticRegression(C=strength, max_iter=100).fit(reduced, classes, sample_weight=weight)
-        coefficients, intercepts = model.coef_, model.intercept_
-        if len(model.classes_) == 2:  # one row stands for both
-            coefficients = np.vstack([-coefficients, coefficients]) / 2.0
-            intercepts = np.concatenate([-intercepts, intercepts]) / 2.0
-        linear = np.zeros((len(CLASSES), both.shape[1]))
-        bias = np.full(len(CLASSES), float(intercepts.min()) - 3.0)
-        linear[model.classes_] = coefficients @ components.components_
-        bias[model.classes_] = intercepts - linear[model.classes_] @ components.mean_
-        found.append((linear, bias))
-    return found
+    Pictures count with their mirror images, so that features of different `View.sign` do not go together.
+
+    Attributes
+    ----------
+    weight : (8,) of each direction's pictures and mirror images
+    total : (8, d) of their features
+    squares : of the products of features that a mirror leaves as they are, and of the others
+    """
+
+    weight: FloatArray
+    total: FloatArray
+    squares: tuple[FloatArray, FloatArray]
+
+    @classmethod
+    def of(
+        cls,
+        features: NDArray[np.float32],
+        sign: NDArray[np.float32],
+        label: NDArray[np.int64],
+        person: NDArray[np.int64],
+    ) -> _Sums:
+        """Those of n pictures; who stays long does not count for all."""
+        _, place, count = np.unique(person, return_inverse=True, return_counts=True)
+        weight = 1.0 / np.sqrt(count[place])
+        weighted = features * weight[:, None].astype(np.float32)
+        of_class, total = np.zeros(len(CLASSES)), np.zeros((len(CLASSES), features.shape[1]))
+        for k in np.unique(label).tolist():
+            size, sums = weight[label == k].sum(), weighted[label == k].sum(axis=0)
+            for direction, of_image in ((k, sums), (_MIRROR[k], sums * sign)):
+                of_class[direction] += size
+                total[direction] += of_image
+        parts = _parts(sign)
+        even, odd = (2.0 * (features[:, part].T @ weighted[:, part]).astype(float) for part in parts)
+        return cls(of_class, total, (even, odd))
+
+    def __add__(self, other: _Sums) -> _Sums:
+        even, odd = (a + b for a, b in zip(self.squares, other.squares, strict=True))
+        return _Sums(self.weight + other.weight, self.total + other.total, (even, odd))
+
+    def __sub__(self, other: _Sums) -> _Sums:
+        even, odd = (a - b for a, b in zip(self.squares, other.squares, strict=True))
+        return _Sums(self.weight - other.weight, self.total - other.total, (even, odd))
+
+    def discriminant(
+        self, sign: NDArray[np.float32], shrinkage: float
+    ) -> tuple[NDArray[np.float32], FloatArray]:
+        """Weights (8, d) and biases (8,) of the log densities of Gaussians of one covariance.
+
+        All directions are equally likely. The covariance is that within directions, with ``shrinkage`` times
+        its mean variance on the diagonal.
+        """
+        some = self.weight > 1e-9
+        middle = self.total.sum(axis=0) / self.weight.sum()
+        means = np.tile(middle, (len(CLASSES), 1))
+        means[some] = self.total[some] / self.weight[some, None]
+        parts, within = _parts(sign), []
+        for part, square in zip(parts, self.squares, strict=True):
+            of_means = (means[some, part] * self.weight[some, None]).T @ means[some, part]
+            within.append((square - of_means) / self.weight.sum())
+        variance = sum(float(np.trace(block)) for block in within) / len(sign)
+        weight = np.zeros_like(means)
+        for part, block in zip(parts, within, strict=True):
+            block[np.diag_indices(len(block))] += shrinkage * max(variance, 1e-9)
+            if len(block):
+                factor = cho_factor(block, lower=True, overwrite_a=True)
+                weight[:, part] = cho_solve(factor, (means - middle)[:, part].T).T
+        bias = -0.5 * np.einsum("kd,kd->k", weight, means + middle)
+        bias[~some] = -_NEVER
+        return weight.astype(np.float32), bias
 
 
-def _sample_weights(label: NDArray[np.int64], person: NDArray[np.int64]) -> FloatArray:
-    """Weights (n,): neither those who stay long nor the directions that most people walk in count for all."""
-    _, place, count = np.unique(person, return_inverse=True, return_counts=True)
-    weight = 1.0 / np.sqrt(count[place])
-    total = np.bincount(label, weight, len(CLASSES))
-    weight = weight / (total / total.sum() + 0.02)[label]
-    return np.asarray(weight / weight.mean(), float)
+def _parts(sign: NDArray[np.float32]) -> tuple[slice, slice]:
+    """The features that a mirror leaves as they are, and the others."""
+    even = int((sign > 0).sum())
+    return slice(0, even), slice(even, len(sign))
