@@ -57,7 +57,6 @@ class SigmaPiTracker:
         self._rng = generator(seed)
         self._never = [as_uint8(image) for image in background]
         self._used = np.array([name in parameters.cues for name in CUES])
-        self._fixed = np.array([term[1:] == () and CUES[term[0]] in parameters.fixed for term in TERMS])
         self._size: tuple[int, ...] | None = None
 
     def start(self, image: Image, box: Box | None = None) -> BoxEstimate:
@@ -80,9 +79,12 @@ class SigmaPiTracker:
         self._offset = p.offset * used
         self._motion = MotionCue(p.sights, small, None if first is None else covered(small.shape, first, 1.2))
         self._colour = ColourCue(p.sights, small)
-        views = None
+        views, fixed = None, p.fixed
         if first is not None and p.views and self._used[2]:
             views = ViewCue.of(p.sights, small, first)
+            # What is in too small a box is mostly not the person: colour and shape cannot outdo motion.
+            fixed = p.fixed if views is not None else (*p.fixed, "motion")
+        self._fixed = np.array([len(term) == 1 and CUES[term[0]] in fixed for term in TERMS])
         self._form: ShapeCue | ViewCue = ShapeCue(p.sights) if views is None else views
         self._form.give(self._never)
         self._sharpness = 1.0 if views is None else p.sharpness
