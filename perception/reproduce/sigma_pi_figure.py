@@ -25,6 +25,7 @@ _COLOURS = {
     "motion·colour·shape": "#5F6672",
     "sigma-pi": "#0072B2",
     "motion not adaptive": "#56B4E9",
+    "local features": "#E69F00",
     "motion alone": "#9AA1AB",
 }
 
@@ -65,13 +66,13 @@ def page(
 
 
 def _bars(axes: Axes, success: Mapping[str, Mapping[str, np.ndarray]], paper: Mapping[str, float]) -> None:
-    methods = list(next(iter(success.values())))
-    width = 0.8 / len(methods)
+    labelled = set()
     for k, (name, found) in enumerate(success.items()):
-        for j, method in enumerate(methods):
-            x = k + (j - (len(methods) - 1) / 2.0) * width
-            values = found[method]
-            label = method if k == 0 else None
+        width = 0.8 / len(found)
+        for j, (method, values) in enumerate(found.items()):
+            x = k + (j - (len(found) - 1) / 2.0) * width
+            label = None if method in labelled else method
+            labelled.add(method)
             axes.bar(x, values.mean(), 0.92 * width, color=_COLOURS[method], label=label, zorder=2)
             if len(values) > 1:
                 axes.plot([x, x], [values.min(), values.max()], color="#222222", lw=1.0, zorder=3)
@@ -85,7 +86,7 @@ def _bars(axes: Axes, success: Mapping[str, Mapping[str, np.ndarray]], paper: Ma
         axes.tick_params(axis="x", labelrotation=30)
         for tick in axes.get_xticklabels():
             tick.set_horizontalalignment("right")
-    seeds = max(len(found[method]) for found in success.values() for method in methods)
+    seeds = max(len(values) for found in success.values() for values in found.values())
     spread = f"; lines: least to greatest of {seeds} seeds" if seeds > 1 else ", one seed"
     axes.set(ylabel=f"success (%){spread}", ylim=(0.0, 102.0))
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))

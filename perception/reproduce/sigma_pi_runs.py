@@ -18,6 +18,7 @@ from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTrack
 from perception.trackers.tracker import Box, BoxEstimate
 
 OURS, FIXED, MOTION = "sigma-pi", "motion not adaptive", "motion alone"
+LOCAL = "local features"
 METHODS: Mapping[str, SigmaPiParameters] = {
     OURS: SigmaPiParameters(),
     FIXED: SigmaPiParameters(fixed=("motion",)),
@@ -25,6 +26,14 @@ METHODS: Mapping[str, SigmaPiParameters] = {
 }
 """The tracker; the same with a reliability of motion that is not adaptive, as 003 has it; and the same with
 the motion cue only, 003's comparison."""
+
+FROM_BOXES: Mapping[str, SigmaPiParameters] = {
+    OURS: METHODS[OURS],
+    LOCAL: SigmaPiParameters(views=False),
+    MOTION: METHODS[MOTION],
+}
+"""For people whose first box is given: the tracker; the same without the view in that box, as it is for
+people whom nobody shows it; and motion only."""
 
 _SEEN = 0.5
 """Share of a rendered person that must be visible for the frame to count."""
@@ -176,7 +185,7 @@ def recordings(folder: Path, names: Iterable[str], fewest: int) -> list[Recordin
 
 
 def on_recording(recording: Recording, seed: Sequence[int], frames: int | None = None) -> dict[str, Tally]:
-    """Every method on one person, begun with the first labelled box.
+    """The methods `FROM_BOXES` on one person, begun with the first labelled box.
 
     Parameters
     ----------
@@ -184,9 +193,9 @@ def on_recording(recording: Recording, seed: Sequence[int], frames: int | None =
     """
     trackers = {
         name: SigmaPiTracker(parameters, seed=np.random.default_rng([*seed, 1]))
-        for name, parameters in METHODS.items()
+        for name, parameters in FROM_BOXES.items()
     }
-    tallies = {name: Tally() for name in METHODS}
+    tallies = {name: Tally() for name in FROM_BOXES}
     for k, (number, image) in enumerate(zip(recording.numbers, recording.images(), strict=True)):
         if k == frames:
             break

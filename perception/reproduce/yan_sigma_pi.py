@@ -20,7 +20,6 @@ from graphtrack.evaluation.reproduce.experiment import (
 from perception.reproduce.side_by_side import run_all
 from perception.reproduce.sigma_pi_runs import (
     FIXED,
-    METHODS,
     MOTION,
     OURS,
     PersonJob,
@@ -110,12 +109,13 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "without the robot.",
         "Parameters were chosen on rendered sequences of other seeds, none on the real frames.",
     ]
-    tables = [_detail(drawn, "Rendered sequences: success of each method")]
+    tables = [method_table(drawn, "Rendered sequences: success of each method")]
     if real:
         notes.append(
-            "Real frames: begun with the first labelled box of each person, all labelled frames count."
+            "Real frames: begun with the first labelled box of each person, all labelled frames count. Local "
+            "features: without the view in that box."
         )
-        tables.append(_detail(real, "Real frames (CAVIAR): success of each method"))
+        tables.append(method_table(real, "Real frames (CAVIAR): success of each method"))
     else:
         notes.append("No recordings were found: rendered sequences only.")
     return Reproduction("yan-sigma-pi", (*tables, _beside(drawn)), _figure(drawn, real), tuple(notes))
@@ -126,10 +126,11 @@ def success(runs: Sequence[Mapping[str, Tally]], method: str) -> np.ndarray:
     return np.array([100.0 * found[method].score.success for found in runs])
 
 
-def _detail(runs: Runs, title: str) -> Table:
+def method_table(runs: Runs, title: str) -> Table:
+    """Frames and success of each method in each sequence, over the seeds."""
     records: list[dict[str, Cell]] = []
     for name, found in runs.items():
-        for method in METHODS:
+        for method in found[0]:
             scores = [one[method].score for one in found]
             share = success(found, method)
             records.append(
@@ -197,7 +198,7 @@ def _share(counts: Sequence[int], scores: Sequence[Score]) -> float:
 def _figure(drawn: Runs, real: Runs) -> Figure:
     from perception.reproduce.sigma_pi_figure import page
 
-    bars = {name: {m: success(found, m) for m in METHODS} for name, found in {**drawn, **real}.items()}
+    bars = {name: {m: success(found, m) for m in found[0]} for name, found in {**drawn, **real}.items()}
     paper = {kind: values[3] for kind, values in PAPER.items()}
     return page(_SHOWN, drawn[_SHOWN][0][OURS].estimates, bars, paper)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import cv2
@@ -14,57 +13,8 @@ from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, grey
 from perception.trackers import colours
 from perception.trackers.sigma_pi import shape
+from perception.trackers.sigma_pi.parameters import CueParameters
 from perception.trackers.sigma_pi.windows import activation, integral, overlap, sums
-
-
-@dataclass(frozen=True)
-class CueParameters:
-    """How the cues look and remember. Lengths are pixels of the reduced frame.
-
-    Attributes
-    ----------
-    surround : size of a window with its surround, in sizes of the window
-    background_rate : share of the difference by which the running average moves in a frame
-    scene_rate : the same for a slower average, which knows the scene behind somebody who rests: where the
-        frame is like it nothing moves, though the faster one still holds who has just left
-    motion_threshold : grey levels from which a difference is motion
-    motion_overlap, colour_overlap, shape_overlap : overlap of a window with what is salient, at which
-        the cue's activity rises, and how steeply (`perception.trackers.sigma_pi.windows.activation`)
-    colour_rate : of adapting the target's histogram, for one frame
-    surroundings_rate : of adapting the background's histogram
-    colour_odds : of the background against the target, for a pixel of which nothing is known
-    memory : frames of features that are remembered
-    background_features : how many features of the background are remembered
-    matched : similarity from which two features are the same thing
-    margin : lead of one similarity over the other that decides between target and background
-    negative : how much a feature of the background counts against one of the target
-    fewest : features of a target that are expected at least
-    contrast : threshold of the SIFT detector
-    focus : size of the part of the frame in which features are looked for while the person is found, in
-        sizes of the window; the least such part has sides of ``focus_least``
-    everywhere : frames after which they are looked for in the whole frame all the same
-    """
-
-    surround: float = 2.2
-    background_rate: float = 0.02
-    scene_rate: float = 0.0004
-    motion_threshold: float = 16.0
-    motion_overlap: tuple[float, float] = (0.25, 0.05)
-    colour_overlap: tuple[float, float] = (0.25, 0.05)
-    shape_overlap: tuple[float, float] = (0.15, 0.04)
-    colour_rate: float = 0.015
-    surroundings_rate: float = 0.01
-    colour_odds: float = 3.0
-    memory: int = 10
-    background_features: int = 600
-    matched: float = 0.85
-    margin: float = 0.08
-    negative: float = 0.5
-    fewest: float = 6.0
-    contrast: float = 0.03
-    focus: float = 4.0
-    focus_least: float = 120.0
-    everywhere: int = 10
 
 
 class Cue(Protocol):
@@ -84,12 +34,10 @@ class MotionCue:
 
     def __init__(self, parameters: CueParameters, image: Image, target: NDArray[np.bool_] | None) -> None:
         self._parameters = parameters
-        self._background = self._scene = smoothed(image)
+        self._background = smoothed(image)
         # What the target hides in the first frame is seen when it has gone from there.
         self._unknown = target
         self.saliency = np.zeros(image.shape[:2], np.float32)
-        self.novel = self.saliency
-        """Where the frame differs from the scene (h, w)."""
         self._table = integral(self.saliency)
         self._image = self._background
 
@@ -110,10 +58,9 @@ class MotionCue:
         """Let the background follow; ``target`` (h, w) says where it may be hidden."""
         p = self._parameters
         self._background = running_average(self._background, self._image, p.background_rate)
-        self._scene = running_average(self._scene, self._image, p.scene_rate)
         if self._unknown is not None and target is not None:
             seen = self._unknown & ~target
-            self._background[seen] = self._scene[seen] = self._image[seen]
+            self._background[seen] = self._image[seen]
             self._unknown &= target
             if not self._unknown.any():
                 self._unknown = None
@@ -237,10 +184,13 @@ class ShapeCue:
         return activation(overlap(held, np.asarray(around @ gain), expected), *p.shape_overlap)
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
-        """Remember features that are not the target's; ``outside`` (n,) of the frame's features."""
+        """Remember features that are not the target's; ``outside`` (h, w) says where it is not."""
         p = self._parameters
-        descriptors = self._features.descriptors[outside]
-        new = descriptors[self._of_background[outside] < p.matched]
+        last = [outside.shape[1] - 1, outside.shape[0] - 1]
+        places = np.clip(self._features.points.astype(int), 0, last)
+        beside = outside[places[:, 1], places[:, 0]]
+        descriptors = self._features.descriptors[beside]
+        new = descriptors[self._of_background[beside] < p.matched]
         # What was seen again goes last, what was not seen for longest is forgotten.
         seen = shape.similarity(self._background, descriptors) >= p.matched
         known = np.concatenate([self._background[~seen], self._background[seen], new])

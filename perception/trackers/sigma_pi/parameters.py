@@ -6,8 +6,61 @@ from dataclasses import dataclass, field
 
 from graphtrack.errors import InputError
 from perception.trackers.dynamics import BoxDynamics
-from perception.trackers.sigma_pi.cues import CueParameters
 from perception.trackers.sigma_pi.network import CUES
+
+
+@dataclass(frozen=True)
+class CueParameters:
+    """How the cues look and remember. Lengths are pixels of the reduced frame.
+
+    Attributes
+    ----------
+    surround : size of a window with its surround, in sizes of the window
+    background_rate : share of the difference by which the running average moves in a frame
+    motion_threshold : grey levels from which a difference is motion
+    motion_overlap, colour_overlap, shape_overlap : overlap of a window with what is salient, at which
+        the cue's activity rises, and how steeply (`perception.trackers.sigma_pi.windows.activation`)
+    colour_rate : of adapting the target's histogram, for one frame
+    surroundings_rate : of adapting the background's histogram
+    colour_odds : of the background against the target, for a pixel of which nothing is known
+    memory : frames of features that are remembered
+    background_features : how many features of the background are remembered
+    matched : similarity from which two features are the same thing
+    margin : lead of one similarity over the other that decides between target and background
+    negative : how much a feature of the background counts against one of the target
+    fewest : features of a target that are expected at least
+    contrast : threshold of the SIFT detector
+    focus : size of the part of the frame in which features are looked for while the person is found, in
+        sizes of the window; the least such part has sides of ``focus_least``
+    everywhere : frames after which they are looked for in the whole frame all the same
+    view_gain : of `views.ViewCue`, at which its activity rises, and how steeply: halfway between what is
+        beside the person and the view that was given
+    view_new : gain below which a view is new
+    view_least : least width and height of a box whose view is remembered: two pixels for each of its cells
+    """
+
+    surround: float = 2.2
+    background_rate: float = 0.02
+    motion_threshold: float = 16.0
+    motion_overlap: tuple[float, float] = (0.25, 0.05)
+    colour_overlap: tuple[float, float] = (0.25, 0.05)
+    shape_overlap: tuple[float, float] = (0.15, 0.04)
+    colour_rate: float = 0.015
+    surroundings_rate: float = 0.01
+    colour_odds: float = 3.0
+    memory: int = 10
+    background_features: int = 600
+    matched: float = 0.85
+    margin: float = 0.08
+    negative: float = 0.5
+    fewest: float = 6.0
+    contrast: float = 0.03
+    focus: float = 4.0
+    focus_least: float = 120.0
+    everywhere: int = 10
+    view_gain: tuple[float, float] = (0.4, 0.1)
+    view_new: float = 0.6
+    view_least: float = 12.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +89,10 @@ class SigmaPiParameters:
         learn from it; later two have to
     stale : frames in a row with motion alone after which what was learned is taken to be of no more use
     patience : frames without or with support until that is believed
+    views : whether a person whose box is given is told by the view in it (`views.ViewCue`) instead of by
+        local features
+    sharpness : power of eq. 4 that weighs the particles of a person who is told by views; 1 in the paper
+    view_range : least and greatest size of such a person, in sizes of the first box
     dynamics : of the particles; few are drawn from a guide's proposal, which takes people to walk on,
         while in a room they turn and stop
     sights : of the cues
@@ -61,6 +118,9 @@ class SigmaPiParameters:
     found: float = 0.5
     lost: float = 0.3
     patience: int = 3
+    views: bool = True
+    sharpness: float = 4.0
+    view_range: tuple[float, float] = (0.3, 3.0)
     dynamics: BoxDynamics = field(default_factory=lambda: BoxDynamics(0.6, 0.12, 0.2, 0.05, 0.03, 0.2))
     sights: CueParameters = field(default_factory=CueParameters)
 
@@ -74,6 +134,6 @@ class SigmaPiParameters:
 
     @classmethod
     def of_the_paper(cls, particles: int = 50) -> SigmaPiParameters:
-        """What can be switched to 003: motion's reliability is not adaptive (§2.2), and particles that were
-        drawn anew weigh as much as any (§2.1)."""
-        return cls(particles, random_weight=1.0, fixed=("motion",))
+        """What can be switched to 003: motion's reliability is not adaptive (§2.2), particles that were drawn
+        anew weigh as much as any (§2.1), shape is local features and weights are eq. 4."""
+        return cls(particles, random_weight=1.0, fixed=("motion",), views=False)

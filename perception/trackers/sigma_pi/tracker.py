@@ -19,6 +19,7 @@ from perception.trackers.dynamics import predict
 from perception.trackers.sigma_pi.cues import ColourCue, Cue, MotionCue, ShapeCue
 from perception.trackers.sigma_pi.network import CUES, TERM_NAMES, TERMS, adapted, output
 from perception.trackers.sigma_pi.parameters import SigmaPiParameters
+from perception.trackers.sigma_pi.views import ViewCue
 from perception.trackers.sigma_pi.windows import covered, cut_off, kernel
 from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes_of, check_box, states_of
 
@@ -56,7 +57,6 @@ class SigmaPiTracker:
         self._rng = generator(seed)
         self._never = [as_uint8(image) for image in background]
         self._used = np.array([name in parameters.cues for name in CUES])
-        self._fixed = np.array([term[1:] == () and CUES[term[0]] in parameters.fixed for term in TERMS])
         self._size: tuple[int, ...] | None = None
 
     def start(self, image: Image, box: Box | None = None) -> BoxEstimate:
@@ -79,8 +79,15 @@ class SigmaPiTracker:
         self._offset = p.offset * used
         self._motion = MotionCue(p.sights, small, None if first is None else covered(small.shape, first, 1.2))
         self._colour = ColourCue(p.sights, small)
-        self._form = ShapeCue(p.sights)
+        views, fixed = None, p.fixed
+        if first is not None and p.views and self._used[2]:
+            views = ViewCue.of(p.sights, small, first)
+            # What is in too small a box is mostly not the person: colour and shape cannot outdo motion.
+            fixed = p.fixed if views is not None else (*p.fixed, "motion")
+        self._fixed = np.array([len(term) == 1 and CUES[term[0]] in fixed for term in TERMS])
+        self._form: ShapeCue | ViewCue = ShapeCue(p.sights) if views is None else views
         self._form.give(self._never)
+        self._sharpness = 1.0 if views is None else p.sharpness
         cues: tuple[Cue, ...] = (self._motion, self._colour, self._form)
         self._cues = [cue for cue, used in zip(cues, self._used, strict=True) if used]
         self._reference = np.log(np.array(p.first_size) if first is None else first[2:])
@@ -90,6 +97,11 @@ class SigmaPiTracker:
             np.minimum(self._reference, usual) + np.log(p.size_range[0]),
             np.maximum(self._reference, usual) + np.log(p.size_range[1]),
         )
+        if views is not None:
+            self._limits = (
+                self._reference + np.log(p.view_range[0]),
+                self._reference + np.log(p.view_range[1]),
+            )
         self._counter, self._found = 0, first is not None
         self._alone = 0
         self._look(small)
@@ -128,7 +140,7 @@ class SigmaPiTracker:
         self._look(self._reduced(image))
         again = self._move(proposal)
         activities = self._activities(self._cloud.boxes)
-        weights = output(activities, self.reliabilities)
+        weights = output(activities, self.reliabilities) ** self._sharpness
         if self._found:
             weights[again] *= p.random_weight
         total = weights.sum()
@@ -250,17 +262,12 @@ class SigmaPiTracker:
         anew = self._alone > p.stale
         trusted = enough and (formed or not self._used[2])
         if self._used[1] and (trusted or anew or (self._colour.frames < p.young and (moving or formed))):
-            self._colour.adapt(self._own_pixels(window))
+            self._colour.adapt(kernel(self._motion.saliency.shape, window))
         if self._used[2] and (enough or anew or (self._form.frames < p.young and (moving or coloured))):
             self._form.adapt(window)
         self._surroundings(window)
         if self._active.max() >= p.support:
             self._reference = self._reference + p.size_rate * (best[2:] - self._reference)
-
-    def _own_pixels(self, window: FloatArray) -> NDArray[np.float32]:
-        """Weights (h, w) of pixels that may be the person's: in the window, and not the empty scene's."""
-        own = kernel(self._motion.saliency.shape, window)
-        return own * self._motion.novel if self._used[0] and self._motion.novel.any() else own
 
     def _surroundings(self, window: FloatArray | None) -> None:
         """Let colour and shape know what is not the person."""
@@ -269,7 +276,4 @@ class SigmaPiTracker:
             outside = ~covered(outside.shape, window, 1.3)
         if self._used[1]:
             self._colour.surroundings(outside)
-        points = self._form.features.points
-        w, h = self._shape
-        places = np.clip(points.astype(int), 0, [int(w) - 1, int(h) - 1])
-        self._form.surroundings(outside[places[:, 1], places[:, 0]])
+        self._form.surroundings(outside)
