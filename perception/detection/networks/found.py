@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
+from perception.images.pixels import Image
 from perception.pose.keypoints.skeleton import N_POINTS
+
+
+class Detector(Protocol):
+    """Whatever finds people."""
+
+    def detect(self, image: Image) -> tuple[FloatArray, FloatArray]:
+        """Boxes (n, 4), left, top, width, height in pixels, and scores (n,), best first."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +37,11 @@ class FoundPeople:
 
     def __len__(self) -> int:
         return len(self.scores)
+
+    @classmethod
+    def nobody(cls) -> FoundPeople:
+        """A frame without people."""
+        return cls(np.empty((0, 4)), np.empty(0), np.empty((0, N_POINTS, 3)))
 
     def to_record(self) -> dict[str, Any]:
         """As JSON knows it."""

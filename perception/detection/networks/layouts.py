@@ -30,6 +30,7 @@ Kind = Literal["anchors", "cells", "selected", "unselected"]
 
 _STRIDES = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32))
 _EXPECTED = "YOLO's (1, 3·cells, 5 + classes), (1, 4 + classes, cells) or (1, n, 6)"
+_POSE = {"anchors": 52, "cells": 52, "unselected": 52, "selected": 51}
 _EXPECTED_POSE = "YOLO-pose's (1, 56, cells) or (1, n, 57)"
 
 
@@ -133,6 +134,8 @@ def layout_of(
         kind, numbers, before = "selected", columns, 6
     else:
         raise InputError(found, expected, path=path)
+    if keypoints is None and names is None and numbers - before == _POSE[kind]:
+        keypoints = (17, 3)  # YOLO-pose as it is, of one class
     if pose and keypoints is None:
         keypoints = _told_keypoints(numbers - before - (0 if kind == "selected" else names or 1), found, path)
     points, each = keypoints or (0, 3)

@@ -58,15 +58,16 @@ def places_of(names: Sequence[str]) -> tuple[int, ...] | None:
     return None if any(places[k] < 0 for k in USED) else places
 
 
-def in_coco_order(points: FloatArray, places: Sequence[int]) -> FloatArray:
+def in_coco_order(points: FloatArray, places: Sequence[int], *, clipped: bool = True) -> FloatArray:
     """Points (..., 17, 3) out of points (..., k, 3) of another convention; those it lacks are 0.
 
-    Points without a place have confidence 0, and confidences are brought to 0…1.
+    Points without a place have confidence 0, and confidences are brought to 0…1 unless they are not clipped.
     """
     chosen = np.where((np.array(places) >= 0)[:, None], points[..., list(places), :], 0.0)
     there = np.isfinite(chosen).all(axis=-1) & (chosen[..., 2] > 0.0)
     found = np.where(there[..., None], chosen, 0.0)
-    found[..., 2] = np.clip(found[..., 2], 0.0, 1.0)
+    if clipped:
+        found[..., 2] = np.clip(found[..., 2], 0.0, 1.0)
     return np.asarray(found, float)
 
 
