@@ -7,12 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction, wrap
+from perception.pose.keypoints.skeleton import N_POINTS, USED
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.person import Posture, hip_of, placed, shoulder_of
 from perception.synthetic.raycast import Light, cast
 from perception.synthetic.scene import Furniture, Person, furniture_solids
-from perception.synthetic.skeletons import N_USED, Skeletons
+from perception.synthetic.skeletons import N_USED, NetworkErrors, Skeletons, perceived
 from perception.synthetic.solids import Builder, Solids
 
 _SIDES = (1.0, -1.0)
@@ -60,6 +61,25 @@ def seen_joints(person: Person, camera: Camera, furniture: tuple[Furniture, ...]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     shown = cast(eye, rays[None], Solids.together(*parts), _LIGHT, n_groups=3 + N_USED)
     return (shown.nearest[0] == 3 + np.arange(N_USED)).astype(float)
+
+
+def seen_keypoints(
+    person: Person,
+    camera: Camera,
+    furniture: tuple[Furniture, ...],
+    rng: np.random.Generator,
+    errors: NetworkErrors = NetworkErrors(),
+) -> FloatArray:
+    """COCO's points (17, 3) of somebody, as a pose network would give them; limbs are not there."""
+    assert isinstance(person.look, Appearance)
+    pixels = camera.project(joints_of(person.look, person.posture))
+    x, y = person.posture.position
+    ends = camera.project([(x, y, 0.0), (x, y, person.look.height)])
+    height = float(np.linalg.norm(ends[1] - ends[0]))
+    visibility = seen_joints(person, camera, furniture)
+    points = np.zeros((N_POINTS, 3))
+    points[list(USED)] = perceived(pixels[None], visibility[None], height, rng, errors)[0]
+    return points
 
 
 def make_rendered_skeletons(

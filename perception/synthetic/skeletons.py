@@ -37,8 +37,11 @@ _NORMALS = np.array(
 """Where the points of `USED` look, in the frame of head, shoulders or pelvis (x forward, y left, z up)."""
 _ROUND = np.array([0.25, 0.08, 0.08, 0.40, 0.40, 0.40, 0.40, 0.30, 0.30])
 """How far round a corner each still is seen: the sine of the angle, on average."""
-_DEVIATION = np.array([0.009, 0.008, 0.008, 0.011, 0.011, 0.024, 0.024, 0.032, 0.032])
-"""1-σ of a network's points, in heights of the person: 0.7 of what COCO's annotators differ by."""
+_DEVIATION = 0.45 * np.array([0.026, 0.025, 0.025, 0.035, 0.035, 0.079, 0.079, 0.107, 0.107])
+"""1-σ of a network's points in heights of the person: as much as COCO's annotators differ by.
+
+COCO states it in square roots of the person's area, which are 0.45 heights.
+"""
 _SEEN, _HIDDEN = 2.6, np.array([-2.0] * 5 + [0.8] * 4)
 """Log odds of the confidence in points that are seen and in those that are hidden."""
 _SWAPPED = (0, 2, 1, 4, 3, 6, 5, 8, 7)
@@ -228,7 +231,7 @@ def perceived(
     from_behind = visibility[:, :3].max(axis=1) < 0.3
     dreamt = from_behind & (rng.random(n) < errors.hallucinated)
     level[:, :3] = np.where(dreamt[:, None], rng.normal(0.3, 0.8, (n, 3)), level[:, :3])
-    spread = np.exp(np.clip(0.3 * (_SEEN - level), -0.3, 1.4) + rng.normal(0.0, 0.3, (n, 1)))
+    spread = np.exp(np.clip(0.3 * (_SEEN - level), -0.3, 1.4) + rng.normal(0.0, 0.4, (n, 1)))
     spread = spread * _DEVIATION * height[:, None] * errors.deviation
     moved = points + np.hypot(spread, errors.pixels)[..., None] * rng.normal(size=points.shape)
     for part, share in ((slice(0, 5), 0.006), (slice(5, 9), 0.008)):

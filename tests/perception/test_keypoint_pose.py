@@ -53,7 +53,7 @@ def test_left_and_right_front_and_back_come_out_right(angle: float) -> None:
     body, head = model.log_likelihoods(all_17(np.array(found)))
     for classes, said in ((BODY, body), (HEAD, head)):
         error = np.degrees(np.abs(difference(classes.mean_pan(said), angle)))
-        assert np.median(error) < 35.0 and (error > 90.0).mean() <= 0.1
+        assert np.median(error) < 45.0 and (error > 90.0).mean() <= 0.1
 
 
 def test_the_mirror_image_has_the_mirrored_likelihoods() -> None:
