@@ -56,7 +56,7 @@ def check_places(
     outputs: Mapping[str, Path | Sequence[Path] | None],
     render: Path | None,
     source: Path,
-    inputs: Mapping[str, Path | None],
+    inputs: Mapping[str, Path | Sequence[Path] | None],
     *,
     table: Path | None = None,
 ) -> None:

@@ -12,7 +12,7 @@ import typer
 from graphtrack.cli.console import console, print_table
 from graphtrack.cli.options import Json, Seed, check_outputs
 
-_TABLES = ("pose", "localisation", "recognition", "joint", "published")
+_TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
 
 Show = Callable[[str, Sequence[Mapping[str, Any]]], None]
 """Takes the title and the rows of a table."""
@@ -24,7 +24,7 @@ def evaluate(
         typer.Argument(
             help="pose (errors and calibration of all classifiers; 000 Fig. 3), localisation (002 Table 1), "
             "recognition (004 Tables 1-3), joint (002 Table 2), published (002's perception as printed "
-            "beside ours); all by default.",
+            "beside ours), keypoints (body and head by keypoints); all by default.",
             metavar="[TABLE]...",
         ),
     ] = None,
@@ -67,6 +67,7 @@ def evaluate(
         "recognition": lambda rng: _recognition(rng, show),
         "joint": lambda rng: _joint(clips, head_pose, rng, show),
         "published": lambda rng: _published_forms(count, train, rng, show),
+        "keypoints": lambda rng: _keypoints(count, rng, show),
     }
     for name, make in makers.items():
         if name in wanted:
@@ -162,6 +163,14 @@ def _published_forms(count: int, train: int, rng: np.random.Generator, show: Sho
     for name, rows in published_beside_ours(train, count, rng).items():
         title = f"{name}: ours and 002's as printed, both trained on {train} rendered images"
         show(title, rows)
+
+
+def _keypoints(count: int, rng: np.random.Generator, show: Show) -> None:
+    from perception.evaluation.keypoints import keypoint_table
+    from perception.models import load_keypoint_pose
+
+    title = f"Body and head by keypoints, {count} rendered people of each size"
+    show(title, keypoint_table(load_keypoint_pose(), count, rng))
 
 
 def _recognition(rng: np.random.Generator, show: Show) -> None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -30,9 +30,23 @@ from perception.cli.common import (
     print_written,
     read_camera,
 )
+from perception.cli.own_networks import (
+    Detector,
+    InputSize,
+    Keypoints,
+    LeastScore,
+    PersonClass,
+    find_keypoints,
+    keypoint_files,
+    own_networks,
+    say_how_far,
+    stamp_of,
+    with_their_keypoints,
+)
 
 if TYPE_CHECKING:
     from perception.detection.boxes import PersonBox
+    from perception.detection.networks.found import Detector as Detects
     from perception.detection.people import Detections, PeopleTracker
     from perception.images.frames import Frame, FrameSource
     from perception.observe.journal import FrameJournal
@@ -75,6 +89,11 @@ def observe(
     write_boxes_to: Annotated[
         Path | None, typer.Option("--write-boxes", help="Write the detected boxes here, as MOT text.")
     ] = None,
+    detector: Detector = None,
+    keypoints: Keypoints = None,
+    person_class: PersonClass = None,
+    input_size: InputSize = None,
+    least_score: LeastScore = None,
     render: Render = None,
     causal: Annotated[
         bool | None,
@@ -107,10 +126,11 @@ def observe(
     from perception.adaptation.models import CameraModels
     from perception.cli.observe_stream import observe_stream
     from perception.detection.boxes import read_boxes, write_boxes
-    from perception.detection.people import Detections, PeopleTracker
+    from perception.detection.networks.found import FoundPeople
+    from perception.detection.people import Detections, PeopleDetector, PeopleTracker
     from perception.images.drawing.output import is_video
     from perception.images.frames import FrameSource
-    from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+    from perception.models import HEAD_POSE, load_classifier, load_head_localiser, load_keypoint_pose
     from perception.observe import pipeline
     from perception.observe.journal import FrameJournal
     from perception.observe.live import LiveObserver
@@ -120,19 +140,24 @@ def observe(
     own_models = (head_pose_model, body_pose_model, head_localiser_model)
     if camera_models is not None and any(path is not None for path in own_models):
         raise InputError("--models beside a model for one of its parts", "one of them")
+    if keypoints is not None and any(path is not None for path in (*own_models, camera_models)):
+        raise InputError("--keypoints beside a model for body or head", "one of them")
+    if boxes is not None and detector is not None:
+        raise InputError("--detector beside --boxes", "one of them: given boxes are not detected")
     if boxes is not None and write_boxes_to is not None:
         raise InputError("--write-boxes beside --boxes", "one of them: given boxes are not detected")
     streamed = str(output) == "-"
     if streamed:
         _refuse_with_stream({"--write-boxes": write_boxes_to, "--render": render}, causal)
     found_so_far = output.with_name(f"{output.name}.detections")
+    points_so_far = output.with_name(f"{output.name}.keypoints")
     known_so_far = output.with_name(f"{output.name}.journal")
     check_places(
         {}
         if streamed
         else {
             "--output": output,
-            "the journals of --output": [found_so_far, known_so_far],
+            "the journals of --output": [found_so_far, points_so_far, known_so_far],
             "--write-boxes": write_boxes_to,
         },
         render,
@@ -145,6 +170,8 @@ def observe(
             "--body-pose-model": body_pose_model,
             "--head-localiser-model": head_localiser_model,
             "--models": camera_models,
+            "--detector": detector,
+            "--keypoints": keypoint_files(keypoints),
         },
         table=None if streamed else output,
     )
@@ -152,8 +179,10 @@ def observe(
     rate = frame_rate(frames, fps)
     refused: dict[str, None] = {}  # what cannot be decoded may be told twice
     refuse = refused.setdefault
+    networks = own_networks(frames, detector, keypoints, person_class, input_size, least_score)
     given = None if boxes is None else read_boxes(boxes, refuse)
-    identified = not given or given[0].identified
+    pointed = given is None and networks.makes_boxes  # whose boxes are made of keypoints, has no identity
+    identified = not (pointed or (given and not given[0].identified))
     if not (identified or streamed):
         check_table_name(output)
     models = pipeline.Models(
@@ -162,40 +191,55 @@ def observe(
         load_classifier(head_pose, head_pose_model),
         appearance=not identified if appearance is None else appearance,
         of_camera=None if camera_models is None else CameraModels.load(camera_models),
+        of_keypoints=load_keypoint_pose() if networks.has_keypoints else None,
     )
     camera = read_camera(homography, calibration)
     if streamed:
         observer = LiveObserver(models, camera, rate, identified=identified)
-        observe_stream(frames, given, observer, refused)
+        observe_stream(frames, given, observer, refused, networks)
         return
     one_size = render is not None and is_video(render)
-    detections = FrameJournal(
-        found_so_far, _key(frames.stamp()), Detections.to_record, Detections.from_record
+    detections, points = (
+        FrameJournal(path, _key(frames.stamp(), networks.asked), kind.to_record, kind.from_record)
+        for path, kind in ((found_so_far, Detections), (points_so_far, FoundPeople))
     )
-    if given is not None:
+    if given is not None or pointed:
         people = given
     else:
+        tracker = PeopleTracker(camera)
         people = _detect(
-            frames, PeopleTracker(camera), detections, refuse, one_size=one_size, causal=bool(causal)
+            frames,
+            tracker,
+            networks.detector or PeopleDetector(),
+            detections,
+            refuse,
+            one_size=one_size,
+            causal=bool(causal),
         )
-        if write_boxes_to is not None:
-            write_boxes(people, write_boxes_to)
+    if networks.has_keypoints:
+        numbers = None if people is None else {item.frame for item in people}
+        found = find_keypoints(frames, networks, numbers, points, refuse, one_size=one_size)
+        people = with_their_keypoints(people, found, refuse)
+    assert people is not None
+    if given is None and write_boxes_to is not None:
+        write_boxes(people, write_boxes_to)
     looked = time.perf_counter()
-    own = [_stamp(path) for path in (*own_models, camera_models)]
-    key = _key(frames.stamp(), head_pose, own, people, models.appearance)
+    own = [stamp_of(path) for path in (*own_models, camera_models)]
+    key = _key(frames.stamp(), head_pose, own, people, models.appearance, networks.has_keypoints)
     journal = FrameJournal(known_so_far, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record)
     journal.open()
-    _say_how_far(journal)
+    say_how_far(journal)
     # Where people were detected, nothing new is to be found in frames without any.
-    empty = set() if boxes is not None else detections.frames.keys() - {item.frame for item in people}
+    looked_at = detections.frames.keys() | points.frames.keys()
+    empty = set() if boxes is not None else looked_at - {item.frame for item in people}
     try:
         with _decoded(frames, journal.frames.keys() | empty, one_size=one_size) as decoded:
             count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
         seen = pipeline.seen_in(journal)
         observed = pipeline.to_tracks(seen, models.head_classes, camera, rate, causal=bool(causal))
     except InputError:  # the same command would end in the same way
-        journal.close(remove=True)
-        detections.close(remove=True)
+        for one in (journal, detections, points):
+            one.close(remove=True)
         raise
     finally:
         journal.close(remove=False)
@@ -204,16 +248,16 @@ def observe(
         _render(frames, observed, render, rate)
     tracks = observed.tracks
     (write if identified else write_detections)(tracks, output)
-    journal.close(remove=True)
-    detections.close(remove=True)
+    for one in (journal, detections, points):
+        one.close(remove=True)
     print_skipped(list(refused))
     for reason, times in tracks.summary.refused.items():
         console.print(f"  refused {times}: {reason}", markup=False)
     print_camera_note(camera)
-    found = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
+    observed_text = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
     if not identified:
-        found = counted(tracks.n_frames, "detection")
-    console.print(f"observed {found}; {in_time(count, seconds)}", markup=False)
+        observed_text = counted(tracks.n_frames, "detection")
+    console.print(f"observed {observed_text}; {in_time(count, seconds)}", markup=False)
     print_written(output, render)
 
 
@@ -228,21 +272,8 @@ def _refuse_with_stream(files: Mapping[str, Path | None], causal: bool | None) -
         raise InputError("--whole-track with -o -", "a file as the output: rows are given before the rest")
 
 
-def _stamp(path: Path | None) -> object:
-    """What tells a file from what it is after a change."""
-    if path is None:
-        return None
-    state = path.stat()
-    return str(path), state.st_size, state.st_mtime_ns
-
-
 def _key(*asked: object) -> str:
     return hashlib.sha256(repr(asked).encode()).hexdigest()
-
-
-def _say_how_far(journal: FrameJournal[Any]) -> None:
-    if journal.frames:
-        console.print(f"going on after {counted(len(journal.frames), 'frame')}", markup=False)
 
 
 @contextmanager
@@ -266,6 +297,7 @@ def _decoded(
 def _detect(
     frames: FrameSource,
     tracker: PeopleTracker,
+    detector: Detects,
     journal: FrameJournal[Detections],
     refuse: Callable[[str], object],
     *,
@@ -273,11 +305,10 @@ def _detect(
     causal: bool,
 ) -> list[PersonBox]:
     """Detected people as tracks; frames that the journal has are not looked at again."""
-    from perception.detection.people import Detections, PeopleDetector
+    from perception.detection.people import Detections
 
-    detector = PeopleDetector()
     journal.open()
-    _say_how_far(journal)
+    say_how_far(journal)
     start, count = time.perf_counter(), 0
     try:
         with _decoded(frames, journal.frames, one_size=one_size) as decoded:

@@ -13,8 +13,8 @@ from graphtrack.cli.options import Seed, check_outputs
 Name = Annotated[
     str,
     typer.Argument(
-        help="templates, exemplars, deep_belief, body_pose, head_localiser, or head_exemplars (of the "
-        "mixed-state tracker)."
+        help="templates, exemplars, deep_belief, body_pose, head_localiser, head_exemplars (of the "
+        "mixed-state tracker), or keypoints (body and head by a pose network's points)."
     ),
 ]
 
@@ -41,7 +41,9 @@ def train(
     count: Annotated[
         int | None,
         typer.Option(
-            "--count", min=100, help="Rendered images to train on, if not as many as the package's model."
+            "--count",
+            min=100,
+            help="Rendered images, or skeletons, to train on, if not as many as the package's model.",
         ),
     ] = None,
     as_published: Annotated[

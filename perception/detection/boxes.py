@@ -12,6 +12,7 @@ from graphtrack.io import atomic_path
 from graphtrack.io.readers import caviar, mot
 from graphtrack.io.source import Source
 from graphtrack.table.rows import check_rows
+from perception.pose.keypoints.skeleton import Points
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class PersonBox:
     confidence : of the detector
     identified : False: nobody knows who it is, and the id is a number of its own
     score : (detections without identities) the confidence as graphtrack reads it, from 0 on; None: not known
+    keypoints : COCO's 17 points; None: no pose network has looked
     """
 
     frame: int
@@ -33,6 +35,7 @@ class PersonBox:
     confidence: float = 1.0
     identified: bool = True
     score: float | None = None
+    keypoints: Points | None = None
 
 
 def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: None) -> list[PersonBox]:

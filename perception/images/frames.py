@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -81,6 +82,14 @@ class FrameSource:
         """Path, size and time of the video or of every image: another one after a change."""
         states = [(path, path.stat()) for path in self.files(self.path)]
         return [(str(path), state.st_size, state.st_mtime_ns) for path, state in states]
+
+    def frame_of(self, name: str) -> int | None:
+        """The number of the frame whose image has this name without suffix; None if there is none."""
+        return self._named.get(name)
+
+    @cached_property
+    def _named(self) -> dict[str, int]:
+        return {path.stem: number for number, path in _images(self.path)} if self.path.is_dir() else {}
 
     def __iter__(self) -> Iterator[Frame]:
         return self.where(lambda number: True)

@@ -9,6 +9,7 @@ from perception.pose.body import BodyPose
 from perception.pose.classifier import FeatureClassifier
 from perception.pose.head_pose import DeepBelief, Exemplars, Templates
 from perception.pose.heads import HeadLocaliser
+from perception.pose.keypoints.model import KeypointPose
 from perception.trackers.mixed_state.exemplars import HeadExemplars
 
 CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
@@ -18,7 +19,7 @@ CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "body_pose": BodyPose,
 }
 HEAD_POSE = ("deep_belief", "templates", "exemplars")
-NAMES = (*CLASSIFIERS, HeadLocaliser.kind, HeadExemplars.kind)
+NAMES = (*CLASSIFIERS, HeadLocaliser.kind, HeadExemplars.kind, KeypointPose.kind)
 
 
 def model_path(name: str) -> Path:
@@ -55,3 +56,8 @@ def load_head_localiser(path: str | Path | None = None) -> HeadLocaliser:
 def load_head_exemplars(path: str | Path | None = None) -> HeadExemplars:
     """The exemplars of the mixed-state tracker, of the package or of a file."""
     return HeadExemplars.load(path or model_path(HeadExemplars.kind))
+
+
+def load_keypoint_pose(path: str | Path | None = None) -> KeypointPose:
+    """The model of body and head by keypoints, of the package or of a file."""
+    return KeypointPose.load(path or model_path(KeypointPose.kind))

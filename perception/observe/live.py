@@ -11,7 +11,9 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.table.columns import to_columns
 from graphtrack.tracks import TrackSet
 from perception.detection.boxes import PersonBox
+from perception.detection.networks.found import Detector, FoundPeople
 from perception.detection.people import Detections, PeopleDetector, PeopleTracker
+from perception.detection.pointed import boxes_of, with_keypoints
 from perception.images.frames import Frame
 from perception.images.pixels import Image
 from perception.observe.pipeline import (
@@ -28,6 +30,9 @@ from perception.pose.head_path import HeadPath
 
 Finder = Callable[[int, Image], list[PersonBox]]
 """The boxes of the people of a frame, by its number and image."""
+
+Look = Callable[[int, Image], FoundPeople]
+"""The people of a frame with their keypoints, likewise."""
 
 
 class LiveObserver:
@@ -98,9 +103,19 @@ def given_boxes(boxes: Iterable[PersonBox]) -> Finder:
     return lambda frame, image: by_frame.get(frame, [])
 
 
-def detected_boxes(camera: GroundCamera | None) -> Finder:
-    """Boxes that are detected and joined to tracks as the frames come."""
-    detector, tracker = PeopleDetector(), PeopleTracker(camera)
+def boxes_with_keypoints(find: Finder, look: Look) -> Finder:
+    """The same boxes, with the keypoints of those whom they hold."""
+    return lambda frame, image: with_keypoints(find(frame, image), {frame: look(frame, image)})
+
+
+def boxes_of_keypoints(look: Look) -> Finder:
+    """The boxes of whoever has keypoints."""
+    return lambda frame, image: boxes_of({frame: look(frame, image)})
+
+
+def detected_boxes(camera: GroundCamera | None, detector: Detector | None = None) -> Finder:
+    """Boxes that are detected and joined to tracks as frames come; by the package's detector, if by none."""
+    detector, tracker = detector or PeopleDetector(), PeopleTracker(camera)
 
     def find(frame: int, image: Image) -> list[PersonBox]:
         tracker.update(frame, Detections.of(image, *detector.detect(image)))

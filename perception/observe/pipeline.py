@@ -18,6 +18,7 @@ from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox, foot_point
 from perception.images.frames import Frame
 from perception.images.pixels import Image, checked_box, crop
+from perception.observe.by_keypoints import said_by_keypoints
 from perception.observe.journal import FrameJournal
 from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.classes import PoseClasses
@@ -25,6 +26,7 @@ from perception.pose.classifier import Classifier
 from perception.pose.features.appearance import LENGTH, Projection, describe, light_of
 from perception.pose.head_path import select_along_track, select_so_far
 from perception.pose.heads import HeadCandidates, HeadLocaliser
+from perception.pose.keypoints.model import KeypointPose
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
 
@@ -38,6 +40,7 @@ class Models:
     head_localiser, body_pose, head_pose : for any camera
     appearance : whether looks are described too
     of_camera : what the camera has taught itself; it takes the place of the three
+    of_keypoints : says where people point by their keypoints, in place of all of them
     """
 
     head_localiser: HeadLocaliser
@@ -45,10 +48,13 @@ class Models:
     head_pose: Classifier
     appearance: bool = False
     of_camera: CameraModels | None = None
+    of_keypoints: KeypointPose | None = None
 
     @property
     def head_classes(self) -> PoseClasses:
         """Pan classes of heads."""
+        if self.of_keypoints is not None:
+            return _HEAD
         return (self.head_pose if self.of_camera is None else self.of_camera).classes.pans
 
 
@@ -103,7 +109,9 @@ def _look(
     """What the models say of people and the pictures of their boxes; given the light, their looks too."""
     if not people:
         return []
-    if models.of_camera is not None:
+    if models.of_keypoints is not None:
+        said = said_by_keypoints([item for item, _ in people], models.of_keypoints)
+    elif models.of_camera is not None:
         said = models.of_camera.look(image, [item.box for item, _ in people])
     else:
         said = _said([picture for _, picture in people], models)

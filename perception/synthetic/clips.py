@@ -77,13 +77,16 @@ class Walks:
     def __len__(self) -> int:
         return len(self.truth.tracks[0])
 
+    def people(self, k: int) -> list[Person]:
+        """Everybody in frame k, in the order of the tracks."""
+        postures = [_posture(track, k) for track in self.truth]
+        return [Person(*both) for both in zip(self.looks, postures, strict=True)]
+
     def frames(self, rng: np.random.Generator) -> Iterator[tuple[Image, list[PersonBox]]]:
         """Images of frames 0, 1, 2 …, rendered one after the other, with people's boxes."""
         place = StillScene(self.scene)
         for k in range(len(self)):
-            postures = [_posture(track, k) for track in self.truth]
-            people = [Person(*both) for both in zip(self.looks, postures, strict=True)]
-            frame = place.render(people, self.sensor, rng)
+            frame = place.render(self.people(k), self.sensor, rng)
             boxes = []
             for track, label in zip(self.truth, frame.labels, strict=True):
                 if label.body_box is not None and label.visibility > _VISIBLE and _inside(label.body_box):

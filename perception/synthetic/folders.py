@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -21,13 +22,14 @@ from perception.images.pixels import Image
 from perception.synthetic.cameras import Camera
 from perception.synthetic.ceiling import ALL_KINDS as CEILING_KINDS
 from perception.synthetic.ceiling import CeilingSequence, ceiling_sequence
-from perception.synthetic.clips import draw_walks
+from perception.synthetic.clips import Walks, draw_walks
 from perception.synthetic.head_clips import HeadClipParameters, head_clip
 from perception.synthetic.heads import HeadVariation, make_heads
+from perception.synthetic.joints import seen_keypoints
 from perception.synthetic.pedestrians import make_pedestrians
 
 VIDEO, IMAGES, BOXES, TRUTH, LABELS = "video.mp4", "images", "boxes.txt", "truth.csv", "labels.csv"
-HOMOGRAPHY, CALIBRATION = "homography.txt", "camera.ci"
+HOMOGRAPHY, CALIBRATION, KEYPOINTS = "homography.txt", "camera.ci", "keypoints.json"
 
 Advance = Callable[[int], None]
 TARGETS = {"person": "person moving 1", "robot": "robot moving"}
@@ -48,7 +50,7 @@ def write_street(
     fps: float = 5.0,
     images: bool = False,
 ) -> list[PersonBox]:
-    """People who walk before a camera: frames, boxes that are off as a detector's, camera and truth.
+    """People who walk before a camera: frames, boxes that are off as a detector's, keypoints, camera, truth.
 
     As all of `KINDS` it makes the folder, whole or not at all, and returns the boxes, if there are any.
 
@@ -64,7 +66,20 @@ def write_street(
         np.savetxt(made / HOMOGRAPHY, camera.ground_camera().homography)
         _write_camera(made, camera)
         write(walks.truth, made / TRUTH)
+        _write_keypoints(made / KEYPOINTS, walks, boxes, rng)
     return boxes
+
+
+def _write_keypoints(path: Path, walks: Walks, boxes: Iterable[PersonBox], rng: np.random.Generator) -> None:
+    """What a pose network would say of the people in boxes, as COCO results."""
+    place = {track.track_id: number for number, track in enumerate(walks.truth)}
+    entries = []
+    for item in boxes:
+        person = walks.people(item.frame)[place[item.track_id]]
+        points = seen_keypoints(person, walks.scene.camera, walks.scene.furniture, rng)
+        values = {"keypoints": points.round(3).ravel().tolist(), "bbox": [round(x, 2) for x in item.box]}
+        entries.append({"image_id": item.frame, "category_id": 1, **values, "score": 0.9})
+    path.write_text(json.dumps(entries), encoding="ascii")
 
 
 def write_ceiling(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from graphtrack.geometry.angles import FloatArray
 from perception.synthetic.appearance import Appearance
 from perception.synthetic.head import head_solids
 from perception.synthetic.solids import Builder, Solids, rotation_up, rotation_z
@@ -41,20 +42,29 @@ class Posture:
 
 def person_solids(look: Appearance, posture: Posture) -> tuple[Solids, Solids]:
     """Body and head in the world (metres)."""
+    return placed(look, posture, _upper_body(look, posture), _legs(look, posture), head_solids(look))
+
+
+def placed(
+    look: Appearance, posture: Posture, upper: Solids, legs: Solids, head: Solids
+) -> tuple[Solids, Solids]:
+    """Body and head in the world (metres), of parts of a person of the reference height at the origin.
+
+    Parameters
+    ----------
+    upper, legs : x where the body points, z up from the ground
+    head : as of `head_solids`
+    """
     size = look.height / _REFERENCE_HEIGHT
     turn, place = rotation_z(posture.body), (*posture.position, 0.0)
     # Who sits down lowers hips, trunk and head by what the thighs lose in height.
     lowered = _THIGH * (1.0 - np.cos(_bend(posture)))
-    upper, legs = _upper_body(look, posture).moved(np.eye(3), (0.0, 0.0, -lowered)), _legs(look, posture)
+    upper = upper.moved(np.eye(3), (0.0, 0.0, -lowered))
     body = Solids.together(upper, legs).scaled(size).moved(turn, place)
     # The head turns about the neck, which bows forward a little.
     pivot = np.array([-0.03, 0.0, -0.10])
     facing = rotation_z(posture.head - posture.body) @ rotation_up(posture.tilt)
-    head = (
-        head_solids(look)
-        .moved(np.eye(3), -pivot)
-        .moved(facing, pivot + np.array([0.01, 0.0, _HEAD_HEIGHT - lowered]))
-    )
+    head = head.moved(np.eye(3), -pivot).moved(facing, pivot + np.array([0.01, 0.0, _HEAD_HEIGHT - lowered]))
     return body, head.scaled(size).moved(turn, place)
 
 
@@ -95,7 +105,7 @@ def _legs(look: Appearance, posture: Posture) -> Solids:
 
 def _leg(make: Builder, look: Appearance, side: float, swing: float, posture: Posture) -> None:
     bend = _bend(posture)
-    hip = np.array([0.0, side * 0.085 * look.build, 0.90 - _THIGH * (1.0 - np.cos(bend))])
+    hip = hip_of(look, side) - np.array([0.0, 0.0, _THIGH * (1.0 - np.cos(bend))])
     thigh = 0.45 * swing + bend
     # The knee bends while the leg comes forward.
     lifted = max(0.0, side * np.cos(posture.phase)) * posture.stride
@@ -107,8 +117,18 @@ def _leg(make: Builder, look: Appearance, side: float, swing: float, posture: Po
     make.ellipsoid(ankle + np.array([0.065, 0.0, -0.025]), (0.135, 0.05, 0.044), look.shoes)
 
 
+def shoulder_of(look: Appearance, side: float) -> FloatArray:
+    """The shoulder (3,) of a standing person of the reference height; side 1 is the left."""
+    return np.array([-0.01, side * 0.215 * look.build, 1.40])
+
+
+def hip_of(look: Appearance, side: float) -> FloatArray:
+    """The hip (3,), as `shoulder_of`."""
+    return np.array([0.0, side * 0.085 * look.build, 0.90])
+
+
 def _arm(make: Builder, look: Appearance, side: float, swing: float) -> None:
-    shoulder = np.array([-0.01, side * 0.215 * look.build, 1.40])
+    shoulder = shoulder_of(look, side)
     upper, fore = 0.55 * swing - 0.05, 0.55 * swing + 0.30
     outward = side * 0.04
     elbow = shoulder + np.array([0.28 * np.sin(upper), outward, -0.28 * np.cos(upper)])

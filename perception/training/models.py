@@ -18,6 +18,7 @@ from perception.pose.classifier import FeatureClassifier
 from perception.pose.features.skin import SkinColours
 from perception.pose.head_pose import DeepBelief, Exemplars, Templates
 from perception.pose.heads import HeadLocaliser
+from perception.pose.keypoints.model import KeypointPose
 from perception.synthetic import (
     HeadSet,
     HeadVariation,
@@ -28,6 +29,7 @@ from perception.synthetic import (
 )
 from perception.trackers.mixed_state.exemplars import HeadExemplars
 from perception.training.head_exemplars import train_head_exemplars
+from perception.training.keypoints import train_keypoints
 from perception.training.labels import read_labelled
 
 COUNTS = {
@@ -37,8 +39,9 @@ COUNTS = {
     "body_pose": 6000,
     "head_localiser": 1000,
     "head_exemplars": 7680,
+    "keypoints": 200_000,
 }
-"""Rendered images that the models of the package are trained on."""
+"""Rendered images, or skeletons, that the models of the package are trained on."""
 
 PUBLISHED = (BodyPose.kind, Templates.kind, HeadLocaliser.kind)
 """Models of 002, which are there as it has printed them, too."""
@@ -71,7 +74,7 @@ _FAR_TOO = "; a third of them of 24-80 pixels, from up to 45 degrees above, befo
 _REAL = "not judged on real pictures here; "
 
 
-Trained = FeatureClassifier | HeadLocaliser | HeadExemplars
+Trained = FeatureClassifier | HeadLocaliser | HeadExemplars | KeypointPose
 """Any model of the package."""
 
 
@@ -112,6 +115,8 @@ def train_on_rendered(
         people += make_pedestrians(count // 3, rng, FAR, advance=advance)
         body = BodyPose.as_published(seed=seed) if as_published else BodyPose(seed=seed)
         return _body_pose(people, make_pedestrians(test_images, other), body)
+    if name == KeypointPose.kind:
+        return train_keypoints(count, test_skeletons=20 * test_images, seed=seed, advance=advance)
     if name not in CLASSIFIERS:
         return train_head_exemplars(
             people=max(2, count // len(PoseClasses.circle(16, 3))), seed=seed, advance=advance
@@ -191,8 +196,8 @@ def train_on_files(
     InputError
         If there is no model of that name that learns from such files, or they cannot be used.
     """
-    # The labels do not say who is who, which the tracker's exemplars need.
-    known = [known for known in NAMES if known != HeadExemplars.kind]
+    # The labels do not say who is who, which the tracker's exemplars need, nor where points of the body are.
+    known = [known for known in NAMES if known not in (HeadExemplars.kind, KeypointPose.kind)]
     if name not in known:
         raise InputError(f"model {name!r}", f"one of {', '.join(known)}")
     check_published(name, as_published)

@@ -1,0 +1,1 @@
+"""Points of the body that pose networks give, and where body and head point by them."""

@@ -1,0 +1,286 @@
+"""Skeletons of people who walk and stand, before random cameras, and what a pose network would say of them.
+
+The pelvis turns against the shoulders as in motion capture of people who walk (1-σ: 9°). Heads turn much
+farther than there (16°): how heads go with bodies is for the graph to say, and not to be said twice. Those
+recordings have no joints: these stand at heights and widths of anthropometry (Drillis & Contini 1966), which
+vary from one person to the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
+
+from graphtrack.geometry.angles import FloatArray, wrap
+from perception.pose.keypoints.skeleton import USED
+
+_TWIST, _HEAD_TURN, _FARTHEST = np.deg2rad([9.0, 35.0, 110.0])
+_EVEN = 0.5
+"""Share of the heads that turn anywhere up to the farthest, all alike."""
+_LEFT, _RIGHT = 1.0, -1.0
+_NORMALS = np.array(
+    [
+        [1.0, 0.0, -0.1],
+        [0.92, 0.39, 0.0],
+        [0.92, -0.39, 0.0],
+        [-0.05, 1.0, 0.0],
+        [-0.05, -1.0, 0.0],
+        [0.0, 1.0, 0.3],
+        [0.0, -1.0, 0.3],
+        [0.0, 1.0, 0.0],
+        [0.0, -1.0, 0.0],
+    ]
+)
+"""Where the points of `USED` look, in the frame of head, shoulders or pelvis (x forward, y left, z up)."""
+_ROUND = np.array([0.25, 0.08, 0.08, 0.40, 0.40, 0.40, 0.40, 0.30, 0.30])
+"""How far round a corner each still is seen: the sine of the angle, on average."""
+_DEVIATION = 0.45 * np.array([0.026, 0.025, 0.025, 0.035, 0.035, 0.079, 0.079, 0.107, 0.107])
+"""1-σ of a network's points in heights of the person: as much as COCO's annotators differ by.
+
+COCO states it in square roots of the person's area, which are 0.45 heights.
+"""
+_SEEN, _HIDDEN = 2.6, np.array([-2.0] * 5 + [0.8] * 4)
+"""Log odds of the confidence in points that are seen and in those that are hidden."""
+_SWAPPED = (0, 2, 1, 4, 3, 6, 5, 8, 7)
+N_USED = len(USED)
+
+
+@dataclass(frozen=True, eq=False)
+class Skeletons:
+    """n people before cameras.
+
+    Attributes
+    ----------
+    points : (n, 9, 2) pixels of the points of `USED`
+    visibility : (n, 9) from 0 (hidden) to 1 (seen)
+    height : (n,) of the person in pixels
+    body, head : (n,) radians in the image frame: 0 faces the camera, +π/2 the right of the image. The body's
+        is that of the shoulders
+    """
+
+    points: FloatArray
+    visibility: FloatArray
+    height: FloatArray
+    body: FloatArray
+    head: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.body)
+
+
+@dataclass(frozen=True)
+class NetworkErrors:
+    """How wrong and how sure a pose network is; numbers are those of one draw, and vary from one to the next.
+
+    Attributes
+    ----------
+    deviation : factor of the points' standard deviation
+    pixels : 1-σ in pixels besides, however large the person is
+    bias : 1-σ of the log odds by which a picture is surer than others
+    doubt : the same of each point
+    swapped : share of people whose left and right are taken for each other; more where they are small
+    hallucinated : share of the backs of heads that are taken for faces
+    hidden : share of people of whom some points are behind something or outside of the image
+    cut : share of the people whose unsure points are left out, as some networks do
+    unsaid : share of the people whose points come without confidences
+    """
+
+    deviation: float = 1.0
+    pixels: float = 1.0
+    bias: float = 0.7
+    doubt: float = 1.0
+    swapped: float = 0.03
+    hallucinated: float = 0.04
+    hidden: float = 0.2
+    cut: float = 0.4
+    unsaid: float = 0.1
+
+
+def make_skeletons(
+    count: int, rng: np.random.Generator, size: tuple[float, float] = (20.0, 400.0)
+) -> Skeletons:
+    """Draw people of heights in pixels in a range (even in the logarithm), before as many cameras."""
+    body = rng.uniform(-np.pi, np.pi, count)
+    turn = np.clip(rng.normal(0.0, _HEAD_TURN, count), -_FARTHEST, _FARTHEST)
+    anywhere = rng.uniform(-_FARTHEST, _FARTHEST, count)
+    head = body + np.where(rng.random(count) < _EVEN, anywhere, turn)
+    pelvis = body + rng.normal(0.0, _TWIST, count)
+    tall = np.clip(rng.normal(1.70, 0.10, count), 1.3, 2.0)
+    distance = np.exp(rng.uniform(np.log(2.5), np.log(40.0), count))
+    high = np.where(rng.random(count) < 0.5, rng.uniform(0.8, 2.5, count), rng.uniform(2.5, 10.0, count))
+    high = np.minimum(high, 0.9 + distance * np.tan(np.deg2rad(60.0)))
+    # The person stands at the origin, the camera on the x axis: who faces it has the direction 0.
+    camera = np.stack([distance, np.zeros(count), high], axis=1)
+    world, normals = _joints(body, head, pelvis, tall, rng)
+    to_camera = camera[:, None] - world
+    to_camera /= np.linalg.norm(to_camera, axis=2, keepdims=True)
+    facing = np.einsum("npk,npk->np", normals, to_camera)
+    around = rng.normal(_ROUND, 0.15, facing.shape)  # heads, hair, and what networks take for seen differ
+    visibility = expit((facing + around) / 0.10)
+    pixels = np.exp(rng.uniform(np.log(size[0]), np.log(size[1]), count))
+    ends = np.zeros((count, 2, 3))
+    ends[:, 1, 2] = tall
+    seen = _projected(np.concatenate([world, ends], axis=1), camera, rng)
+    tall_in_image = np.linalg.norm(seen[:, -1] - seen[:, -2], axis=1)
+    points = seen[:, :-2] * (pixels / tall_in_image)[:, None, None]
+    return Skeletons(points, visibility, pixels, wrap(body), wrap(head))
+
+
+def _joints(
+    body: FloatArray, head: FloatArray, pelvis: FloatArray, tall: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Points (n, 9, 3) in metres and where they look, unit vectors (n, 9, 3)."""
+    n = len(body)
+
+    def about(mean: float, deviation: float) -> FloatArray:
+        return rng.normal(mean, deviation, n)
+
+    side = np.array([_LEFT, _RIGHT])
+    points, normals = np.zeros((n, N_USED, 3)), np.zeros((n, N_USED, 3))
+    lean, sway = about(0.05, 0.09), about(0.0, 0.05)
+    chest = _turned(body)
+    middle = np.stack([np.sin(lean) * 0.29 * tall, np.sin(sway) * 0.29 * tall, about(0.815, 0.012) * tall], 1)
+    shoulders = np.einsum("nij,nj->ni", chest, middle)
+    wide, tipped = about(0.118, 0.014) * tall, about(0.0, 0.05)
+    for k in range(2):
+        offset = np.stack([about(0.0, 0.012), side[k] * wide * np.cos(tipped), side[k] * wide * tipped], 1)
+        points[:, 5 + k] = shoulders + np.einsum("nij,nj->ni", chest, offset)
+    hips, hip_height = _turned(pelvis), about(0.53, 0.015) * tall
+    across = about(0.062, 0.012) * tall
+    for k in range(2):
+        offset = np.stack([about(0.0, 0.01), side[k] * across, hip_height + about(0.0, 0.01)], 1)
+        points[:, 7 + k] = np.einsum("nij,nj->ni", hips, offset)
+    tilt, roll, size = about(-0.08, 0.26), about(0.0, 0.09), about(1.0, 0.06)
+    face = _turned(head) @ _lifted(tilt) @ _rolled(roll)
+    forward = np.einsum(
+        "nij,nj->ni", chest, np.stack([about(0.015, 0.035), about(0.0, 0.015), 0.0 * tall], 1)
+    )
+    neck = np.array([-0.03, 0.0, -0.10])
+    centre = shoulders + forward + np.stack([0.0 * tall, 0.0 * tall, about(0.110, 0.010) * tall], 1) + neck
+    eye, ear = about(0.034, 0.004), about(0.077, 0.007)
+    places = [np.stack([about(0.120, 0.01), about(0.0, 0.003), about(-0.022, 0.008)], 1)]
+    front, level = about(0.085, 0.008), about(0.018, 0.008)
+    places += [np.stack([front, s * eye, level], 1) for s in side]
+    back, low = about(-0.005, 0.012), about(0.0, 0.01)
+    places += [np.stack([back, s * ear, low], 1) for s in side]
+    for k, place in enumerate(places):
+        points[:, k] = centre + np.einsum("nij,nj->ni", face, size[:, None] * place - neck)
+    for k, frame in enumerate([face] * 5 + [chest] * 2 + [hips] * 2):
+        normals[:, k] = frame @ (_NORMALS[k] / np.linalg.norm(_NORMALS[k]))
+    return points, normals
+
+
+def _projected(world: FloatArray, camera: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Where cameras (n, 3) see points (n, k, 3), in focal lengths; people stand anywhere in the image."""
+    n = len(world)
+    aside, above = rng.uniform(-0.5, 0.5, n), rng.uniform(-0.25, 0.25, n)
+    pitch = np.arctan2(0.9 - camera[:, 2], camera[:, 0]) + above
+    yaw = np.pi + aside
+    axis = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1)
+    right = np.stack([np.sin(yaw), -np.cos(yaw), 0.0 * yaw], 1)
+    rotation = np.stack([right, np.cross(axis, right), axis], 1)
+    seen = np.einsum("nij,nkj->nki", rotation, world - camera[:, None])
+    plane = seen[..., :2] / np.maximum(seen[..., 2:], 0.2)
+    roll = rng.normal(0.0, 0.04, n)
+    turn = np.stack(
+        [np.stack([np.cos(roll), -np.sin(roll)], 1), np.stack([np.sin(roll), np.cos(roll)], 1)], 1
+    )
+    return np.asarray(np.einsum("nij,nkj->nki", turn, plane), float)
+
+
+def _turned(angle: FloatArray) -> FloatArray:
+    c, s, o, i = np.cos(angle), np.sin(angle), 0.0 * angle, 0.0 * angle + 1.0
+    return np.stack([np.stack([c, -s, o], 1), np.stack([s, c, o], 1), np.stack([o, o, i], 1)], 1)
+
+
+def _lifted(angle: FloatArray) -> FloatArray:
+    c, s, o, i = np.cos(angle), np.sin(angle), 0.0 * angle, 0.0 * angle + 1.0
+    return np.stack([np.stack([c, o, -s], 1), np.stack([o, i, o], 1), np.stack([s, o, c], 1)], 1)
+
+
+def _rolled(angle: FloatArray) -> FloatArray:
+    c, s, o, i = np.cos(angle), np.sin(angle), 0.0 * angle, 0.0 * angle + 1.0
+    return np.stack([np.stack([i, o, o], 1), np.stack([o, c, -s], 1), np.stack([o, s, c], 1)], 1)
+
+
+def perceived(
+    points: FloatArray,
+    visibility: FloatArray,
+    height: ArrayLike,
+    rng: np.random.Generator,
+    errors: NetworkErrors = NetworkErrors(),
+) -> FloatArray:
+    """What a pose network would say: points (n, 9, 3) with confidences; those that are not there are 0.
+
+    Parameters
+    ----------
+    points, visibility, height : as in `Skeletons`
+    """
+    n = len(points)
+    height = np.broadcast_to(np.asarray(height, float), (n,))
+    small = np.clip((50.0 - height) / 25.0, 0.0, 1.0)
+    hidden, hair = _covered(n, rng, errors.hidden), rng.random(n) < 0.3
+    # Networks differ in how sure they are of which point, and in how much they say of what they do not see.
+    unseen = _HIDDEN + rng.normal(0.0, 0.8, (n, 1))
+    level = unseen + (_SEEN - unseen) * visibility + rng.normal(0.0, errors.doubt, visibility.shape)
+    level[:, 3:5] -= np.where(hair, rng.uniform(1.0, 3.0, n), 0.0)[:, None]
+    level -= np.where(hidden, rng.uniform(1.5, 4.0, (n, N_USED)), 0.0)
+    from_behind = visibility[:, :3].max(axis=1) < 0.3
+    dreamt = from_behind & (rng.random(n) < errors.hallucinated)
+    level[:, :3] = np.where(dreamt[:, None], rng.normal(0.3, 0.8, (n, 3)), level[:, :3])
+    spread = np.exp(np.clip(0.3 * (_SEEN - level), -0.3, 1.4) + rng.normal(0.0, 0.4, (n, 1)))
+    spread = spread * _DEVIATION * height[:, None] * errors.deviation
+    moved = points + np.hypot(spread, errors.pixels)[..., None] * rng.normal(size=points.shape)
+    for part, share in ((slice(0, 5), 0.006), (slice(5, 9), 0.008)):
+        moved[:, part] += (share * errors.deviation * height)[:, None, None] * rng.normal(size=(n, 1, 2))
+    level += rng.normal(0.0, errors.bias, (n, 1)) - 1.2 * small[:, None]
+    found = np.concatenate([moved, expit(level)[..., None]], axis=2)
+    found = _confused(found, small, from_behind, rng, errors)
+    return _written(found, rng, errors)
+
+
+def _covered(n: int, rng: np.random.Generator, share: float) -> NDArray[np.bool_]:
+    """Which points (n, 9) are behind something: hips, all of the face, one side, or any."""
+    kind = np.where(rng.random(n) < share, rng.integers(1, 5, n), 0)
+    covered = np.zeros((n, N_USED), bool)
+    covered[:, 7:] |= (kind == 1)[:, None]
+    covered[:, :5] |= ((kind == 2) & (rng.random(n) < 0.5))[:, None]
+    left = rng.random(n) < 0.5
+    for first, of_side in ((1, left), (2, ~left)):
+        covered[:, first::2] |= ((kind == 3) & of_side)[:, None]
+    return covered | ((kind == 4)[:, None] & (rng.random((n, N_USED)) < 0.35))
+
+
+def _confused(
+    found: FloatArray,
+    small: FloatArray,
+    from_behind: NDArray[np.bool_],
+    rng: np.random.Generator,
+    errors: NetworkErrors,
+) -> FloatArray:
+    """The same with left and right exchanged now and then."""
+    share = errors.swapped * (1.0 + 3.0 * small) * np.where(from_behind, 1.5, 0.7)
+    whole = rng.random(len(found)) < share
+    found = np.where(whole[:, None, None], found[:, _SWAPPED], found)
+    for pair in ((3, 4), (5, 6), (7, 8)):
+        one = rng.random(len(found)) < 0.3 * share
+        found[:, pair] = np.where(one[:, None, None], found[:, pair[::-1]], found[:, pair])
+    return found
+
+
+def _written(found: FloatArray, rng: np.random.Generator, errors: NetworkErrors) -> FloatArray:
+    """The same as files have it: unsure points left out, no confidences, or three steps of them."""
+    n = len(found)
+    sure = found[..., 2]
+    cut = np.where(rng.random(n) < errors.cut, rng.uniform(0.05, 0.4, n), 0.0)
+    unsaid = rng.random(n) < errors.unsaid
+    cut = np.where(unsaid, rng.uniform(0.15, 0.5, n), cut)
+    lost = (sure < cut[:, None]) | (rng.random(sure.shape) < 0.015)
+    steps = unsaid & (rng.random(n) < 0.5)
+    said = np.where(unsaid[:, None], 1.0, sure)
+    said = np.where(steps[:, None] & (sure < 0.7), 0.5, said)
+    result = np.concatenate([found[..., :2], said[..., None]], axis=2)
+    return np.asarray(np.where(lost[..., None], 0.0, result), float)

@@ -1,0 +1,318 @@
+"""Keypoints of others: the formats say the same, whose points are whose, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from command import run
+
+from graphtrack import io
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import difference
+from perception.detection.boxes import PersonBox, write_boxes
+from perception.detection.networks.found import FoundPeople
+from perception.detection.pointed import box_of, boxes_of, found_by_frame, with_keypoints
+from perception.pose.classes import PoseClasses
+from perception.pose.keypoints.files import PersonPoints, read_keypoints
+from perception.pose.keypoints.skeleton import BY_NUMBER, N_POINTS, NAMES, USED
+from perception.synthetic import Camera, Person
+from perception.synthetic.appearance import random_appearance
+from perception.synthetic.joints import joints_of, seen_joints
+from perception.synthetic.person import Posture
+
+STREET = Camera((0.0, -6.0, 2.5), np.pi / 2, -0.2, 500.0, (320, 320))
+BODY, HEAD = np.deg2rad([-60.0, -20.0])
+FRAMES = 4
+
+
+def skeleton(k: int, place: float = 0.0) -> tuple[np.ndarray, tuple[float, float, float, float]]:
+    """Points (17, 3) and box of somebody who walks to the lower right and looks ahead, in frame k."""
+    look = random_appearance(np.random.default_rng(1))
+    person = Person(look, Posture((place + 0.1 * k, -0.05 * k), BODY, HEAD))
+    points = np.zeros((N_POINTS, 3))
+    points[list(USED), :2] = STREET.project(joints_of(look, person.posture))
+    points[list(USED), 2] = 0.1 + 0.8 * seen_joints(person, STREET)
+    x, y = person.posture.position
+    ankles = STREET.project(np.array([[x, y + s * 0.08, 0.08 * look.height / 1.72] for s in (1, -1)]))
+    points[15:, :2], points[15:, 2] = ankles, 0.9
+    ends = STREET.project(np.array([[x, y, 0.0], [x, y, look.height]]))
+    height = ends[0, 1] - ends[1, 1]
+    return points, (ends[0, 0] - 0.2 * height, ends[1, 1], 0.4 * height, height)
+
+
+PEOPLE = {k: [skeleton(k), skeleton(k, 1.0)] for k in range(FRAMES)}
+
+
+def numbered(points: np.ndarray, count: int) -> np.ndarray:
+    """Points (17, 3) in another convention."""
+    found = np.zeros((count, 3))
+    found[list(BY_NUMBER[count])] = points
+    return found
+
+
+def as_coco(path: Path, count: int = 17) -> Path:
+    entries = [
+        {"image_id": k, "category_id": 1, "score": 0.9, "bbox": list(box),
+         "keypoints": numbered(points, count).ravel().tolist()}
+        for k, group in PEOPLE.items() for points, box in group
+    ]  # fmt: skip
+    path.write_text(json.dumps(entries))
+    return path
+
+
+def as_annotations(path: Path) -> Path:
+    entries = json.loads(as_coco(path).read_text())
+    data = {
+        "images": [{"id": 100 + k, "file_name": f"images/{k:06d}.png"} for k in PEOPLE],
+        "annotations": [entry | {"image_id": entry["image_id"] + 100} for entry in entries],
+        "categories": [{"id": 1, "name": "person", "keypoints": list(NAMES)}],
+    }
+    path.write_text(json.dumps(data))
+    return path
+
+
+def as_openpose(folder: Path, count: int = 25) -> Path:
+    folder.mkdir()
+    for k, group in PEOPLE.items():
+        people = [{"pose_keypoints_2d": numbered(points, count).ravel().tolist()} for points, _ in group]
+        (folder / f"video_{k:012d}_keypoints.json").write_text(json.dumps({"version": 1.3, "people": people}))
+    return folder
+
+
+def instances(group: list[Any]) -> list[dict[str, Any]]:
+    return [
+        {
+            "keypoints": points[:, :2].tolist(),
+            "keypoint_scores": points[:, 2].tolist(),
+            "bbox": [[box[0], box[1], box[0] + box[2], box[1] + box[3]]],
+            "bbox_score": 0.9,
+        }
+        for points, box in group
+    ]
+
+
+def as_mmpose(path: Path, *, script: bool = False) -> Path:
+    frames = [{"frame_id": k + script, "instances": instances(group)} for k, group in PEOPLE.items()]
+    notes = {"keypoint_id2name": {str(k): name for k, name in enumerate(NAMES)}}
+    path.write_text(json.dumps({"meta_info": notes, "instance_info": frames} if script else frames))
+    return path
+
+
+def as_mmpose_images(folder: Path) -> Path:
+    folder.mkdir()
+    for k, group in PEOPLE.items():
+        (folder / f"{k:04d}.json").write_text(json.dumps(instances(group)))
+    return folder
+
+
+WRITERS = {
+    "coco": lambda folder: as_coco(folder / "k.json"),
+    "annotations": lambda folder: as_annotations(folder / "k.json"),
+    "wholebody": lambda folder: as_coco(folder / "k.json", 133),
+    "openpose": lambda folder: as_openpose(folder / "k"),
+    "openpose coco": lambda folder: as_openpose(folder / "k", 18),
+    "mmpose": lambda folder: as_mmpose(folder / "k.json"),
+    "mmpose script": lambda folder: as_mmpose(folder / "k.json", script=True),
+    "mmpose images": lambda folder: as_mmpose_images(folder / "k"),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_format_says_the_same(tmp_path: Path, name: str) -> None:
+    found = read_keypoints(WRITERS[name](tmp_path))
+    assert [person.frame for person in found] == [k for k in range(FRAMES) for _ in range(2)]
+    expected = [one for group in PEOPLE.values() for one in group]
+    for person, (points, box) in zip(found, expected, strict=True):
+        np.testing.assert_allclose(person.points, points, atol=1e-6)
+        if "openpose" not in name:
+            np.testing.assert_allclose(person.box, box, atol=1e-6)
+            assert person.score == pytest.approx(0.9)
+        else:
+            assert np.isnan(person.box).all() and 0.5 < person.score < 0.9
+
+
+def test_names_of_images_say_their_frames(tmp_path: Path) -> None:
+    path = as_annotations(tmp_path / "k.json")
+    frames = {f"{k:06d}": 50 - k for k in PEOPLE}
+    assert sorted({person.frame for person in read_keypoints(path, frames.get)}) == [47, 48, 49, 50]
+
+
+def test_annotated_visibilities_are_no_confidences_of_2(tmp_path: Path) -> None:
+    path = tmp_path / "k.json"
+    points = np.zeros((17, 3))
+    points[:, :2], points[:3, 2] = 5.0, (2, 1, 0)
+    path.write_text(json.dumps([{"image_id": 3, "keypoints": points.ravel().tolist()}]))
+    np.testing.assert_allclose(read_keypoints(path)[0].points[:3, 2], [1.0, 0.5, 0.0])
+    points[:2, 2] = 3.7, 0.4  # scores as of heat maps
+    path.write_text(json.dumps([{"image_id": 3, "keypoints": points.ravel().tolist()}]))
+    np.testing.assert_allclose(read_keypoints(path)[0].points[:3, 2], [1.0, 0.4, 0.0])
+
+
+ENTRY = {"image_id": 1, "keypoints": [1.0] * 51}
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("frame,id\n1,2\n", "JSON"),
+        (json.dumps([ENTRY] * 9)[:400], "broken off"),
+        ({"type": "FeatureCollection", "features": []}, "'type', 'features'"),
+        ([], "a list without entries"),
+        ([{"image_id": 1, "bbox": [1, 2, 3, 4]}], "entry 0 without keypoints"),
+        (3, "a single value"),
+        ([ENTRY, {"image_id": 1, "keypoints": [1.0] * 63}], "entry 1: 21 points, expected 17"),
+        ([{"image_id": 1, "keypoints": [1.0] * 50}], "50 numbers"),
+        ([{"image_id": 1, "keypoints": [[1.0, 2.0, 1.0]] * 17}], "51 numbers"),
+        ([{"image_id": 1, "keypoints": "many"}], "expected numbers"),
+        ([{"image_id": -4, "keypoints": [1.0] * 51}], "frame -4"),
+        ([{"image_id": "street", "keypoints": [1.0] * 51}], "'street'"),
+        ([ENTRY | {"bbox": [1, 2]}], "a bbox of 2 numbers"),
+        ([ENTRY | {"score": "high"}], "expected numbers"),
+        ({"people": []}, "without a frame's number"),
+        ([{"frame_id": 0, "instances": [{"keypoints": [[1, 2]] * 17}]}], "without keypoints and"),
+        ([{"frame_id": 0, "instances": [{"keypoints": [[1, 2]], "keypoint_scores": [1, 2]}]}], "a score"),
+        ({"instance_info": [{"frame_id": 0, "instances": None}]}, "instances"),
+    ],
+)
+def test_what_is_no_such_file_is_refused(tmp_path: Path, content: Any, told: str) -> None:
+    path = tmp_path / "found.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    with pytest.raises(InputError, match=told) as error:
+        read_keypoints(path)
+    assert "found.json" in str(error.value) and "\n" not in str(error.value)
+
+
+def test_points_of_other_names_and_empty_folders_are_refused(tmp_path: Path) -> None:
+    path = as_mmpose(tmp_path / "k.json", script=True)
+    data = json.loads(path.read_text())
+    data["meta_info"]["keypoint_id2name"] = {str(k): f"joint {k}" for k in range(17)}  # as of H36M
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match="17 points named joint 0"):
+        read_keypoints(path)
+    with pytest.raises(InputError, match="without JSON files"):
+        (tmp_path / "empty").mkdir()
+        read_keypoints(tmp_path / "empty")
+
+
+def test_everybody_has_their_own_points() -> None:
+    """Boxes in any order; those of nobody have none, and nobody is taken twice."""
+    nowhere = np.full(4, np.nan)
+    found = found_by_frame(
+        PersonPoints(k, points, nowhere, 1.0) for k, group in PEOPLE.items() for points, _ in group
+    )
+    boxes = [
+        PersonBox(k, which + 1, PEOPLE[k][which][1]) for k in reversed(range(FRAMES)) for which in (1, 0)
+    ]
+    boxes += [PersonBox(0, 8, (5.0, 5.0, 30.0, 70.0)), PersonBox(77, 1, PEOPLE[0][0][1])]
+    shaken = PEOPLE[0][0][1]
+    boxes.append(PersonBox(0, 9, (shaken[0] + 5.0, shaken[1], shaken[2], shaken[3] * 0.5)))
+    for item in with_keypoints(boxes, found):
+        if item.frame > 50 or item.track_id > 2:
+            assert item.keypoints is None
+        else:
+            points = PEOPLE[item.frame][item.track_id - 1][0]
+            np.testing.assert_allclose(item.keypoints, points, atol=0.01)
+
+
+def test_boxes_of_points_enclose_people_whose_legs_are_hidden_too() -> None:
+    for group in PEOPLE.values():
+        for points, box in group:
+            whole, cut = points.copy(), points.copy()
+            cut[13:] = 0.0
+            for given, most in ((whole, 0.06), (cut, 0.12)):
+                found = box_of(given)
+                assert found is not None
+                assert abs(found[1] - box[1]) < most * box[3]
+                assert abs(found[1] + found[3] - box[1] - box[3]) < most * box[3]
+                assert abs(found[0] + found[2] / 2.0 - box[0] - box[2] / 2.0) < 0.1 * box[3]
+            face = points.copy()
+            face[5:] = 0.0
+            assert box_of(face) is None and box_of(points * 0.0) is None
+    told: list[str] = []
+    alone = FoundPeople(np.full((1, 4), np.nan), np.ones(1), face[None])
+    assert boxes_of({3: alone}, told.append) == [] and "1 people" in told[0]
+
+
+@pytest.fixture
+def street(tmp_path: Path) -> Path:
+    """Frames with nothing on them, boxes with identities, and the homography."""
+    folder = tmp_path / "street"
+    (folder / "frames").mkdir(parents=True)
+    for k in range(FRAMES):
+        cv2.imwrite(str(folder / "frames" / f"{k:04d}.png"), np.full((320, 320, 3), 90 + k, np.uint8))
+    write_boxes(
+        [PersonBox(k, which + 1, PEOPLE[k][which][1]) for k in range(FRAMES) for which in (0, 1)],
+        folder / "boxes.txt",
+    )
+    np.savetxt(folder / "homography.txt", STREET.ground_camera().homography)
+    return folder
+
+
+def test_body_and_head_are_those_of_the_skeleton(street: Path, tmp_path: Path) -> None:
+    """In the world, by the ray to each person, with boxes and without."""
+    keypoints, out = as_openpose(tmp_path / "k"), tmp_path / "out.csv"
+    common = "observe", street / "frames", "--homography", street / "homography.txt", "--fps", 5
+    done = run(*common, "--keypoints", keypoints, "--boxes", street / "boxes.txt", "-o", out)
+    assert done.returncode == 0, done.stderr
+    tracks = io.read(out)
+    assert len(tracks) == 2
+    for track in tracks:
+        for classes, p, angle in (
+            (PoseClasses.circle(8), track.body_likelihood, BODY),
+            (PoseClasses.circle(12), track.head_likelihood, HEAD),
+        ):
+            found = classes.mean_pan(np.log(p + 1e-9))
+            assert np.abs(difference(found, angle)).max() < np.deg2rad(35.0)
+            assert p.max() < 0.999
+    alone = tmp_path / "alone.csv"
+    done = run(*common, "--keypoints", keypoints, "-o", alone, "--render", tmp_path / "drawn")
+    assert done.returncode == 0, done.stderr
+    assert "8 detections" in done.stderr and len(list((tmp_path / "drawn").iterdir())) == FRAMES
+    table = pd.read_csv(alone)
+    assert set(table["track_id"]) == {-1} and len(table) == 2 * FRAMES
+    with_boxes = pd.read_csv(out)
+    for name in ("x", "y"):
+        distance = np.abs(np.sort(table[name]) - np.sort(with_boxes[name]))
+        assert distance.max() < 0.5
+    streamed = run(*common, "--keypoints", keypoints, "-o", "-")
+    assert streamed.returncode == 0 and len(streamed.stdout.splitlines()) == 2 * FRAMES
+    row = json.loads(streamed.stdout.splitlines()[0])
+    assert row["body_p0"] == pytest.approx(table.sort_values(["frame", "u"])["body_p0"].iloc[0], abs=1e-3)
+
+
+def test_boxes_without_keypoints_say_nothing_and_are_counted(street: Path, tmp_path: Path) -> None:
+    path = as_coco(tmp_path / "k.json")
+    path.write_text(json.dumps([entry for entry in json.loads(path.read_text()) if entry["image_id"] != 2]))
+    arguments = "observe", street / "frames", "--boxes", street / "boxes.txt", "-o", tmp_path / "out.csv"
+    done = run(*arguments, "--keypoints", path)
+    assert done.returncode == 0, done.stderr
+    assert "2 of 8 boxes without keypoints" in done.stderr
+    table = pd.read_csv(tmp_path / "out.csv")
+    p = table[[f"head_p{k}" for k in range(12)]].to_numpy()
+    np.testing.assert_allclose(p[table["frame"] == 2], 1.0 / 12.0, atol=1e-4)
+    assert p[table["frame"] != 2].max(axis=1).min() > 0.2
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--models", "k.json"], "--keypoints beside a model"),
+        (["--body-pose-model", "k.json"], "--keypoints beside a model"),
+        (["--person-class", "0"], "--person-class without a network"),
+        (["--input-size", "640"], "--input-size without a network"),
+    ],
+)
+def test_options_that_do_not_go_together_are_one_line(
+    street: Path, tmp_path: Path, options: list[str], told: str
+) -> None:
+    path = as_coco(tmp_path / "k.json")
+    options = [str(path) if option == "k.json" else option for option in options]
+    done = run("observe", street / "frames", "--keypoints", path, *options, "-o", tmp_path / "out.csv")
+    assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["k.json", "street"]

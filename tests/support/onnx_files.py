@@ -1,0 +1,171 @@
+"""Small ONNX files in the layouts of YOLO networks, whose outputs are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+SIDE = 64
+CELLS = 64 + 16 + 4
+"""Of strides 8, 16 and 32 in an input of 64 × 64."""
+
+
+def written(
+    path: Path,
+    steps: Sequence[onnx.NodeProto],
+    weights: Mapping[str, np.ndarray],
+    output: Sequence[int],
+    *,
+    shape: Sequence[int | str] = (1, 3, SIDE, SIDE),
+    notes: Mapping[str, str] | None = None,
+) -> Path:
+    """A network from "images" to "output0"."""
+    graph = helper.make_graph(
+        list(steps),
+        "network",
+        [helper.make_tensor_value_info("images", TensorProto.FLOAT, list(shape))],
+        [helper.make_tensor_value_info("output0", TensorProto.FLOAT, list(output))],
+        [numpy_helper.from_array(np.asarray(value), name) for name, value in weights.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)])
+    model.ir_version = 8
+    helper.set_model_props(model, dict(notes or {}))
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def saying(name: str) -> list[onnx.NodeProto]:
+    """Steps that say the weights "rows" whatever the picture is, as the tensor of that name."""
+    return [
+        helper.make_node("ReduceMean", ["images"], ["mean"], axes=[1, 2, 3], keepdims=1),
+        helper.make_node("Mul", ["mean", "nought"], ["nothing"]),
+        helper.make_node("Reshape", ["nothing", "flat"], ["nothing_flat"]),
+        helper.make_node("Add", ["rows", "nothing_flat"], [name]),
+    ]
+
+
+def weights_of(rows: np.ndarray) -> dict[str, np.ndarray]:
+    return {
+        "rows": rows.astype(np.float32),
+        "nought": np.zeros(1, np.float32),
+        "flat": np.array([-1], np.int64),
+    }
+
+
+def constant(path: Path, output: np.ndarray, **options: object) -> Path:
+    """A network that says the same (1, a, b) of every picture."""
+    return written(path, saying("output0"), weights_of(output), output.shape, **options)  # type: ignore[arg-type]
+
+
+def output_of(kind: str, people: Sequence[Sequence[float]], classes: int, side: int = SIDE) -> np.ndarray:
+    """An output of a layout with a row for each of the people, and unsure others.
+
+    Parameters
+    ----------
+    kind : "anchors", "cells", "selected" or "unselected"
+    people : left, top, right, bottom, score, class, and keypoints if there are any
+    """
+    cells = sum((side // stride) ** 2 for stride in (8, 16, 32))
+    count = {"anchors": 3 * cells, "selected": 300}.get(kind, cells)
+    before = {"anchors": 5 + classes, "selected": 6}.get(kind, 4 + classes)
+    rows = np.zeros((count, before + max((len(one) - 6 for one in people), default=0)))
+    for k, (left, top, right, bottom, score, of_class, *points) in enumerate(people):
+        row = rows[7 * k]
+        row[:4] = left, top, right, bottom
+        if kind in ("anchors", "cells"):
+            row[:4] = (left + right) / 2.0, (top + bottom) / 2.0, right - left, bottom - top
+        if kind == "selected":
+            row[4:6] = score, of_class
+        elif kind == "anchors":
+            row[4], row[5 + int(of_class)] = score**0.5, score**0.5
+        else:
+            row[4 + int(of_class)] = score
+        row[before:] = points
+    found: np.ndarray = rows.T[None] if kind == "cells" else rows[None]
+    return found
+
+
+def selecting(path: Path, rows: np.ndarray, classes: int, most: int = 5, **options: object) -> Path:
+    """A network with the last part of v10 and v26: the best few are selected, by layers that OpenCV lacks.
+
+    Parameters
+    ----------
+    rows : (1, n, 4 + classes + k) corners, scores, keypoints
+    """
+    more = rows.shape[2] - 4 - classes
+    parts = ["boxes", "scores", *(["points"] if more else [])]
+    weights = weights_of(rows) | {
+        "sizes": np.array([4, classes, *([more] if more else [])], np.int64),
+        "most": np.array([most], np.int64),
+        "last": np.array([-1], np.int64),
+        "each_class": np.array([1, 1, classes], np.int64),
+        "each_side": np.array([1, 1, 4], np.int64),
+        "classes": np.array(classes, np.int64),
+        "first": np.zeros((1, most, 1), np.int64),
+    }
+    steps = saying("all")
+    node = helper.make_node
+    steps += [
+        node("Split", ["all", "sizes"], parts, axis=2),
+        node("ReduceMax", ["scores"], ["best"], axes=[2], keepdims=0),
+        node("TopK", ["best", "most"], ["best_values", "best_places"], axis=-1),
+        node("Unsqueeze", ["best_places", "last"], ["places"]),
+        node("Tile", ["places", "each_class"], ["places_of_classes"]),
+        node("GatherElements", ["scores", "places_of_classes"], ["best_scores"], axis=1),
+        node("Flatten", ["best_scores"], ["flat_scores"], axis=1),
+        node("TopK", ["flat_scores", "most"], ["values", "flat_places"], axis=-1),
+        node("Div", ["flat_places", "classes"], ["row"]),
+        node("Mod", ["flat_places", "classes"], ["of_class"]),
+        node("Unsqueeze", ["row", "last"], ["row_column"]),
+        node("Concat", ["first", "row_column"], ["index"], axis=-1),
+        node("GatherND", ["places", "index"], ["chosen_flat"]),
+        node("Unsqueeze", ["chosen_flat", "last"], ["chosen"]),
+        node("Tile", ["chosen", "each_side"], ["chosen_sides"]),
+        node("GatherElements", ["boxes", "chosen_sides"], ["chosen_boxes"], axis=1),
+        node("Unsqueeze", ["values", "last"], ["values_column"]),
+        node("Cast", ["of_class"], ["of_class_number"], to=TensorProto.FLOAT),
+        node("Unsqueeze", ["of_class_number", "last"], ["of_class_column"]),
+    ]
+    columns = ["chosen_boxes", "values_column", "of_class_column"]
+    if more:
+        weights["each_point"] = np.array([1, 1, more], np.int64)
+        steps += [
+            node("Tile", ["chosen", "each_point"], ["chosen_points_places"]),
+            node("GatherElements", ["points", "chosen_points_places"], ["chosen_points"], axis=1),
+        ]
+        columns.append("chosen_points")
+    steps.append(node("Concat", columns, ["output0"], axis=-1))
+    return written(path, steps, weights, (1, most, 6 + more), **options)  # type: ignore[arg-type]
+
+
+def brightest(path: Path, **options: object) -> Path:
+    """In v8's layout, of one class: each bright cell of 8 × 8 pixels is a person of 16 × 32.
+
+    The score is the brightness of red, so that a picture whose colours are exchanged has others.
+    """
+    side = SIDE // 8
+    where = (np.arange(side) + 0.5) * 8.0
+    x, y = np.meshgrid(where, where)
+    small = np.zeros((1, 5, CELLS - side * side), np.float32)
+    box = np.stack([x, y, np.full_like(x, 16.0), np.full_like(x, 32.0)])[None].astype(np.float32)
+    weights = {
+        "red": np.array([[[[1.0]], [[0.0]], [[0.0]]]], np.float32),
+        "boxes": box.reshape(1, 4, -1),
+        "flat_shape": np.array([1, 1, side * side], np.int64),
+        "nought": np.zeros(1, np.float32),
+        "small": small,
+    }
+    steps = [
+        helper.make_node("Conv", ["images", "red"], ["brightness"]),
+        helper.make_node("AveragePool", ["brightness"], ["cells"], kernel_shape=[8, 8], strides=[8, 8]),
+        helper.make_node("Reshape", ["cells", "flat_shape"], ["scores"]),
+        helper.make_node("Mul", ["scores", "nought"], ["nothing"]),
+        helper.make_node("Add", ["boxes", "nothing"], ["places"]),
+        helper.make_node("Concat", ["places", "scores"], ["first"], axis=1),
+        helper.make_node("Concat", ["first", "small"], ["output0"], axis=2),
+    ]
+    return written(path, steps, weights, (1, 5, CELLS), **options)  # type: ignore[arg-type]
