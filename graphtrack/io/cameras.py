@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -195,6 +196,7 @@ def write_calibration(
     intrinsics: FloatArray,
     *,
     fisheye: Sequence[float] | FloatArray = (),
+    remarks: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
     """Write a camera that `read_calibration` reads, without distortion or with a fisheye.
 
@@ -203,6 +205,7 @@ def write_calibration(
     rotation, translation : (3, 3) and (3,) metres: a point X of the world has camera coordinates R·X + t
     intrinsics : (3, 3) camera matrix in pixels
     fisheye : k1 … k4 of OpenCV's fisheye model; none for a pinhole
+    remarks : further lines, such as how uncertain it is; names that `read_calibration` does not know
     """
     from scipy.spatial.transform import Rotation
 
@@ -215,6 +218,7 @@ def write_calibration(
         **dict(zip(_FISHEYE, fisheye, strict=len(fisheye) > 0)),
         **dict(zip(("TranslationX", "TranslationY", "TranslationZ"), translation, strict=True)),
         **dict(zip(_QUATERNION, Rotation.from_matrix(rotation).as_quat(), strict=True)),
+        **remarks,
     }
     with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
         stream.writelines(f"{name} = {float(value)!r}\n" for name, value in values.items())

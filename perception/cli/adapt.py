@@ -61,7 +61,7 @@ def adapt(
     if camera is None:
         raise InputError("no camera", "--calibration or --homography: where people go is seen on the ground")
     frames = FrameSource.open(source)
-    size = _size(frames)
+    size = frames.size()
     check_camera(camera, size)
     rate = frame_rate(frames, fps)
     refused: dict[str, None] = {}
@@ -101,16 +101,6 @@ def adapt(
     )
     _print_figures(models.card)
     console.print(f"wrote {output}", markup=False)
-
-
-def _size(frames: FrameSource) -> tuple[int, int]:
-    """Columns and rows of the first frame that can be decoded."""
-    from graphtrack.errors import InputError
-
-    for frame in frames:
-        if frame.image is not None:
-            return frame.image.shape[1], frame.image.shape[0]
-    raise InputError("no frame that can be decoded", "a video or a folder of images", path=frames.path)
 
 
 def _labels(

@@ -91,6 +91,19 @@ class FrameSource:
     def _named(self) -> dict[str, int]:
         return {path.stem: number for number, path in _images(self.path)} if self.path.is_dir() else {}
 
+    def size(self) -> tuple[int, int]:
+        """Columns and rows of the first frame that can be decoded.
+
+        Raises
+        ------
+        InputError
+            If none can.
+        """
+        for frame in self:
+            if frame.image is not None:
+                return frame.image.shape[1], frame.image.shape[0]
+        raise InputError("no frame that can be decoded", "a video or a folder of images", path=self.path)
+
     def __iter__(self) -> Iterator[Frame]:
         return self.where(lambda number: True)
 

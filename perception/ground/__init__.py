@@ -1,0 +1,1 @@
+"""The ground plane from the boxes of people: a camera without a calibration."""

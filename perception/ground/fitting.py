@@ -1,0 +1,239 @@
+"""A robust fit of a view to the boxes of people, with its uncertainty.
+
+The logarithm of each box's height, less the one that the view gives a person of mean height at that place, is
+the person's own deviation (one number for all boxes of a person) plus an error of the box with the tails of
+Student's distribution. The people's deviations are integrated out: how somebody's box grows on the way
+towards the camera tells more than how high strangers are. Who is no person of usual height (false
+detections, children) may have any deviation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray
+from perception.ground.view import RADIUS, RADIUS_STD, box_heights
+
+_TAILS = 3.0
+"""Degrees of freedom of Student's distribution."""
+_STEP = 1e-5
+_LONGEST = 0.3
+_WORST = 3.0
+_LEAST_ERROR, _LARGEST_ERROR = 0.005, 0.2
+_LEAST_DEVIATION, _LARGEST_DEVIATION = 0.01, 0.1
+_RANGE, _SHARE = 2.5, (0.5, 0.98)
+"""Logarithm of the largest over the least height of anything that is taken for a person; the share of people
+among what is followed, at least and at most."""
+_SPREAD = np.array([0.6, np.deg2rad(40.0), np.deg2rad(10.0), 1.0])
+"""1-σ of what is known of any camera: log focal length, tilt, roll, log height."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A view and how well it is known.
+
+    Attributes
+    ----------
+    vector, covariance : (4,) and (4, 4), as `View.to_vector` has them
+    error : 1-σ of the logarithm of a box's height
+    deviation : 1-σ of the logarithm of a person's height
+    inliers : share of boxes within three sigma
+    score : logarithm of the posterior density
+    """
+
+    vector: FloatArray
+    covariance: FloatArray
+    error: float
+    deviation: float
+    inliers: float
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class HeightData:
+    """n boxes: feet (n, 2) in pixels from the image's centre, heights (n,), who is in each (n,)."""
+
+    feet: FloatArray
+    height: FloatArray
+    who: NDArray[np.int64]
+    people: int
+    width: float
+    """Of the image, in pixels; the longer side."""
+
+
+def prior_of(width: float) -> tuple[FloatArray, FloatArray]:
+    """Mean and 1-σ (4,) of what is known of any camera whose images are so wide."""
+    return np.array([np.log(1.1 * width), np.deg2rad(20.0), 0.0, np.log(3.0)]), _SPREAD.copy()
+
+
+def fitted(data: HeightData) -> Fit:
+    """The best view from several beginnings."""
+    rough = [_climbed(data, start, steps=12) for start in _starts(data)]
+    best = sorted(rough, key=lambda fit: -fit.score)[:3]
+    return max((_climbed(data, fit.vector, steps=60) for fit in best), key=lambda fit: fit.score)
+
+
+def _starts(data: HeightData) -> list[FloatArray]:
+    """Views that see heights grow linearly with the row, as the boxes' do, for several focal lengths."""
+    from scipy.optimize import least_squares
+
+    scale = data.width
+    design = np.column_stack([data.feet / scale, np.ones(len(data.feet))])
+    line = least_squares(
+        lambda x: design @ x - data.height / scale, [0.0, 0.2, 0.1], loss="soft_l1", f_scale=0.01
+    ).x
+    across, along, constant = line.tolist()
+    found = []
+    for focal in (0.6, 1.0, 1.6, 2.8):
+        for tilt, height in ((8.0, 1.5), (25.0, 3.0), (50.0, 4.0)):
+            found.append(np.array([np.log(focal * scale), np.deg2rad(tilt), 0.0, np.log(height)]))
+        if along > 0.02:  # heights per row; the horizon is where it is zero
+            tilt = np.arctan2(constant / along, focal)
+            height = np.log(np.clip(np.hypot(1.0, across / along) / along, 0.5, 50.0))
+            if abs(tilt) < np.deg2rad(75.0):
+                roll = np.clip(-np.arctan2(across, along), -0.5, 0.5)
+                found.append(np.array([np.log(focal * scale), tilt, roll, height]))
+    return found
+
+
+def _residuals(data: HeightData, vector: FloatArray, radius: float = RADIUS) -> FloatArray:
+    ratio = np.log(data.height) - np.log(box_heights(vector, data.feet, radius))
+    return np.where(np.isfinite(ratio), np.clip(ratio, -_WORST, _WORST), _WORST)
+
+
+def _climbed(data: HeightData, start: FloatArray, steps: int) -> Fit:
+    """Gauss–Newton steps with weights that are taken anew at each (iteratively reweighted least squares)."""
+    mean, spread = prior_of(data.width)
+    known = np.diag(spread**-2.0)
+    vector = start.copy()
+    residual = _residuals(data, vector)
+    state = _Weights(data)
+    for k in range(steps):
+        slope = _slopes(data, vector)
+        state.update(residual)
+        curvature, gradient = state.normal(slope, residual)
+        step = -np.linalg.solve(curvature + known, gradient + known @ (vector - mean))
+        step *= min(1.0, _LONGEST / float(np.abs(step).max()))
+        vector = vector + step
+        residual = _residuals(data, vector)
+        if k > 5 and float(np.abs(step).max()) < 1e-6:
+            break
+    slope = _slopes(data, vector)
+    state.update(residual)
+    covariance = _covariance(data, vector, slope, residual, state, known)
+    score = state.score(residual) - 0.5 * float((((vector - mean) / spread) ** 2).sum())
+    left = np.abs(residual - state.own[data.who])
+    inliers = float((left < 3.0 * state.error).mean())
+    return Fit(vector, covariance, state.error, state.deviation, inliers, score)
+
+
+def _slopes(data: HeightData, vector: FloatArray) -> FloatArray:
+    steps = _STEP * np.eye(len(vector))
+    found = [(_residuals(data, vector + s) - _residuals(data, vector - s)) / (2.0 * _STEP) for s in steps]
+    return np.stack(found, axis=1)
+
+
+def _covariance(
+    data: HeightData,
+    vector: FloatArray,
+    slope: FloatArray,
+    residual: FloatArray,
+    state: _Weights,
+    known: FloatArray,
+) -> FloatArray:
+    """(4, 4) by the scatter of people's votes (the sandwich), and of not knowing how thick people are."""
+    curvature = state.curvature(slope, residual)
+    bread = np.linalg.inv(curvature + known)
+    votes = state.summed((residual - state.own[data.who])[:, None] * slope)
+    scatter = votes.T @ votes * data.people / max(data.people - len(vector), 1)
+    # Where few people vote alike by chance, the curvature says more than their scatter.
+    meat = known + (scatter if data.people > 4 * len(vector) else np.maximum(scatter, curvature))
+    by_chance = bread @ meat @ bread
+    larger = np.sqrt(np.maximum(1.0, np.diag(bread) / np.diag(by_chance)))
+    by_radius = (_residuals(data, vector, RADIUS + _STEP) - residual) / _STEP
+    _, gradient = state.normal(slope, by_radius)
+    moved = -bread @ gradient * RADIUS_STD
+    return np.asarray(by_chance * np.outer(larger, larger) + np.outer(moved, moved), float)
+
+
+class _Weights:
+    """The boxes' weights, whether people are people, their own deviations, and both spreads."""
+
+    def __init__(self, data: HeightData) -> None:
+        self._who, self._people = data.who, data.people
+        self.error, self.deviation, self._share = 0.2, 0.1, 0.8
+        self.own: FloatArray = np.zeros(data.people)
+        self._weight = np.ones(len(data.who))
+        self._true = np.full(data.people, self._share)
+        self._bent = 1.0
+
+    def update(self, residual: FloatArray) -> None:
+        """Take everything anew for residuals (n,): a step of expectation and maximisation."""
+        left = residual - self.own[self._who]
+        self._weight = (_TAILS + 1.0) / (_TAILS + (left / self.error) ** 2)
+        of_person = self._sum(self._weight) / self.error**2
+        mean = self._sum(self._weight * residual) / self.error**2 / of_person
+        variance = self.deviation**2 + 1.0 / of_person
+        known, unknown = self._densities(mean, variance)
+        self._true = known / (known + unknown)
+        squares = mean**2 / variance
+        bent = (self._true - self._true * (1.0 - self._true) * squares).sum() / self._true.sum()
+        self._bent = float(np.clip(bent, 0.1, 1.0))
+        precision = self._precision()
+        self.own = of_person * mean / precision
+        left = residual - self.own[self._who]
+        spread = np.sqrt(np.mean(self._weight * left**2))
+        self.error = float(np.clip(spread, _LEAST_ERROR, _LARGEST_ERROR))
+        self._share = float(np.clip(self._true.mean(), *_SHARE))
+        own = self._true @ (self.own**2 + 1.0 / precision) / self._true.sum()
+        self.deviation = float(np.clip(np.sqrt(own), _LEAST_DEVIATION, _LARGEST_DEVIATION))
+
+    def _densities(self, mean: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of people's mean residuals, if they are people, and if they are anything."""
+        known = np.exp(-0.5 * mean**2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        return self._share * known + 1e-300, np.full(len(mean), (1.0 - self._share) / _RANGE)
+
+    def _precision(self) -> FloatArray:
+        return self._sum(self._weight) / self.error**2 + self._true / self.deviation**2
+
+    def _sum(self, values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(self._who, values, self._people), float)
+
+    def summed(self, values: FloatArray) -> FloatArray:
+        """Weighed sums (people, k) of values (n, k)."""
+        weight = self._weight / self.error**2
+        return np.stack([self._sum(weight * column) for column in values.T], axis=1)
+
+    def normal(self, slope: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Curvature (k, k) and gradient (k,) of half the weighed square sum, people's deviations integrated.
+
+        Of who is nobody the deviation is free: what is left is how the boxes differ from each other.
+        """
+        weight = self._weight / self.error**2
+        of_slope, of_residual = self.summed(slope), self._sum(weight * residual)
+        share = of_slope / self._precision()[:, None]
+        weighed = slope * weight[:, None]
+        return weighed.T @ slope - share.T @ of_slope, weighed.T @ residual - share.T @ of_residual
+
+    def curvature(self, slope: FloatArray, residual: FloatArray) -> FloatArray:
+        """That of the log density (k, k): less than of the weighed squares, since outliers count little."""
+        weight, true = self._weight, self._true
+        scaled = (residual - self.own[self._who]) / self.error
+        relative = 1.0 / (_TAILS + scaled**2)
+        self._weight = weight * float(((_TAILS - scaled**2) * relative**2).sum() / relative.sum())
+        self._true = true * self._bent
+        found, _ = self.normal(slope, residual)
+        self._weight, self._true = weight, true
+        return found
+
+    def score(self, residual: FloatArray) -> float:
+        """Log density of residuals (n,), up to a constant."""
+        left = residual - self.own[self._who]
+        of_boxes = -0.5 * (_TAILS + 1.0) * np.log1p((left / self.error) ** 2 / _TAILS) - np.log(self.error)
+        of_person = self._sum(self._weight) / self.error**2
+        mean = self._sum(self._weight * residual) / self.error**2 / of_person
+        known, unknown = self._densities(mean, self.deviation**2 + 1.0 / of_person)
+        return float(of_boxes.sum() + (np.log(known + unknown) - 0.5 * np.log(of_person)).sum())
