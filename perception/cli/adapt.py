@@ -27,7 +27,6 @@ from perception.cli.common import (
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
-    from perception.adaptation.labels import WalkingLabels
     from perception.detection.boxes import PersonBox
     from perception.images.frames import FrameSource
     from perception.storage import ModelCard
@@ -47,8 +46,9 @@ def adapt(
     `perception observe --models` uses the file.
     """
     from graphtrack.errors import InputError
-    from perception.adaptation.learning import AdaptationParameters, PackageModels, learn, stages, thinned
-    from perception.adaptation.recording import check_camera, patches_in
+    from perception.adaptation.adapting import adapted
+    from perception.adaptation.learning import PackageModels
+    from perception.adaptation.recording import check_camera
     from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser
@@ -61,65 +61,25 @@ def adapt(
     if camera is None:
         raise InputError("no camera", "--calibration or --homography: where people go is seen on the ground")
     frames = FrameSource.open(source)
-    size = frames.size()
-    check_camera(camera, size)
+    check_camera(camera, frames.size())
     rate = frame_rate(frames, fps)
     refused: dict[str, None] = {}
     refuse = refused.setdefault
     people = _detected(frames, camera, refuse) if boxes is None else read_boxes(boxes, refuse)
-    if not people:
-        raise InputError("a recording without people", "people who walk")
-    parameters = AdaptationParameters()
-    labels = thinned(_labels(frames, people, camera, rate, refuse), parameters)
-    chosen = [people[k] for k in labels.box.tolist()]
-    wanted = {item.frame for item in chosen}
-    with decoded_frames(frames, wanted.__contains__, len(wanted), one_size=True) as decoded:
-        found = patches_in(decoded, chosen, refuse)
-    there = np.array(sorted(found), np.int64)
-    labels = thinned(labels.taken(there), parameters)  # boxes of frames that did not come are gone
     package = PackageModels(
         load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
     )
-    seconds = (max(item.frame for item in people) - min(item.frame for item in people) + 1) / rate
-    with progress_bar(stages(parameters), "rounds") as advance:
-        models = learn(
-            [found[k] for k in there.tolist()],
-            labels,
-            seconds,
-            size,
-            package,
-            np.random.default_rng(seed),
-            parameters,
-            advance,
-        )
-    models.save(output)
+    rng = np.random.default_rng(seed)
+    found = adapted(frames, people, camera, rate, package, rng, progress_bar, refuse)
+    found.models.save(output)
     print_skipped(list(refused))
     console.print(
-        f"learned from {len(labels)} boxes of {len(np.unique(labels.person))} people who "
-        f"surely walk, of {counted(labels.tracks, 'track')}",
+        f"learned from {len(found.labels)} boxes of {found.people} people who "
+        f"surely walk, of {counted(found.labels.tracks, 'track')}",
         markup=False,
     )
-    _print_figures(models.card)
+    print_figures(found.models.card)
     console.print(f"wrote {output}", markup=False)
-
-
-def _labels(
-    frames: FrameSource,
-    people: list[PersonBox],
-    camera: GroundCamera,
-    rate: float,
-    refuse: Callable[[str], object],
-) -> WalkingLabels:
-    """Who surely walks; for detections the frames are decoded, to see what people look like."""
-    from perception.adaptation.labels import walking_labels
-    from perception.adaptation.recording import looks_of
-
-    looks = None
-    if not people[0].identified:
-        wanted = {item.frame for item in people}
-        with decoded_frames(frames, wanted.__contains__, len(wanted), one_size=True) as decoded:
-            looks, _ = looks_of(decoded, people, refuse)
-    return walking_labels(people, looks, camera, rate)
 
 
 def _detected(frames: FrameSource, camera: GroundCamera, refuse: Callable[[str], object]) -> list[PersonBox]:
@@ -136,7 +96,7 @@ def _detected(frames: FrameSource, camera: GroundCamera, refuse: Callable[[str],
     return tracker.tracks()
 
 
-def _print_figures(card: ModelCard) -> None:
+def print_figures(card: ModelCard) -> None:
     """Errors on people left out, step by step."""
     steps = (
         ("chance", None),

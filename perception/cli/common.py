@@ -107,17 +107,10 @@ def decoded_frames(
     ----------
     one_size : whether a frame of another size than the first is an `InputError`
     """
-    from perception.images.frames import of_one_size
+    from perception.images.told import told_frames
 
-    found = frames.where(wanted)
-    with progress_bar(count, unit) as advance:
-
-        def told() -> Iterator[Frame]:
-            for frame in of_one_size(found) if one_size else found:
-                advance(1)
-                yield frame
-
-        yield told()
+    with told_frames(frames, wanted, count, progress_bar, unit=unit, one_size=one_size) as decoded:
+        yield decoded
 
 
 def read_camera(homography: Path | None, calibration: Path | None) -> GroundCamera | None:
