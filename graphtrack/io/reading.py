@@ -25,14 +25,17 @@ from graphtrack.table.rows import Rows, check_identities, check_rows
 from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
 
+_REPORTED = "tracks.csv"
+"""The table of estimates in the folder of a report."""
+
 
 def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, **options: Any) -> TrackSet:
     """Read tracks from one file or several, in any known format.
 
     Parameters
     ----------
-    path : one path, or several whose tracks are merged: ids that clash are renumbered, and tracks without
-        a label get the name of their file
+    path : one path, of a file or of a folder that `perception report` wrote, or several whose tracks are
+        merged: ids that clash are renumbered, and tracks without a label get the name of their file
     format : name of the format; None: recognised by the content
     **options : the fields of `ReadOptions`, such as ``fps`` and ``homography``
 
@@ -65,7 +68,14 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
 
 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
+    path = _table_of(Path(path))
     return tracks_of_rows(rows_of_file(path, format, options), options)
+
+
+def _table_of(path: Path) -> Path:
+    """The estimates in a folder that `perception report` wrote; other paths stay as they are."""
+    tracks = path / _REPORTED
+    return tracks if tracks.is_file() else path
 
 
 def has_detections(rows: Rows, options: ReadOptions) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from graphtrack.report.rows import Records, records
 
@@ -79,6 +79,24 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Photo:
+    """An encoded picture, such as a frame of a video.
+
+    Attributes
+    ----------
+    title : str
+    data : the bytes of a file
+    media : its type
+    description : what it shows, for people who cannot see it
+    """
+
+    title: str
+    data: bytes
+    media: Literal["image/jpeg", "image/png"] = "image/jpeg"
+    description: str = ""
+
+
+@dataclass(frozen=True)
 class AngleChart:
     """Body and head over time of whom the reader chooses, drawn from the data of the report's replay.
 
@@ -111,7 +129,7 @@ class Section:
     """A heading and what stands below it."""
 
     title: str
-    items: tuple[Note | DataTable | Picture | AngleChart | Timeline, ...]
+    items: tuple[Note | DataTable | Picture | Photo | AngleChart | Timeline, ...]
 
 
 @dataclass(frozen=True)

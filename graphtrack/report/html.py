@@ -14,7 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from graphtrack.io.atomic import atomic_path
-from graphtrack.report.content import AngleChart, Card, DataTable, Note, Picture, Report, Section, Timeline
+from graphtrack.report.content import (
+    AngleChart,
+    Card,
+    DataTable,
+    Note,
+    Photo,
+    Picture,
+    Report,
+    Section,
+    Timeline,
+)
 from graphtrack.report.replay_html import render_angle_chart, render_replay, render_timeline
 from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
 
@@ -146,11 +156,13 @@ def _section(anchor: str, section: Section) -> str:
     return f'<section aria-labelledby="{anchor}">{heading}\n{body}\n</section>'
 
 
-def _item(item: Note | DataTable | Picture | AngleChart | Timeline) -> str:
+def _item(item: Note | DataTable | Picture | Photo | AngleChart | Timeline) -> str:
     if isinstance(item, DataTable):
         return _table(item)
     if isinstance(item, Picture):
         return _picture(item)
+    if isinstance(item, Photo):
+        return _photo(item)
     if isinstance(item, AngleChart):
         return render_angle_chart(item)
     if isinstance(item, Timeline):
@@ -190,12 +202,17 @@ def _table(table: DataTable) -> str:
 def _picture(picture: Picture) -> str:
     buffer = BytesIO()
     picture.figure.savefig(buffer, format="png", dpi=160)
-    encoded = base64.b64encode(buffer.getvalue()).decode("ascii")
     width = round(96 * picture.figure.get_figwidth())
-    words = html.escape(picture.description or picture.title)
+    photo = Photo(picture.title, buffer.getvalue(), "image/png", picture.description)
+    return _photo(photo, f' width="{width}"')
+
+
+def _photo(photo: Photo, size: str = "") -> str:
+    encoded = base64.b64encode(photo.data).decode("ascii")
+    words = html.escape(photo.description or photo.title)
     return (
-        f'<figure class="panel"><img width="{width}" alt="{words}" src="data:image/png;base64,{encoded}">'
-        f"<figcaption>{html.escape(picture.title)}</figcaption></figure>"
+        f'<figure class="panel"><img{size} alt="{words}" src="data:{photo.media};base64,{encoded}">'
+        f"<figcaption>{html.escape(photo.title)}</figcaption></figure>"
     )
 
 

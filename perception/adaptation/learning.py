@@ -67,17 +67,21 @@ class _Attempt:
         return self.body_out.loss(angle) + self.head_out.loss(angle)
 
 
+class TooFewWalkers(InputError):
+    """A recording from which a camera cannot teach itself."""
+
+
 def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingLabels:
     """As many of the labels as are learned from, evenly over each person's.
 
     Raises
     ------
-    InputError
+    TooFewWalkers
         If too few people surely walk.
     """
     people = np.unique(labels.person)
     if len(people) < parameters.least_people:
-        raise InputError(
+        raise TooFewWalkers(
             f"{len(people)} people who surely walk, in {labels.tracks} tracks",
             f"at least {parameters.least_people}: a camera learns from people who walk",
         )

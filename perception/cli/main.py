@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from graphtrack.cli.main import run
-from perception.cli import adapt, calibrate, evaluate, follow, observe, simulate, train
+from perception.cli import adapt, calibrate, evaluate, follow, observe, report, simulate, train
 
 app = typer.Typer(
     name="perception", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
@@ -19,6 +19,7 @@ def start() -> None:
 
 app.command("adapt")(adapt.adapt)
 app.command("calibrate")(calibrate.calibrate)
+app.command("report")(report.report)
 app.command("observe")(observe.observe)
 app.command("follow")(follow.follow)
 app.command("simulate")(simulate.simulate)

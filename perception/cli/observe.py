@@ -6,6 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -43,8 +44,10 @@ from perception.cli.own_networks import (
     stamp_of,
     with_their_keypoints,
 )
+from perception.cli.teaching import check_adapt, forget, stamp_of_camera, teach
 
 if TYPE_CHECKING:
+    from graphtrack.geometry.camera import GroundCamera
     from perception.detection.boxes import PersonBox
     from perception.detection.networks.found import Detector as Detects
     from perception.detection.people import Detections, PeopleTracker
@@ -86,6 +89,10 @@ def observe(
             "--models", help="What the camera has taught itself (.npz, of `perception adapt`).", **FILE
         ),
     ] = None,
+    adapt: Annotated[
+        bool,
+        typer.Option("--adapt", help="Let the camera teach itself first, as `perception adapt` does."),
+    ] = False,
     write_boxes_to: Annotated[
         Path | None, typer.Option("--write-boxes", help="Write the detected boxes here, as MOT text.")
     ] = None,
@@ -147,17 +154,20 @@ def observe(
     if boxes is not None and write_boxes_to is not None:
         raise InputError("--write-boxes beside --boxes", "one of them: given boxes are not detected")
     streamed = str(output) == "-"
+    if adapt:
+        check_adapt(streamed, homography or calibration, (*own_models, camera_models, keypoints))
     if streamed:
         _refuse_with_stream({"--write-boxes": write_boxes_to, "--render": render}, causal)
     found_so_far = output.with_name(f"{output.name}.detections")
     points_so_far = output.with_name(f"{output.name}.keypoints")
     known_so_far = output.with_name(f"{output.name}.journal")
+    taught_so_far = output.with_name(f"{output.name}.camera.npz")
     check_places(
         {}
         if streamed
         else {
             "--output": output,
-            "the journals of --output": [found_so_far, points_so_far, known_so_far],
+            "the journals of --output": [found_so_far, points_so_far, known_so_far, taught_so_far],
             "--write-boxes": write_boxes_to,
         },
         render,
@@ -223,8 +233,12 @@ def observe(
     assert people is not None
     if given is None and write_boxes_to is not None:
         write_boxes(people, write_boxes_to)
-    looked = time.perf_counter()
     own = [stamp_of(path) for path in (*own_models, camera_models)]
+    if adapt and camera is not None:
+        asked = _key(frames.stamp(), rate, people, stamp_of_camera(camera))
+        taught, _ = teach(taught_so_far, asked, frames, people, camera, rate, refuse)
+        models, own = replace(models, of_camera=taught), [asked]
+    looked = time.perf_counter()
     key = _key(frames.stamp(), head_pose, own, people, models.appearance, networks.has_keypoints)
     journal = FrameJournal(known_so_far, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record)
     journal.open()
@@ -240,6 +254,7 @@ def observe(
     except InputError:  # the same command would end in the same way
         for one in (journal, detections, points):
             one.close(remove=True)
+        forget(taught_so_far, adapt)
         raise
     finally:
         journal.close(remove=False)
@@ -250,6 +265,7 @@ def observe(
     (write if identified else write_detections)(tracks, output)
     for one in (journal, detections, points):
         one.close(remove=True)
+    forget(taught_so_far, adapt)
     print_skipped(list(refused))
     for reason, times in tracks.summary.refused.items():
         console.print(f"  refused {times}: {reason}", markup=False)
@@ -329,6 +345,25 @@ def _detect(
             f"{tracker.passing} of {detected} detected boxes, in tracks of less than {tracker.least} boxes"
         )
     return tracker.tracks(causal=causal)
+
+
+def search(
+    frames: FrameSource, camera: GroundCamera | None, output: Path, refuse: Callable[[str], object]
+) -> list[PersonBox]:
+    """People who are detected in frames of one size; what is known goes to a journal beside the output."""
+    from perception.detection.people import Detections, PeopleDetector, PeopleTracker
+    from perception.observe.journal import FrameJournal
+
+    journal = FrameJournal(
+        output.with_name(f"{output.name}.detections"),
+        _key(frames.stamp()),
+        Detections.to_record,
+        Detections.from_record,
+    )
+    tracker = PeopleTracker(camera)
+    found = _detect(frames, tracker, PeopleDetector(), journal, refuse, one_size=True, causal=False)
+    journal.close(remove=True)
+    return found
 
 
 def _render(frames: FrameSource, observed: SeenTracks, path: Path, fps: float) -> None:

@@ -21,6 +21,10 @@ _DRAWS, _BEYOND = 200, 1e3
 _STEEPEST = np.deg2rad(60.0)
 
 
+class ViewUnknown(InputError):
+    """Boxes that do not tell how the camera looks at the ground."""
+
+
 @dataclass(frozen=True)
 class CalibrationParameters:
     """What is enough to tell a view.
@@ -119,9 +123,11 @@ def found_view(
 
     Raises
     ------
+    ViewUnknown
+        If the view does not tell: too few people, all at one depth, a view from above, or an uncertainty
+        beyond what is of any use.
     InputError
-        If the view does not tell: too few people, all at one depth, a view from above, boxes of another
-        image size, or an uncertainty beyond what is of any use.
+        If the boxes are of another image size.
     """
     _check_size(boxes, size)
     box = np.array([item.box for item in boxes], float).reshape(-1, 4)
@@ -131,7 +137,7 @@ def found_view(
     kept, who = kept[places], np.unique(who[places], return_inverse=True)[1]
     people = int(who.max(initial=-1)) + 1
     if people < parameters.least_people or len(kept) < parameters.least_boxes:
-        raise InputError(
+        raise ViewUnknown(
             f"{len(kept)} whole boxes of {people} people: the view does not tell the ground",
             f"at least {parameters.least_boxes} of {parameters.least_people}, or a calibration",
         )
@@ -139,7 +145,7 @@ def found_view(
     height = box[kept, 3]
     low, high = np.percentile(height, [5.0, 95.0])
     if high < parameters.least_growth * low:
-        raise InputError(
+        raise ViewUnknown(
             f"people all at one depth, in boxes of {low:.0f} to {high:.0f} pixels: "
             "the view does not tell the ground",
             "people near and far, or a calibration",
@@ -197,12 +203,12 @@ def _distance_std(
 def _check_told(fit: Fit, distance_std: float, parameters: CalibrationParameters) -> None:
     focal, tilt = np.sqrt(np.diag(fit.covariance))[:2].tolist()
     if fit.inliers < parameters.least_inliers or fit.error > 0.3:
-        raise InputError(
+        raise ViewUnknown(
             f"boxes whose heights follow no ground plane ({100 * fit.inliers:.0f} % do)",
             "people who stand upright on one plane, before a camera that does not move",
         )
     if abs(fit.vector[1]) > _STEEPEST:
-        raise InputError(
+        raise ViewUnknown(
             f"a view from above ({np.degrees(fit.vector[1]):.0f}° down): "
             "the heights of boxes do not tell the ground",
             "a camera that looks down by less than 60°, or a calibration",
@@ -213,7 +219,7 @@ def _check_told(fit: Fit, distance_std: float, parameters: CalibrationParameters
         distance_std > parameters.largest_distance,
     )
     if any(beyond):
-        raise InputError(
+        raise ViewUnknown(
             f"boxes that do not tell the ground: focal length ± {100 * focal:.0f} %, tilt ± "
             f"{np.degrees(tilt):.0f}°, distances ± {100 * distance_std:.0f} %",
             "more people, nearer and farther ones, or a calibration",

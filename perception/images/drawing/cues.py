@@ -22,7 +22,6 @@ _TRUE: Colour = (120, 220, 90)
 _GROWN = 0.15
 """Of the box's height, above and below, that is shown besides."""
 _ASPECT = 0.75
-_DASH = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +77,7 @@ def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320)
     def at_head(offset: FloatArray) -> FloatArray:
         return shown(camera.ground_to_image(cues.position + _RADIUS * offset) - feet + head)
 
-    _dashed_box(picture, np.concatenate([shown(cues.box[:2]), factor * cues.box[2:]]), _BOX)
+    marks.dashed_box(picture, np.concatenate([shown(cues.box[:2]), factor * cues.box[2:]]), _BOX, 1)
     marks.box(picture, np.concatenate([shown(cues.head_box[:2]), factor * cues.head_box[2:]]), _BOX, 1)
     for k, (place, colour) in enumerate(((on_ground, _BODY), (at_head, _HEAD))):
         _circle(picture, place, colour)
@@ -103,14 +102,3 @@ def _line(
     if np.isfinite(ends).all():
         cv2.polylines(picture, [marks.points(ends)], False, marks.DARK, width + 2, cv2.LINE_AA, 4)
         cv2.polylines(picture, [marks.points(ends)], False, colour, width, cv2.LINE_AA, 4)
-
-
-def _dashed_box(picture: Image, box: FloatArray, colour: Colour) -> None:
-    left, top, width, height = box
-    corners = np.array([[left, top], [left + width, top], [left + width, top + height], [left, top + height]])
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        count = max(1, round(float(np.linalg.norm(end - start)) / _DASH))
-        share = np.linspace(0.0, 1.0, count + 1)[:, None]
-        between = start + share * (end - start)
-        for k in range(0, count, 2):
-            cv2.polylines(picture, [marks.points(between[k : k + 2])], False, colour, 1, cv2.LINE_AA, 4)

@@ -25,8 +25,9 @@ LIGHT: Colour = (245, 245, 245)
 
 _LEAST_HEIGHT = 400
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0
-_FRACTION = 4
+FRACTION = 4
 """Bits behind the point of the pixels that OpenCV draws."""
+_DASH = 6
 _FARTHEST = 2.0**20
 """Pixels: farther away OpenCV's numbers do not reach."""
 _LIKELY = 0.95
@@ -63,14 +64,26 @@ def person_colour(track_id: int) -> Colour:
 def points(pixel: ArrayLike) -> NDArray[Any]:
     """Pixels (n, 2) as OpenCV draws them with ``shift=FRACTION``."""
     inside = np.clip(np.asarray(pixel, float), -_FARTHEST, _FARTHEST)
-    return np.asarray((inside * 2**_FRACTION).round(), np.int32)
+    return np.asarray((inside * 2**FRACTION).round(), np.int32)
 
 
 def box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
     """A box (left, top, width, height)."""
     left, top, w, h = np.asarray(values, float)
     corners = points([[left, top], [left + w, top], [left + w, top + h], [left, top + h]])
-    cv2.polylines(picture, [corners], True, colour, width, cv2.LINE_AA, _FRACTION)
+    cv2.polylines(picture, [corners], True, colour, width, cv2.LINE_AA, FRACTION)
+
+
+def dashed_box(picture: Image, values: ArrayLike, colour: Colour, width: int) -> None:
+    """A box (left, top, width, height) of dashes."""
+    left, top, w, h = np.asarray(values, float)
+    corners = np.array([[left, top], [left + w, top], [left + w, top + h], [left, top + h]])
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        count = max(1, round(float(np.linalg.norm(end - start)) / (_DASH * width)))
+        share = np.linspace(0.0, 1.0, count + 1)[:, None]
+        between = start + share * (end - start)
+        for k in range(0, count, 2):
+            cv2.polylines(picture, [points(between[k : k + 2])], False, colour, width, cv2.LINE_AA, FRACTION)
 
 
 def text(picture: Image, words: str, corner: tuple[int, int], colour: Colour, size: float) -> None:
@@ -87,7 +100,7 @@ def arrow(picture: Image, place: Place, angle: float, colour: Colour, width: int
         return
     start, end = (tuple(int(value) for value in point) for point in points(ends))
     for shade, wide in ((DARK, width + 2), (colour, width)):
-        cv2.arrowedLine(picture, start, end, shade, wide, cv2.LINE_AA, _FRACTION, 0.25)
+        cv2.arrowedLine(picture, start, end, shade, wide, cv2.LINE_AA, FRACTION, 0.25)
 
 
 def likely(distribution: FloatArray) -> NDArray[np.bool_]:
@@ -121,6 +134,15 @@ def fan(picture: Image, place: Place, distribution: FloatArray, classes: PoseCla
             _fill(picture, edge, colour, _FAINTEST + (_STRONGEST - _FAINTEST) * float(strength[k]))
 
 
+def sector(picture: Image, place: Place, angle: float, half: float, colour: Colour) -> None:
+    """The part of a circle about a direction (radians), so wide to each side; the narrower the stronger."""
+    across = np.linspace(-half, half, 2 + round(2.0 * half / _STEP))
+    edge = place(np.vstack([[0.0, 0.0], unit(angle + across)]))
+    if np.isfinite(edge).all():
+        strength = float(np.exp(-half))
+        _fill(picture, edge, colour, _FAINTEST + (_STRONGEST - _FAINTEST) * strength)
+
+
 def _fill(picture: Image, edge: FloatArray, colour: Colour, opacity: float) -> None:
     """Fill a polygon (n, 2), the picture shining through; only the part that it covers is touched."""
     h, w = picture.shape[:2]
@@ -130,5 +152,5 @@ def _fill(picture: Image, edge: FloatArray, colour: Colour, opacity: float) -> N
         return
     part = picture[top:bottom, left:right]
     over = part.copy()
-    cv2.fillPoly(over, [points(edge - (left, top))], colour, cv2.LINE_AA, _FRACTION)
+    cv2.fillPoly(over, [points(edge - (left, top))], colour, cv2.LINE_AA, FRACTION)
     cv2.addWeighted(over, opacity, part, 1.0 - opacity, 0.0, dst=part)

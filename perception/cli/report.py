@@ -1,0 +1,340 @@
+"""`perception report`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+import typer
+
+from graphtrack.cli.console import console, progress_bar
+from graphtrack.cli.options import Seed
+from graphtrack.display import counted
+from perception.cli.calibrate import PersonHeight
+from perception.cli.common import (
+    Boxes,
+    Calibration,
+    Fps,
+    Homography,
+    VideoOrFolder,
+    decoded_frames,
+    frame_rate,
+    read_camera,
+)
+
+if TYPE_CHECKING:
+    from graphtrack.geometry.camera import GroundCamera
+    from graphtrack.tracks import TrackSet
+    from perception.detection.boxes import PersonBox
+    from perception.images.frames import FrameSource
+    from perception.report.folder import ReportFolder
+
+_STAGES = 7
+_SHOWN = 10
+"""Things that were left out, which are told; of more the number."""
+
+
+def report(
+    source: VideoOrFolder,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder to write, or to go on with.", metavar="FOLDER")
+    ],
+    boxes: Boxes = None,
+    homography: Homography = None,
+    calibration: Calibration = None,
+    fps: Fps = None,
+    adapt: Annotated[
+        bool, typer.Option("--adapt/--no-adapt", help="Let the camera teach itself body and head first.")
+    ] = True,
+    method: Annotated[
+        Literal["smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag"],
+        typer.Option(
+            "--method",
+            help="smoother: the graph, whole tracks. particle: the joint particle filter, from the past; "
+            "ffbs: the same, whole tracks. chain, isam2, fixed-lag: the graph, from the past.",
+        ),
+    ] = "smoother",
+    person_height: PersonHeight = 1.7,
+    seed: Seed = 0,
+) -> None:
+    """Everything in one call: who is where, how they move and point, as a table, a video and a page.
+
+    Without a camera the view is found out from the boxes, as `perception calibrate` does.
+
+    A run that was broken off, or is called again with other options, does only what is not done yet.
+    """
+    from graphtrack.io.places import check_distinct
+    from perception.adaptation.recording import check_camera
+    from perception.detection.boxes import read_boxes
+    from perception.images.frames import FrameSource
+    from perception.report.folder import FILES, STAGES, ReportFolder, check_folder
+
+    check_folder(output)
+    inputs = {
+        "the input": FrameSource.files(source),
+        "--boxes": boxes,
+        "--homography": homography,
+        "--calibration": calibration,
+    }
+    written = [output / name for name in (*FILES.values(), STAGES)]
+    check_distinct({"--output": written}, inputs, to_make=[output])
+    frames = FrameSource.open(source)
+    camera = read_camera(homography, calibration)
+    if camera is not None:
+        check_camera(camera, frames.size())
+    given = None if boxes is None else read_boxes(boxes)
+    folder = ReportFolder(output, _STAGES, lambda words: console.print(words, markup=False))
+    folder.open()
+    run = _Run(folder, frames, frame_rate(frames, fps), camera, person_height, seed)
+    run.assume(_of_rate(frames, run.rate, fps))
+    run.find_people(boxes, given)
+    run.find_ground(calibration or homography)
+    run.teach(adapt)
+    run.observe()
+    run.estimate(method)
+    run.draw()
+    run.write_page(source.name)
+    for line in run.assumed:
+        console.print(f"  note: {line}", markup=False)
+    names = ", ".join(name for name in FILES.values() if (output / name).is_file())
+    console.print(f"wrote {output}: {names}", markup=False)
+
+
+def _of_rate(frames: FrameSource, rate: float, fps: float | None) -> str:
+    source = "as given" if fps else "as the video says" if frames.fps else "assumed, since nothing says it"
+    return f"{counted(frames.count, 'frame')}, {rate:g} a second ({source})"
+
+
+@dataclass
+class _Run:
+    """A run through the stages; what one was done before gives the next, it gives from its files."""
+
+    folder: ReportFolder
+    frames: FrameSource
+    rate: float
+    known: GroundCamera | None
+    person_height: float
+    seed: int
+    people: list[PersonBox] = field(default_factory=list)
+    camera: GroundCamera | None = None
+    to_scale: bool = False
+    assumed: list[str] = field(default_factory=list)
+
+    def assume(self, *lines: str) -> None:
+        self.assumed += lines
+
+    def find_people(self, boxes: Path | None, given: list[PersonBox] | None) -> None:
+        """Stage 1: boxes, of a file or detected."""
+        from graphtrack.errors import InputError
+        from perception.detection.boxes import read_boxes, write_boxes
+
+        detected = self.folder.file("boxes")
+        camera = None if self.known is None else self.known.homography.tolist()
+
+        def work(key: str) -> list[str]:
+            refused: dict[str, None] = {}
+            if given is not None:
+                read_boxes(boxes or detected, refused.setdefault)
+                detected.unlink(missing_ok=True)
+                return [f"{len(given)} boxes of {boxes}", *_told(refused)]
+            found = found_people(self.frames, self.known, detected, refused.setdefault)
+            if not found:
+                raise InputError("a recording in which nobody is found", "people, or their boxes (--boxes)")
+            write_boxes(found, detected)
+            return [f"{len(found)} boxes of people who were detected", *_told(refused)]
+
+        asked = self.frames.stamp(), camera, given
+        self.assume(*self.folder.stage("people", asked, () if given else ("boxes",), work))
+        self.people = read_boxes(detected) if given is None else given
+        if not self.people:
+            raise InputError("boxes of nobody", "at least one person", path=boxes)
+        if not self.people[0].identified:
+            self.assume("nobody says who is who: that is found out, and joins may be wrong")
+
+    def find_ground(self, given: Path | None) -> None:
+        """Stage 2: the camera, as given or found out."""
+        from graphtrack.geometry.camera import GroundCamera
+        from graphtrack.io.cameras import read_calibration
+        from perception.ground.calibrating import CalibrationParameters, ViewUnknown, found_view
+
+        place = self.folder.file("calibration")
+
+        def work(key: str) -> list[str]:
+            place.unlink(missing_ok=True)
+            if self.known is not None:
+                return [f"the camera is that of {given}"]
+            parameters = CalibrationParameters(person_height=self.person_height)
+            rng = np.random.default_rng(self.seed)
+            try:
+                found = found_view(self.people, self.frames.size(), rng, parameters)
+            except ViewUnknown as error:
+                height = self.person_height
+                return [
+                    f"no camera is known ({error.found}): positions are pixels times a scale, by which the "
+                    f"median box is {height:g} m high, with no regard to perspective; directions are rough"
+                ]
+            found.write(place)
+            view = found.view
+            return [
+                f"the camera is found from {found.boxes} boxes: focal length {view.focal:.0f} ± "
+                f"{found.std['focal']:.0f} pixels, {np.degrees(view.tilt):.1f} ± "
+                f"{np.degrees(found.std['tilt']):.1f}° down, {view.height:.2f} ± {found.std['height']:.2f} m "
+                f"high; distances ± {100 * found.distance_std:.0f} %",
+                *found.notes,
+            ]
+
+        known = None if self.known is None else self.known.homography.tolist()
+        asked = (known, str(given), self.person_height, self.seed)
+        self.assume(*self.folder.stage("ground", asked, (), work))
+        if self.known is not None:
+            self.camera = self.known
+        elif place.is_file():
+            self.camera = read_calibration(place)
+        else:
+            self.to_scale = True
+            height = float(np.median([item.box[3] for item in self.people]))
+            self.camera = GroundCamera.from_scale(self.person_height / height)
+
+    def teach(self, adapt: bool) -> None:
+        """Stage 3: what the camera teaches itself."""
+        from perception.cli.teaching import teach
+
+        place = self.folder.file("models")
+
+        def work(key: str) -> list[str]:
+            assert self.camera is not None
+            refused: dict[str, None] = {}
+            said = "the camera does not teach itself, the package's models look"
+            if not adapt or self.to_scale:
+                place.unlink(missing_ok=True)
+                return [f"{said}: {'as asked' if not adapt else 'no ground is known'}"]
+            refuse, seed = refused.setdefault, self.seed
+            models, said = teach(
+                place, key, self.frames, self.people, self.camera, self.rate, refuse, seed=seed
+            )
+            if models is None:
+                place.unlink(missing_ok=True)
+            return [said]
+
+        self.assume(*self.folder.stage("models", (adapt, self.rate, self.seed), (), work))
+
+    def observe(self) -> None:
+        """Stage 4: what is seen of everybody, and who is who."""
+        from graphtrack.errors import InputError
+        from graphtrack.io import write
+        from perception.adaptation.models import CameraModels
+        from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+        from perception.observe import pipeline
+        from perception.observe.journal import FrameJournal
+        from perception.report.people import who_is_who
+
+        place, taught = self.folder.file("observations"), self.folder.file("models")
+        identified = self.people[0].identified
+
+        def work(key: str) -> list[str]:
+            refused: dict[str, None] = {}
+            models = pipeline.Models(
+                load_head_localiser(),
+                load_classifier("body_pose"),
+                load_classifier(HEAD_POSE[0]),
+                appearance=not identified,
+                of_camera=CameraModels.load(taught) if taught.is_file() else None,
+            )
+            encode, decode = pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record
+            journal = FrameJournal(place.with_name(f"{place.name}.journal"), key, encode, decode)
+            journal.open()
+            if journal.frames:
+                console.print(f"  going on after {counted(len(journal.frames), 'frame')}", markup=False)
+            known = frozenset(journal.frames)
+            count = self.frames.count - len(known)
+            try:
+                with decoded_frames(self.frames, lambda k: k not in known, count, one_size=True) as decoded:
+                    pipeline.observe(decoded, self.people, models, journal, refuse=refused.setdefault)
+                seen = pipeline.seen_in(journal)
+                observed = pipeline.to_tracks(seen, models.head_classes, self.camera, self.rate)
+                tracks = who_is_who(observed.tracks, self.people, identified=identified)
+            except InputError:  # the same command would end in the same way
+                journal.close(remove=True)
+                raise
+            finally:
+                journal.close(remove=False)
+            write(tracks, place)
+            journal.close(remove=True)
+            left_out = [f"refused {n}: {why}" for why, n in observed.tracks.summary.refused.items()]
+            return [*tracks.summary.notes, *left_out, *_told(refused)]
+
+        self.assume(*self.folder.stage("observations", self.rate, ("observations",), work))
+
+    def estimate(self, method: str) -> None:
+        """Stage 5: where everybody is, how they move and point."""
+        from graphtrack.io import write
+        from perception.report.people import estimated
+
+        def work(key: str) -> list[str]:
+            assert self.camera is not None
+            observations = self._read("observations")
+            with progress_bar(observations.n_frames) as advance:
+                found, said = estimated(observations, self.camera, method, advance)
+            write(found, self.folder.file("tracks"))
+            return said
+
+        self.assume(*self.folder.stage("estimates", method, ("tracks",), work))
+
+    def draw(self) -> None:
+        """Stage 6: the annotated video."""
+        from perception.report.people import shown_by_frame
+        from perception.report.showing import write_video
+
+        def work(key: str) -> list[str]:
+            assert self.camera is not None
+            estimates, observations = self._read("tracks"), self._read("observations")
+            people = shown_by_frame(estimates, observations, self.people, self.camera)
+            count, place = self.frames.count, self.folder.file("video")
+            unit = "frames drawn"
+            with decoded_frames(self.frames, lambda k: True, count, unit=unit, one_size=True) as decoded:
+                write_video(place, decoded, people, self.camera, self.rate)
+            return []
+
+        self.folder.stage("video", self.rate, ("video",), work)
+
+    def write_page(self, title: str) -> None:
+        """Stage 7: the page, the view from above, and what was assumed."""
+        from graphtrack.io.atomic import atomic_path
+        from perception.report.showing import write_above, write_page
+
+        lines = tuple(self.assumed)
+
+        def work(key: str) -> list[str]:
+            estimates, observations = self._read("tracks"), self._read("observations")
+            write_above(self.folder.file("above"), estimates, observations)
+            with atomic_path(self.folder.file("assumptions")) as temporary:
+                temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            video = self.folder.file("video")
+            write_page(self.folder.file("page"), title, estimates, observations, video, lines)
+            return []
+
+        self.folder.stage("page", (title, lines), ("above", "assumptions", "page"), work)
+
+    def _read(self, name: str) -> TrackSet:
+        from graphtrack.io import read
+
+        return read(self.folder.file(name))
+
+
+def found_people(
+    frames: FrameSource, camera: GroundCamera | None, output: Path, refuse: Callable[[str], object]
+) -> list[PersonBox]:
+    """People who are detected, as `perception observe` does; a search that was broken off goes on."""
+    from perception.cli.observe import search
+
+    return search(frames, camera, output, refuse)
+
+
+def _told(refused: Sequence[str] | dict[str, None]) -> list[str]:
+    """What was left out: the first few, and how many more there are."""
+    reasons = list(refused)
+    more = [f"skipped: {len(reasons) - _SHOWN} more"] if len(reasons) > _SHOWN else []
+    return [f"skipped: {reason}" for reason in reasons[:_SHOWN]] + more

@@ -1,0 +1,191 @@
+"""Who is who in what was seen, where everybody is, and in which box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graphtrack.association.tracks import associate
+from graphtrack.errors import InputError
+from graphtrack.evaluation.methods import make_method
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.offline import engine_of, solve_tracks
+from graphtrack.inference.solution import Solution
+from graphtrack.model import Model
+from graphtrack.table.columns import to_columns
+from graphtrack.tracks import Track, TrackSet
+from perception.detection.boxes import PersonBox
+
+METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
+"""The graph's smoother; 002's joint particle filter, smoothed (``ffbs``) or online (``particle``); the graph
+online."""
+
+_BOX = "box"
+"""The input of a track that says which box each row was seen in; NaN in rows of nothing."""
+
+
+def who_is_who(tracks: TrackSet, boxes: Sequence[PersonBox], *, identified: bool) -> TrackSet:
+    """Tracks of people, each row of which knows the number of its box.
+
+    Parameters
+    ----------
+    tracks : as `perception.observe.pipeline.to_tracks` makes them; without identities one for each box
+    boxes : that were looked at
+    identified : whether the boxes say who is in them; else that is found out
+
+    Raises
+    ------
+    InputError
+        If everything was taken for false.
+    """
+    if identified:
+        number = {(item.track_id, item.frame): k for k, item in enumerate(boxes)}
+        return tracks.map(lambda track: _numbered(track, number))
+    of_box = {item.track_id: k for k, item in enumerate(boxes)}
+    columns = to_columns(tracks)
+    columns[f"input_{_BOX}"] = np.array([of_box[k] for k in columns["track_id"].tolist()], float)
+    columns["track_id"] = np.full(len(columns["track_id"]), -1)
+    found = associate({name: values for name, values in columns.items() if name != "label"})
+    if not len(found):
+        raise InputError("detections that are all taken for false", "people who are seen for a while")
+    return found
+
+
+def _numbered(track: Track, number: Mapping[tuple[int, int], int]) -> Track:
+    of_rows = [number[track.track_id, frame] for frame in track.frame.tolist()]
+    return replace(track, inputs={**track.inputs, _BOX: np.array(of_rows, float)})
+
+
+def estimated(
+    tracks: TrackSet, camera: GroundCamera, method: str, advance: Callable[[int], None]
+) -> tuple[TrackSet, list[str]]:
+    """Where everybody is, how they move and point, and what is to be said of it.
+
+    Parameters
+    ----------
+    tracks : of observations
+    camera : over the ground
+    method : one of `METHODS`
+    advance : is told of person-frames that are done
+
+    Raises
+    ------
+    InputError
+        If nobody's track can be estimated.
+    """
+    chosen = make_method(method)
+    placed = replace(tracks, camera=camera)
+    said: list[str] = []
+    if method == "smoother":
+        model = Model.named(None)
+        found = solve_tracks(placed, model, engine_of(model), progress=advance)
+        good = [result.track for result in found if isinstance(result, Solution)]
+        bad = [one for one in found if not isinstance(one, Solution)]
+        said += [f"track {one.track_id} is left out: {one.reason}" for one in bad]
+    else:
+        good = []
+        for track in placed:
+            good.append(chosen.estimate(track, camera))
+            advance(len(track))
+    if not good:
+        raise InputError("no track that can be estimated", "people who are seen for a while")
+    return placed.with_tracks(good), [f"estimates by `{method}`: {chosen.information}", *said]
+
+
+@dataclass(frozen=True, eq=False)
+class ShownPerson:
+    """An estimated person in one frame.
+
+    Attributes
+    ----------
+    track_id : whose colour it has
+    box : (4,) left, top, width, height in pixels
+    seen : whether somebody was seen there; else the box is where it should be
+    position : (2,) metres
+    body, body_std, head, head_std : radians; NaN where not known
+    path : (n, 2) pixels, on the ground, of the last seconds
+    """
+
+    track_id: int
+    box: FloatArray
+    seen: bool
+    position: FloatArray
+    body: float
+    body_std: float
+    head: float
+    head_std: float
+    path: FloatArray
+
+
+def shown_by_frame(
+    estimates: TrackSet,
+    observations: TrackSet,
+    boxes: Sequence[PersonBox],
+    camera: GroundCamera,
+    *,
+    trail: float = 4.0,
+) -> dict[int, list[ShownPerson]]:
+    """What there is to draw in each frame.
+
+    Parameters
+    ----------
+    estimates, observations : matched by ``track_id``; the observations are as `who_is_who` has them
+    boxes : that were looked at
+    trail : seconds of the path
+    """
+    observed = {track.track_id: track for track in observations}
+    found: dict[int, list[ShownPerson]] = {}
+    for track in estimates:
+        place, seen = _boxes_of(track, observed[track.track_id], boxes, camera)
+        pixel = camera.ground_to_image(track.position)
+        angles = {name: _angle(track, name) for name in ("body", "head")}
+        first = np.searchsorted(track.t, track.t - trail)
+        for row, frame in enumerate(track.frame.tolist()):
+            if not np.isfinite(place[row]).all():
+                continue
+            (body, body_std), (head, head_std) = ((v[row], s[row]) for v, s in angles.values())
+            path = pixel[first[row] : row + 1]
+            person = ShownPerson(
+                track.track_id,
+                place[row],
+                bool(seen[row]),
+                track.position[row],
+                float(body),
+                float(body_std),
+                float(head),
+                float(head_std),
+                path,
+            )
+            found.setdefault(frame, []).append(person)
+    return found
+
+
+def _angle(track: Track, name: str) -> tuple[FloatArray, FloatArray]:
+    unknown = np.full(len(track), np.nan)
+    angle, std = getattr(track, name), track.std("body" if name == "body" else "head")
+    return unknown if angle is None else angle, unknown if std is None else std
+
+
+def _boxes_of(
+    track: Track, observation: Track, boxes: Sequence[PersonBox], camera: GroundCamera
+) -> tuple[FloatArray, FloatArray]:
+    """Boxes (n, 4) of the rows of an estimate, and whether they were seen (n,).
+
+    Between two that were seen there are those of the estimated feet, of sizes in between.
+    """
+    number = observation.inputs[_BOX].reshape(-1)
+    known = np.flatnonzero(np.isfinite(number))
+    at = {int(observation.frame[k]): boxes[int(number[k])].box for k in known.tolist()}
+    seen = np.array([frame in at for frame in track.frame.tolist()])
+    found = np.full((len(track), 4), np.nan)
+    if not seen.any():
+        return found, seen
+    found[seen] = [at[frame] for frame in track.frame[seen].tolist()]
+    for side in (2, 3):
+        found[~seen, side] = np.interp(track.t[~seen], track.t[seen], found[seen, side])
+    feet = camera.ground_to_image(track.position[~seen])
+    found[~seen, 0], found[~seen, 1] = feet[:, 0] - found[~seen, 2] / 2.0, feet[:, 1] - found[~seen, 3]
+    return found, seen
