@@ -130,9 +130,9 @@ class _Run:
         """Stage 1: boxes, of a file or detected."""
         from graphtrack.errors import InputError
         from perception.detection.boxes import read_boxes, write_boxes
+        from perception.cli.teaching import stamp_of_camera
 
         detected = self.folder.file("boxes")
-        camera = None if self.known is None else self.known.homography.tolist()
 
         def work(key: str) -> list[str]:
             refused: dict[str, None] = {}
@@ -146,7 +146,7 @@ class _Run:
             write_boxes(found, detected)
             return [f"{len(found)} boxes of people who were detected", *_told(refused)]
 
-        asked = self.frames.stamp(), camera, given
+        asked = self.frames.stamp(), stamp_of_camera(self.known), given
         self.assume(*self.folder.stage("people", asked, () if given else ("boxes",), work))
         self.people = read_boxes(detected) if given is None else given
         if not self.people:
@@ -159,6 +159,7 @@ class _Run:
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
         from perception.ground.calibrating import CalibrationParameters, ViewUnknown, found_view
+        from perception.cli.teaching import stamp_of_camera
 
         place = self.folder.file("calibration")
 
@@ -186,8 +187,7 @@ class _Run:
                 *found.notes,
             ]
 
-        known = None if self.known is None else self.known.homography.tolist()
-        asked = (known, str(given), self.person_height, self.seed)
+        asked = (stamp_of_camera(self.known), str(given), self.person_height, self.seed)
         self.assume(*self.folder.stage("ground", asked, (), work))
         if self.known is not None:
             self.camera = self.known
@@ -313,7 +313,7 @@ class _Run:
             with atomic_path(self.folder.file("assumptions")) as temporary:
                 temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
             video = self.folder.file("video")
-            write_page(self.folder.file("page"), title, estimates, observations, video, lines)
+            write_page(self.folder.file("page"), f"People in {title}", estimates, observations, video, lines)
             return []
 
         self.folder.stage("page", (title, lines), ("above", "assumptions", "page"), work)

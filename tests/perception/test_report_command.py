@@ -1,0 +1,294 @@
+"""`perception report`: what is in its folder, what it says, and how it goes on."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import run
+from pasted_street import FPS, PastedStreet, pasted_street
+
+import graphtrack as gt
+from graphtrack.errors import InputError
+from graphtrack.tracks import TrackSet
+from perception.adaptation import adapting
+from perception.adaptation.learning import AdaptationParameters, learn
+from perception.cli import report as command
+from perception.detection.boxes import PersonBox, write_boxes
+from perception.images.drawing.tracked import draw_tracked
+from perception.observe import pipeline
+from perception.report.people import METHODS, ShownPerson, estimated, shown_by_frame, who_is_who
+
+EVERYTHING = {
+    "observations.csv",
+    "tracks.csv",
+    "annotated.mp4",
+    "above.png",
+    "report.html",
+    "assumptions.txt",
+    "stages.json",
+}
+
+
+@pytest.fixture(scope="module")
+def street() -> PastedStreet:
+    return pasted_street(3, np.random.default_rng(0), offset=0.02)
+
+
+@pytest.fixture(scope="module")
+def arguments(street: PastedStreet, tmp_path_factory: pytest.TempPathFactory) -> list[object]:
+    """Frames, boxes and a camera, as the command line names them."""
+    folder = tmp_path_factory.mktemp("street")
+    (folder / "frames").mkdir()
+    for frame in street.frames:
+        assert frame.image is not None
+        cv2.imwrite(str(folder / "frames" / f"{frame.number:04d}.png"), frame.image)
+    write_boxes(street.boxes, folder / "boxes.txt")
+    np.savetxt(folder / "homography.txt", street.camera.homography)
+    boxes, homography = folder / "boxes.txt", folder / "homography.txt"
+    return [folder / "frames", "--boxes", boxes, "--homography", homography, "--fps", FPS]
+
+
+@pytest.fixture(scope="module")
+def reported(arguments: list[object], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a report, and what the command said."""
+    folder = tmp_path_factory.mktemp("reported") / "out"
+    done = run("report", *arguments, "-o", folder)
+    assert done.returncode == 0, done.stderr
+    return folder, done.stdout + done.stderr
+
+
+def test_the_folder_has_everything_and_is_read_as_its_estimates(
+    reported: tuple[Path, str], street: PastedStreet
+) -> None:
+    folder, _ = reported
+    assert {path.name for path in folder.iterdir()} == EVERYTHING
+    tracks = gt.read(folder)
+    assert [len(track) for track in tracks] == [7, 7, 7]
+    feet = street.camera.image_to_ground(
+        [(b.box[0] + b.box[2] / 2, b.box[1] + b.box[3]) for b in street.boxes]
+    )
+    np.testing.assert_allclose(np.concatenate([track.position for track in tracks]), feet, atol=0.6)
+    assert all(track.std("body") is not None and track.std("head") is not None for track in tracks)
+
+
+def test_it_says_what_was_assumed(reported: tuple[Path, str]) -> None:
+    folder, said = reported
+    assumed = (folder / "assumptions.txt").read_text().splitlines()
+    page = (folder / "report.html").read_text()
+    for words in (
+        "2.5 a second (as given)",
+        "21 boxes of",
+        "the camera is that of",
+        "3 people who surely walk",
+    ):
+        assert sum(words in line for line in assumed) == 1
+        assert words in said and words in page
+    assert page.count("data:image/jpeg;base64,") == 6
+
+
+def test_the_video_has_every_frame(reported: tuple[Path, str]) -> None:
+    video = cv2.VideoCapture(str(reported[0] / "annotated.mp4"))
+    assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == 21
+    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(FPS)
+    video.release()
+
+
+def test_what_is_done_is_not_done_again(reported: tuple[Path, str], arguments: list[object]) -> None:
+    folder, _ = reported
+    before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    done = run("report", *arguments, "-o", folder)
+    assert done.returncode == 0
+    assert (done.stdout + done.stderr).count("done before") == 7
+    assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+
+
+def test_a_run_that_breaks_off_goes_on(
+    reported: tuple[Path, str], arguments: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[int] = []
+    look = pipeline.observe_frame
+
+    def breaks_off(image: np.ndarray, frame: int, *rest: object) -> object:
+        looked.append(frame)
+        if len(looked) == 9:
+            raise KeyboardInterrupt
+        return look(image, frame, *rest)
+
+    monkeypatch.setattr(pipeline, "observe_frame", breaks_off)
+    run("report", *arguments, "-o", tmp_path / "out")
+    assert not (tmp_path / "out" / "observations.csv").exists()
+    done = run("report", *arguments, "-o", tmp_path / "out")
+    assert done.returncode == 0
+    assert "going on after 8 frames" in done.stdout + done.stderr
+    assert looked == [*range(9), *range(8, 21)]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == EVERYTHING
+    assert (tmp_path / "out" / "tracks.csv").read_bytes() == (reported[0] / "tracks.csv").read_bytes()
+
+
+def test_another_method_repeats_only_what_depends_on_it(
+    reported: tuple[Path, str], arguments: list[object], tmp_path: Path
+) -> None:
+    import shutil
+
+    shutil.copytree(reported[0], tmp_path / "out")
+    done = run("report", *arguments, "-o", tmp_path / "out", "--method", "particle")
+    assert done.returncode == 0, done.stderr
+    assert (done.stdout + done.stderr).count("done before") == 4
+    assert "estimates by `particle`" in (tmp_path / "out" / "assumptions.txt").read_text()
+    first, second = (gt.read(folder) for folder in (reported[0], tmp_path / "out"))
+    assert [track.track_id for track in first] == [track.track_id for track in second]
+    assert not np.array_equal(first[1].position, second[1].position)
+
+
+def test_without_a_camera_or_a_view_that_tells_there_is_a_scale(
+    arguments: list[object], tmp_path: Path
+) -> None:
+    done = run("report", *arguments[:3], "--fps", FPS, "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assumed = (tmp_path / "out" / "assumptions.txt").read_text()
+    assert "no camera is known" in assumed and "pixels times a scale" in assumed
+    assert "no ground is known" in assumed
+
+
+def test_detections_are_associated_and_keep_their_boxes(street: PastedStreet) -> None:
+    boxes = [
+        replace(item, track_id=k + 1, identified=False, score=1.0) for k, item in enumerate(street.boxes)
+    ]
+    columns = {
+        "track_id": np.array([item.track_id for item in boxes]),
+        "frame": np.array([item.frame for item in boxes]),
+        "t": np.array([item.frame for item in boxes]) / FPS,
+    }
+    x, y = street.camera.image_to_ground([(b.box[0] + b.box[2] / 2, b.box[1] + b.box[3]) for b in boxes]).T
+    seen = TrackSet.from_table({**columns, "x": x, "y": y})
+    found = who_is_who(seen, boxes, identified=False)
+    assert found.n_frames == 21
+    shown = shown_by_frame(found, found, boxes, street.camera)
+    assert sorted(shown) == list(range(21))
+    for item in boxes:
+        (person,) = shown[item.frame]
+        assert person.seen and tuple(person.box) == pytest.approx(item.box)
+
+
+def test_who_is_not_seen_is_shown_where_the_estimate_is(street: PastedStreet) -> None:
+    camera = street.camera
+    frame, feet = np.array([0, 1, 2]), np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
+    pixel = camera.ground_to_image(feet)
+    boxes = [PersonBox(k, 4, (pixel[k, 0] - 10, pixel[k, 1] - 50 - k, 20, 50 + k)) for k in (0, 2)]
+    seen = gt.Track(4, frame[[0, 2]], t=frame[[0, 2]] / FPS, position=feet[[0, 2]])
+    tracks = who_is_who(TrackSet((seen,)), boxes, identified=True)
+    estimate = gt.Track(4, frame, t=frame / FPS, position=feet)
+    shown = shown_by_frame(TrackSet((estimate,)), tracks, boxes, camera)
+    assert [shown[k][0].seen for k in range(3)] == [True, False, True]
+    np.testing.assert_allclose(shown[1][0].box, (pixel[1, 0] - 10, pixel[1, 1] - 51, 20, 51))
+    np.testing.assert_allclose(shown[2][0].path, pixel)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_estimates_angles_and_their_uncertainty(method: str) -> None:
+    noisy = gt.simulate("joint", n_tracks=2, rng=np.random.default_rng(0))
+    short = noisy.map(lambda track: track[:6])
+    done: list[int] = []
+    found, said = estimated(short, pasted_street(1, np.random.default_rng(0)).camera, method, done.append)
+    assert sum(done) == short.n_frames == found.n_frames
+    assert method in said[0]
+    for track in found:
+        assert np.isfinite(track.std("body")).all() and np.isfinite(track.std("head")).all()
+
+
+def test_arrows_and_sectors_are_drawn_about_the_person_alone(street: PastedStreet) -> None:
+    image = np.full((480, 640, 3), 100, np.uint8)
+    camera = street.camera.resized(2.0)
+    foot = camera.ground_to_image([0.0, 0.0])
+    box = np.array([foot[0] - 20.0, foot[1] - 100.0, 40.0, 100.0])
+    path = camera.ground_to_image([[-0.5, 0.0], [0.0, 0.0]])
+    person = ShownPerson(3, box, True, np.zeros(2), 0.5, 0.2, 1.0, 0.4, path)
+    bare = draw_tracked(image, "", [], camera)
+    drawn = draw_tracked(image, "", [person], camera)
+    rows, columns = np.nonzero((drawn != bare).any(axis=2))
+    assert rows.min() > box[1] - 30 and rows.max() < foot[1] + 80
+    assert columns.min() > foot[0] - 120 and columns.max() < foot[0] + 120
+    wide = draw_tracked(image, "", [replace(person, body_std=2.0)], camera)
+    hidden = draw_tracked(image, "", [replace(person, seen=False)], camera)
+    assert (wide != drawn).any() and (hidden != drawn).any()
+    unknown = replace(person, body=np.nan, body_std=np.nan, head=np.nan, head_std=np.nan)
+    assert (draw_tracked(image, "", [unknown], camera) != bare).any()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda a: [*a, "--calibration", a[4]], "--homography and --calibration"),
+        (lambda a: [a[0], "--boxes", a[4]], "homography.txt"),
+        (lambda a: [*a, "--method", "magic"], "magic"),
+    ],
+    ids=["two cameras", "boxes that are none", "a method that is none"],
+)
+def test_bad_input_is_refused_before_the_folder_is_made(
+    arguments: list[object], tmp_path: Path, change: object, words: str
+) -> None:
+    done = run("report", *change(arguments), "-o", tmp_path / "out")
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_something_else_is_left_alone(arguments: list[object], tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    done = run("report", *arguments, "-o", tmp_path)
+    assert done.returncode == 2 and "a folder that is not empty" in done.stderr
+    (tmp_path / "notes.txt").rename(tmp_path / "stages.json")
+    done = run("report", *arguments, "-o", tmp_path)
+    assert done.returncode == 2 and "stages.json" in done.stderr
+    assert (tmp_path / "stages.json").read_text() == "mine"
+
+
+def test_a_folder_of_nothing_is_no_table(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a directory"):
+        gt.read(tmp_path)
+
+
+def test_what_is_learned_is_learned_once(
+    arguments: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`observe --adapt` writes what `adapt` and `observe --models` do, and does not learn again."""
+    quick = AdaptationParameters(least_people=3, rounds=0)
+    learned: list[int] = []
+
+    def learn_quickly(patches: list[np.ndarray], *rest: object) -> object:
+        learned.append(len(patches))
+        return learn(patches, *rest[:5], quick)
+
+    monkeypatch.setattr(adapting, "learn", learn_quickly)
+    monkeypatch.setattr(adapting, "thinned", lambda labels, _: labels)
+    monkeypatch.setattr(adapting, "AdaptationParameters", lambda: quick)
+    assert run("adapt", *arguments, "-o", tmp_path / "camera.npz").returncode == 0
+    done = run("observe", *arguments, "--models", tmp_path / "camera.npz", "-o", tmp_path / "apart.csv")
+    assert done.returncode == 0, done.stderr
+    looked: list[int] = []
+    look = pipeline.observe_frame
+
+    def breaks_off(image: np.ndarray, frame: int, *rest: object) -> object:
+        looked.append(frame)
+        if len(looked) == 5:
+            raise KeyboardInterrupt
+        return look(image, frame, *rest)
+
+    monkeypatch.setattr(pipeline, "observe_frame", breaks_off)
+    for _ in range(2):
+        done = run("observe", *arguments, "--adapt", "-o", tmp_path / "at_once.csv")
+    assert done.returncode == 0, done.stderr
+    assert len(learned) == 2 and looked == [*range(5), *range(4, 21)]
+    assert (tmp_path / "at_once.csv").read_bytes() == (tmp_path / "apart.csv").read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {"camera.npz", "apart.csv", "at_once.csv"}
+
+
+def test_stages_say_what_they_said_before(reported: tuple[Path, str]) -> None:
+    stages = json.loads((reported[0] / "stages.json").read_text())
+    assert list(stages) == ["people", "ground", "models", "observations", "estimates", "video", "page"]
+    assert len(stages) == command._STAGES
