@@ -129,8 +129,8 @@ class _Run:
     def find_people(self, boxes: Path | None, given: list[PersonBox] | None) -> None:
         """Stage 1: boxes, of a file or detected."""
         from graphtrack.errors import InputError
-        from perception.detection.boxes import read_boxes, write_boxes
         from perception.cli.teaching import stamp_of_camera
+        from perception.detection.boxes import read_boxes, write_boxes
 
         detected = self.folder.file("boxes")
 
@@ -158,8 +158,8 @@ class _Run:
         """Stage 2: the camera, as given or found out."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration
-        from perception.ground.calibrating import CalibrationParameters, ViewUnknown, found_view
         from perception.cli.teaching import stamp_of_camera
+        from perception.ground.calibrating import CalibrationParameters, ViewUnknown, found_view
 
         place = self.folder.file("calibration")
 
