@@ -1,4 +1,4 @@
-"""`perception evaluate`: the papers' tables, on rendered people."""
+"""`perception evaluate`: the papers' tables, on rendered people; and trackers on recordings."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from graphtrack.cli.console import console, print_table
+from graphtrack.cli.console import console, print_table, progress_bar
 from graphtrack.cli.options import Json, Seed, check_outputs
 
 _TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
+_REAL = ("sigma-pi", "heads")
+"""Tables of recordings, which are made where they are asked for."""
 
 Show = Callable[[str, Sequence[Mapping[str, Any]]], None]
 """Takes the title and the rows of a table."""
@@ -24,7 +26,8 @@ def evaluate(
         typer.Argument(
             help="pose (errors and calibration of all classifiers; 000 Fig. 3), localisation (002 Table 1), "
             "recognition (004 Tables 1-3), joint (002 Table 2), published (002's perception as printed "
-            "beside ours), keypoints (body and head by keypoints); all by default.",
+            "beside ours), keypoints (body and head by keypoints); these by default. Of recordings in --data: "
+            "sigma-pi (003's tracker on CAVIAR's people), heads (004's trackers on Town Centre's heads).",
             metavar="[TABLE]...",
         ),
     ] = None,
@@ -40,17 +43,27 @@ def evaluate(
     plot: Annotated[
         Path | None, typer.Option("--plot", help="Picture of reliability and confusion to write (.png).")
     ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            "--data",
+            envvar="GRAPHTRACK_DATA",
+            help="Folder with caviar and towncentre in it: sigma-pi, heads; else ../shared/data.",
+        ),
+    ] = None,
+    seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each person: sigma-pi.")] = 10,
+    heads: Annotated[int, typer.Option("--heads", min=1, help="Heads of the table heads.")] = 6,
     json_path: Json = None,
     seed: Seed = 1000,
 ) -> None:
     """Judge the package's models on rendered people whom they were not trained on, as the papers do."""
-    from graphtrack.cli.reproduce import write_tables
+    from graphtrack.cli.reproduce import BESIDE, write_tables
     from graphtrack.errors import InputError
     from graphtrack.evaluation.reproduce.experiment import Table
 
     for name in tables or ():
-        if name not in _TABLES:
-            raise InputError(f"table {name!r}", f"one of {', '.join(_TABLES)}")
+        if name not in (*_TABLES, *_REAL):
+            raise InputError(f"table {name!r}", f"one of {', '.join((*_TABLES, *_REAL))}")
     check_outputs({"--plot": plot, "--json": json_path})
     wanted = tables or _TABLES
     if plot is not None and "pose" not in wanted:
@@ -72,6 +85,12 @@ def evaluate(
     for name, make in makers.items():
         if name in wanted:
             make(np.random.default_rng(seed))  # a table is the same alone and among others
+    if set(_REAL) & set(wanted):
+        recordings = data if data is not None else BESIDE
+        if "sigma-pi" in wanted:
+            _sigma_pi(recordings / "caviar", seeds, seed, show)
+        if "heads" in wanted:
+            _heads(recordings / "towncentre", heads, seed, show)
     if json_path is not None:
         write_tables(json_path, shown)
         console.print(f"wrote {json_path}", markup=False)
@@ -219,3 +238,21 @@ def _joint(count: int, head_pose: str, rng: np.random.Generator, show: Show) -> 
         rows.append({**blank, "estimate": f"paper, {name}", "group": "online", **of_paper})
     show(f"Mean errors on {count} rendered clips, heads by {head_pose} (002 Table 2)", rows)
     console.print("  the paper's separate filtering is joint-body (κ₂ = 0); ±: standard error", markup=False)
+
+
+def _sigma_pi(folder: Path, seeds: int, seed: int, show: Show) -> None:
+    from perception.evaluation.real_trackers import people_of, sigma_pi_table
+
+    people = people_of(folder)
+    with progress_bar(len(people) * seeds, "runs") as advance:
+        tables = sigma_pi_table(people, seeds, seed, advance)
+    for table in tables:
+        show(table.title, table.records())
+
+
+def _heads(folder: Path, count: int, seed: int, show: Show) -> None:
+    from perception.evaluation.real_heads import heads_table
+
+    with progress_bar(count, "heads") as advance:
+        table = heads_table(folder, count, seed, advance)
+    show(table.title, table.records())

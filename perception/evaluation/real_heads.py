@@ -183,14 +183,15 @@ def _followed(
     said = [of_frame[int(head.frame[k])] for k in known]
     boxes, truth = np.array([one.box for one in said]), head.boxes[known]
     centre = boxes[:, :2] + boxes[:, 2:] / 2.0
-    on = ((centre >= truth[:, :2]) & (centre <= truth[:, :2] + truth[:, 2:])).all(axis=1)
+    inside = (centre >= truth[:, :2]) & (centre <= truth[:, :2] + truth[:, 2:])
+    on = np.asarray(inside.all(axis=1))
     off = np.flatnonzero(tracking_error(boxes, truth) >= 1.0)
     assert tracker.pan_classes is not None
     pan = mean_pan(np.array([one.pan for one in said]), tracker.pan_classes)
     error = np.asarray(np.abs(difference(pan, head.pan[known])))
     return {
         "on": 100.0 * float(on[1:].mean()),
-        "touching": 100.0 * float((tracking_error(boxes, truth) < 1.0)[1:].mean()),
+        "touching": 100.0 * float(np.mean(tracking_error(boxes, truth)[1:] < 1.0)),
         "until": float(off[0]) if len(off) else float(len(said)),
         "pan": float(np.rad2deg(error[on].mean())) if on.any() else float("nan"),
     }
