@@ -295,6 +295,28 @@ def pose(results: Results) -> Measured:
     return found
 
 
+def keypoints(results: Results) -> Measured:
+    """Errors, errors beyond 90° and calibration of body and head by keypoints of rendered people."""
+    labels = {
+        "people of 30–50 pixels": "rendered, 30-50 pixels",
+        "of 50–100": "rendered, 50-100 pixels",
+        "of 100–200": "rendered, 100-200 pixels",
+        "all of them": "rendered, all sizes: as in training",
+        "points half as far off": "rendered, all sizes: points half as far off",
+        "points 1.5 times as far off": "rendered, all sizes: points 1.5 times as far off",
+        "left and right exchanged for a tenth": "rendered, all sizes: left and right exchanged in a tenth",
+        "without confidences": "rendered, all sizes: without confidences",
+        "unsure points left out": "rendered, all sizes: unsure points left out",
+        "skeletons as in training": "skeletons as in training",
+    }
+    columns = ("mean_deg", "beyond_90_percent", "calibration_error")
+    rows = {row["people"]: row for row in results.rows("Body and head by keypoints")}
+    return {
+        label: [rows[name][f"{part}_{column}"] for part in ("body", "head") for column in columns]
+        for label, name in labels.items()
+    }
+
+
 def published(results: Results) -> Measured:
     """002's classifiers as printed, beside ours."""
     labels = {
@@ -377,6 +399,7 @@ PIXELS: tuple[Claim, ...] = (
     Claim(PERCEPTION, f"{EVALUATE} localisation --train 250 --count 400", localisation, "| 002 Table 1"),
     Claim(PERCEPTION, f"{EVALUATE} recognition", recognition, "| 004 Tables 1 and 3"),
     Claim(PERCEPTION, f"{EVALUATE} pose --count 400", pose, "| pose |"),
+    Claim(PERCEPTION, f"{EVALUATE} keypoints", keypoints, "| keypoints of |"),
     Claim(PERCEPTION, FORMS, published, "| 002 as printed |"),
     Claim(PERCEPTION, FORMS, published_heads, labels=(PUBLISHED_HEADS,)),
     Claim(BASELINES, "chen-classes", chen_image, "| `joint` | body: walking"),
