@@ -27,7 +27,8 @@ def evaluate(
             help="pose (errors and calibration of all classifiers; 000 Fig. 3), localisation (002 Table 1), "
             "recognition (004 Tables 1-3), joint (002 Table 2), published (002's perception as printed "
             "beside ours), keypoints (body and head by keypoints); these by default. Of recordings in "
-            "--data: sigma-pi (003's tracker on CAVIAR's people), heads (004's trackers on Town Centre's heads).",
+            "--data: sigma-pi (003's tracker on CAVIAR's people), heads (004's trackers on Town Centre's "
+            "heads).",
             metavar="[TABLE]...",
         ),
     ] = None,
