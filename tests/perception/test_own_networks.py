@@ -107,6 +107,8 @@ def test_the_class_of_people_is_that_of_the_file_or_the_asked_one(tmp_path: Path
     for asked, told in (("dog", "cat, bus, person"), ("7", "class 7 of 3")):
         with pytest.raises(InputError, match=told):
             YoloNetwork(path, parameters=NetworkParameters(person=asked))
+    constant(path, output, notes={"names": "{0: '0', 1: '1', 2: '2'}"})  # of a network without names
+    assert YoloNetwork(path).detect(PICTURE)[1].tolist() == pytest.approx([0.9])
     constant(path, output, notes={"names": "{0: 'cat', 1: 'bus', 2: 'dog'}"})
     with pytest.raises(InputError, match="--person-class"):
         YoloNetwork(path)

@@ -1,14 +1,14 @@
 """How YOLO networks write down what they found.
 
-====================  ===================  ===========================================================
+====================  ===================  =============================================================
 layout                output               a row
-====================  ===================  ===========================================================
+====================  ===================  =============================================================
 ``anchors``           (1, 3·cells, 5 + c)  middle, width, height, objectness, c classes (YOLOv5, v7)
-``cells``             (1, 4 + c, cells)    middle, width, height, c classes (v8 to v12; v26 without its
-                                           end-to-end head); a column is one find
-``selected``          (1, n, 6)            corners, score, class (v10, v26; v8 with its suppression)
+``cells``             (1, 4 + c, cells)    middle, width, height, c classes (v8 to v12; v10 and v26 without
+                                           their end-to-end heads); a column is one find
+``selected``          (1, n, 6)            corners, score, class (v10 and v26 with them)
 ``unselected``        (1, cells, 4 + c)    corners, c classes: the last two, cut before the selection
-====================  ===================  ===========================================================
+====================  ===================  =============================================================
 
 With keypoints each row goes on with x, y and visibility of each. Places are pixels of the input. Cells are
 those of strides 8, 16 and 32 (and 64, or 4).

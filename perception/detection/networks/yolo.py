@@ -149,7 +149,7 @@ def _not_run(error: cv2.error, path: str) -> InputError:
     reason = " ".join(str(error.err or error).split())[:160]
     return InputError(
         f"a network that OpenCV {cv2.__version__} cannot run ({reason})",
-        "one of plain layers, exported with one batch and a fixed size",
+        "plain layers, exported for one image of a fixed size",
         path=path,
     )
 
@@ -234,8 +234,8 @@ def _person(names: dict[int, str] | None, asked: str | None, path: str) -> int:
             return known[asked.lower()]
         named = ", ".join(list(known)[:5]) or "no names"
         raise InputError(f"--person-class {asked}", f"a number, or a name of the file ({named})", path=path)
-    if names is None or len(names) == 1:
-        return 0
+    if names is None or len(names) == 1 or all(name.isdecimal() for name in known):
+        return 0  # who names classes by number has not named them
     if "person" not in known:
         named = ", ".join(list(known)[:5])
         raise InputError(f"classes without a person ({named} …)", "--person-class", path=path)
