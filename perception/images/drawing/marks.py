@@ -34,6 +34,8 @@ _LIKELY = 0.95
 _STEP = np.deg2rad(3.0)
 _BETWEEN = np.deg2rad(0.7)
 _FAINTEST, _STRONGEST = 0.12, 0.6
+_REACH = 1.7
+"""Lengths of an arrow that a sector reaches."""
 
 
 def enlargement(image: Image) -> int:
@@ -135,12 +137,16 @@ def fan(picture: Image, place: Place, distribution: FloatArray, classes: PoseCla
 
 
 def sector(picture: Image, place: Place, angle: float, half: float, colour: Colour) -> None:
-    """The part of a circle about a direction (radians), so wide to each side; the narrower the stronger."""
+    """The part of a circle about a direction (radians), so wide to each side; the narrower the stronger.
+
+    It reaches beyond an arrow in that direction, which would hide a narrow one.
+    """
     across = np.linspace(-half, half, 2 + round(2.0 * half / _STEP))
-    edge = place(np.vstack([[0.0, 0.0], unit(angle + across)]))
+    edge = place(np.vstack([[0.0, 0.0], _REACH * unit(angle + across)]))
     if np.isfinite(edge).all():
         strength = float(np.exp(-half))
         _fill(picture, edge, colour, _FAINTEST + (_STRONGEST - _FAINTEST) * strength)
+        cv2.polylines(picture, [points(edge)], True, colour, 1, cv2.LINE_AA, FRACTION)
 
 
 def _fill(picture: Image, edge: FloatArray, colour: Colour, opacity: float) -> None:
