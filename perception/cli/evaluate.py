@@ -13,7 +13,7 @@ from graphtrack.cli.console import console, print_table, progress_bar
 from graphtrack.cli.options import Json, Seed, check_outputs
 
 _TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
-_REAL = ("sigma-pi", "heads")
+_REAL = ("sigma-pi", "heads", "lobby")
 """Tables of recordings, which are made where they are asked for."""
 
 Show = Callable[[str, Sequence[Mapping[str, Any]]], None]
@@ -28,7 +28,7 @@ def evaluate(
             "recognition (004 Tables 1-3), joint (002 Table 2), published (002's perception as printed "
             "beside ours), keypoints (body and head by keypoints); these by default. Of recordings in "
             "--data: sigma-pi (003's tracker on CAVIAR's people), heads (004's trackers on Town Centre's "
-            "heads).",
+            "heads), lobby (adapted to CAVIAR's lobby).",
             metavar="[TABLE]...",
         ),
     ] = None,
@@ -49,7 +49,7 @@ def evaluate(
         typer.Option(
             "--data",
             envvar="GRAPHTRACK_DATA",
-            help="Folder with caviar and towncentre in it: sigma-pi, heads; else ../shared/data.",
+            help="Folder with caviar and towncentre in it, for tables of recordings; else ../shared/data.",
         ),
     ] = None,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Runs of each person: sigma-pi.")] = 10,
@@ -92,6 +92,8 @@ def evaluate(
             _sigma_pi(recordings / "caviar", seeds, seed, show)
         if "heads" in wanted:
             _heads(recordings / "towncentre", heads, seed, show)
+        if "lobby" in wanted:
+            _lobby(recordings / "caviar", seed, show)
     if json_path is not None:
         write_tables(json_path, shown)
         console.print(f"wrote {json_path}", markup=False)
@@ -256,4 +258,13 @@ def _heads(folder: Path, count: int, seed: int, show: Show) -> None:
 
     with progress_bar(count, "heads") as advance:
         table = heads_table(folder, count, seed, advance)
+    show(table.title, table.records())
+
+
+def _lobby(folder: Path, seed: int, show: Show) -> None:
+    from perception.evaluation.adapted_lobby import adapted_table, sequences_of
+
+    sequences = sequences_of(folder)
+    with progress_bar(len(sequences), "sequences") as advance:
+        table = adapted_table(sequences, seed, advance)
     show(table.title, table.records())

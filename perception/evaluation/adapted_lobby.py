@@ -135,9 +135,8 @@ def _joined(sequences: list[Sequence]) -> tuple[list[Image], WalkingLabels]:
     )
 
 
-def adapted_table(folder: Path, seed: int, progress: Progress) -> Table:
-    """Errors in each sequence by what the others taught, and by the package's models."""
-    sequences = sequences_of(folder)
+def adapted_table(sequences: list[Sequence], seed: int, progress: Progress) -> Table:
+    """Errors in each sequence by what the others taught."""
     package = PackageModels(
         load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
     )

@@ -17,16 +17,13 @@ from graphtrack.io.cameras import read_calibration
 from graphtrack.io.readers.towncentre import FPS, read_boxes
 from graphtrack.io.source import Source
 from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH
-from perception.follow.following import follow
-from perception.follow.guidance import GraphGuide
-from perception.follow.world import PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Frame, FrameSource
 from perception.models import load_head_exemplars
 from perception.reproduce.head_runs import mean_pan, tracking_error
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.dynamics import BoxDynamics
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
-from perception.trackers.tracker import Tracker
+from perception.trackers.tracker import BoxEstimate, Proposal, Tracker
 
 _STEP = 10
 """Frames of the recording from one picture to the next."""
@@ -36,6 +33,8 @@ _FEWEST, _MOST = 12, 25
 """Pictures in a row that somebody must be in, and that are looked at."""
 _WALKING = 0.5
 """Metres a second on average: who walks faces where they go, so that the pan of the head is known."""
+_TOLD = 0.5
+"""1-σ, in sizes of the head, of the place that trackers are told."""
 _HEAD_TOP = 0.005
 """Of a head's box, in heights of the person's box below its top."""
 
@@ -71,7 +70,7 @@ def slower(dynamics: BoxDynamics, steps: int) -> BoxDynamics:
     )
 
 
-def heads_of(folder: Path, most: int) -> tuple[FrameSource, GroundCamera, list[WalkingHead]]:
+def heads_of(folder: Path, most: int) -> tuple[FrameSource, list[WalkingHead]]:
     """Those of the ``most`` people who walk longest in the pictures of a Town Centre folder.
 
     Raises
@@ -101,7 +100,7 @@ def heads_of(folder: Path, most: int) -> tuple[FrameSource, GroundCamera, list[W
             found += _head(person, np.asarray(number[run], np.int64), box, camera)
     if not found:
         raise InputError("nobody who walks", f"people in {_FEWEST} pictures in a row", path=truth)
-    return frames, camera, sorted(found, key=lambda one: -len(one.frame))[:most]
+    return frames, sorted(found, key=lambda one: -len(one.frame))[:most]
 
 
 def _head(person: int, frame: NDArray[np.int64], box: FloatArray, camera: GroundCamera) -> list[WalkingHead]:
@@ -119,32 +118,32 @@ def _head(person: int, frame: NDArray[np.int64], box: FloatArray, camera: Ground
 
 
 def _methods(seed: int) -> Mapping[str, tuple[Tracker, bool]]:
-    """By name: a tracker, and whether the graph guides it."""
+    """By name: a tracker, and whether it is told about where the head is."""
     exemplars = load_head_exemplars()
     mixed, colour = MixedStateParameters(), ColourParameters()
     slow = replace(mixed, dynamics=slower(mixed.dynamics, _STEP))
     slow_colour = replace(colour, dynamics=slower(colour.dynamics, _STEP))
     return {
-        "mixed-state, as at 25 Hz": (MixedStateTracker(mixed, exemplars=exemplars, seed=seed), False),
+        "mixed-state": (MixedStateTracker(mixed, exemplars=exemplars, seed=seed), False),
         "mixed-state, motion of 0.4 s": (MixedStateTracker(slow, exemplars=exemplars, seed=seed), False),
-        "mixed-state, that and guided": (MixedStateTracker(slow, exemplars=exemplars, seed=seed), True),
-        "colour, as at 25 Hz": (ColourTracker(colour, exemplars=exemplars, seed=seed), False),
+        "mixed-state, told the place": (MixedStateTracker(mixed, exemplars=exemplars, seed=seed), True),
+        "colour": (ColourTracker(colour, exemplars=exemplars, seed=seed), False),
         "colour, motion of 0.4 s": (ColourTracker(slow_colour, exemplars=exemplars, seed=seed), False),
-        "colour, that and guided": (ColourTracker(slow_colour, exemplars=exemplars, seed=seed), True),
+        "colour, told the place": (ColourTracker(colour, exemplars=exemplars, seed=seed), True),
     }
 
 
 def heads_table(folder: Path, people: int, seed: int, progress: Progress) -> Table:
     """What each tracker makes of heads, begun with the first labelled box."""
-    frames, camera, heads = heads_of(folder, people)
+    frames, heads = heads_of(folder, people)
     rows: list[dict[str, Cell]] = []
     every: dict[str, list[dict[str, float]]] = {}
     for head in heads:
         moved = np.linalg.norm(np.diff(head.boxes[:, :2] + head.boxes[:, 2:] / 2.0, axis=0), axis=1)
         step = float(np.median(moved / head.boxes[1:, 2]))
         pictures = list(frames.where(set(head.frame.tolist()).__contains__))
-        for name, (tracker, guided) in _methods(seed).items():
-            figures = _followed(tracker, pictures, camera, head, guided=guided)
+        for name, (tracker, told) in _methods(seed).items():
+            figures = _followed(tracker, pictures, head, told=told)
             every.setdefault(name, []).append({"step": step, **figures})
             who: dict[str, Cell] = {"person": str(head.person), "pictures": len(head.frame), "method": name}
             rows.append({**who, **_row(every[name][-1:])})
@@ -168,19 +167,24 @@ def _row(figures: list[dict[str, float]]) -> dict[str, Cell]:
 
 
 def _followed(
-    tracker: Tracker, pictures: Sequence[Frame], camera: GroundCamera, head: WalkingHead, *, guided: bool
+    tracker: Tracker, pictures: Sequence[Frame], head: WalkingHead, *, told: bool
 ) -> dict[str, float]:
-    left, top, width, height = (float(value) for value in head.boxes[0])
-    ground = BoxCamera(camera, PERSON_IN_HEADS)
-    found = follow(
-        tracker,
-        pictures,
-        lambda image: (left, top, width, height),
-        guide=(lambda first: GraphGuide(ground, tracker.pan_classes, fps=FPS / _STEP)) if guided else None,
-    )
-    of_frame = {item.frame: item.estimate for item in found}
-    known = [k for k, frame in enumerate(head.frame.tolist()) if frame in of_frame]
-    said = [of_frame[int(head.frame[k])] for k in known]
+    """Figures of a tracker; one that is told has a proposal about the true place in every picture."""
+    said: list[BoxEstimate] = []
+    known = []
+    at = {frame: k for k, frame in enumerate(head.frame.tolist())}
+    for picture in pictures:
+        if picture.image is None:
+            continue
+        k = at[picture.number]
+        left, top, width, height = (float(value) for value in head.boxes[k])
+        if not said:
+            said.append(tracker.start(picture.image, (left, top, width, height)))
+        else:
+            place = np.array([left + width / 2.0, top + height / 2.0])
+            about = Proposal(place, np.diag(np.square([_TOLD * width, _TOLD * height])))
+            said.append(tracker.step(picture.image, about if told else None))
+        known.append(k)
     boxes, truth = np.array([one.box for one in said]), head.boxes[known]
     centre = boxes[:, :2] + boxes[:, 2:] / 2.0
     inside = (centre >= truth[:, :2]) & (centre <= truth[:, :2] + truth[:, 2:])

@@ -82,8 +82,11 @@ class SigmaPiTracker:
         views, fixed = None, p.fixed
         if first is not None and p.views and self._used[2]:
             views = ViewCue.of(p.sights, small, first)
-            # What is in too small a box is mostly not the person: colour and shape cannot outdo motion.
-            fixed = p.fixed if views is not None else (*p.fixed, "motion")
+        # What is in too small a box is mostly not the person: colour and shape cannot outdo motion, which
+        # in turn is anywhere, so that particles that were drawn anew stay near.
+        self._small = first is not None and p.views and bool(self._used[2]) and views is None
+        if self._small:
+            fixed = (*p.fixed, "motion")
         self._fixed = np.array([len(term) == 1 and CUES[term[0]] in fixed for term in TERMS])
         self._form: ShapeCue | ViewCue = ShapeCue(p.sights) if views is None else views
         self._form.give(self._never)
@@ -110,7 +113,8 @@ class SigmaPiTracker:
             self._cloud = Cloud(states, states, np.full(p.particles, 1.0 / p.particles))
             self._surroundings(None)
             return self._estimate(self._best())
-        states = np.tile(states_of(first[None]), (p.particles, 1))
+        self._last = states_of(first[None])[0]
+        states = np.tile(self._last, (p.particles, 1))
         if cut_off(first, self._shape):
             # Of somebody who comes in only a part is in the box: they are as large as people usually are.
             self._reference = np.maximum(self._reference, usual)
@@ -147,7 +151,7 @@ class SigmaPiTracker:
         n = p.particles
         weights = weights / total if total > 0.0 else np.full(n, 1.0 / n)
         self._cloud = replace(self._cloud, weights=weights)
-        best = self._best()
+        best = self._last = self._best()
         estimate = self._estimate(best)
         self._learn(best)
         self._form.focus(boxes_of(best[None])[0] if self._found else None)
@@ -184,6 +188,8 @@ class SigmaPiTracker:
             share[self._support[ancestors] < p.support] = p.lost_share
         again = rng.random(p.particles) < share
         drawn = self._anywhere(p.particles)
+        if self._small and self._found:
+            drawn[:, :2] = self._near(drawn[:, :2])
         now = np.where(again[:, None], drawn, cloud.now)
         before = np.where(again[:, None], drawn, cloud.before)
         now[:, :2] = np.clip(now[:, :2], 0.0, self._shape)
@@ -196,6 +202,11 @@ class SigmaPiTracker:
         centre = self._rng.random((count, 2)) * self._shape
         size = self._reference + self.parameters.size_std * self._rng.standard_normal((count, 2))
         return np.hstack([centre, size])
+
+    def _near(self, centre: FloatArray) -> FloatArray:
+        """Centres (n, 2) anywhere in the frame, brought to within two windows of the last one."""
+        away = 2.0 * centre / self._shape - 1.0
+        return np.asarray(self._last[:2] + 2.0 * np.exp(self._last[2:]) * away)
 
     def _best(self) -> FloatArray:
         """The state (4,) in the middle of the heaviest cluster of particles."""
