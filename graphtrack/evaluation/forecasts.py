@@ -97,7 +97,7 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
     grid = {name: values.reshape(shape) for name, values in grid.items()}
     people, made = grid["track_id"][:, 0].astype(int), grid["t"][:, 0]
     true, straight, filtered = _references(truth, people, made, ahead)
-    known = np.isfinite(true).all(axis=(1, 2)) & np.isfinite(straight).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(true).all(axis=(1, 2)) & np.isfinite(straight).all(axis=(1, 2)))
     if not known.any():
         raise InputError(
             f"{len(known)} forecasts, none of whose outcomes is known", "truth of the same people and times"

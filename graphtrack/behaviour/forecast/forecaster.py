@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.behaviour.forecast.calibration import Calibration
+from graphtrack.behaviour.forecast.expected import Expected, between_lags, lead, mean_turn, spreads
 from graphtrack.behaviour.forecast.motion import ComplexArray, MotionFilters
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.behaviour.forecast.places import EVERY, LAGS, Places, Seen
@@ -28,8 +29,6 @@ _HEAD_SECONDS = 0.3
 """Time constant over which directions of the head are averaged."""
 _JUDGED = 1.6
 """Seconds that somebody must have been seen for, for the outcome of a forecast to tell about others."""
-_WALKING = 0.3
-"""Speed, m/s, at which people half count as walking."""
 _OF_A_PLACE = (
     *("_id", "_number", "_first", "_last", "_anchored", "_count", "_position", "_head"),
     *("_moved", "_looked", "_now", "_variance", "_seen"),
@@ -59,26 +58,6 @@ class Forecast:
     radius_50: FloatArray
     radius_90: FloatArray
     samples: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Expected:
-    """The parts of a forecast of n people at A times: for `Forecaster`, and for learning.
-
-    Attributes
-    ----------
-    mean : (n, A) complex
-    direction, speed : (n,) of motion, of unit length and m/s
-    estimate : (n, A) variance on each axis of where people would be if they went straight on, m²
-    weight, square : (n, A) of what was seen in the place, about the mean; m² on each axis
-    """
-
-    mean: ComplexArray
-    direction: ComplexArray
-    speed: FloatArray
-    estimate: FloatArray
-    weight: FloatArray
-    square: FloatArray
 
 
 def times_ahead(horizon: float, step: float) -> FloatArray:
@@ -194,6 +173,11 @@ class Forecaster:
         span = (self._last - self._first)[at] * (self._count[at] / (self._count[at] - 1))
         return np.sort(self._id[at[span >= history - 1e-6]])
 
+    def known(self, track_id: Sequence[int]) -> NDArray[np.int64]:
+        """Those of some people who were seen twice, in the last seconds."""
+        known = [one for one in track_id if one in self._of and self._count[self._of[one]] >= 2]
+        return np.array(known, np.int64)
+
     def forecast(
         self,
         ahead: Sequence[float] | FloatArray,
@@ -223,7 +207,7 @@ class Forecaster:
         at = self._at(ids)
         times = np.asarray(ahead, float)
         expected = self._expected(at, times)
-        interpolate, _ = _between_lags(times)
+        interpolate, _ = between_lags(times)
         stretched = self._calibration.factors @ interpolate.T
         along, across = spreads(self.parameters, expected, times)
         scale = np.sqrt(stretched.prod(axis=0))
@@ -348,7 +332,7 @@ class Forecaster:
         prior = seen.weight / (seen.weight + self.parameters.place_prior)
         shift = prior * seen.deviation
         about = seen.square - 2.0 * (shift.conj() * seen.deviation).real + np.abs(shift) ** 2
-        interpolate, growth = _between_lags(ahead)
+        interpolate, growth = between_lags(ahead)
         correction = (shift @ interpolate.T) * growth
         estimate = variance[:, :1] + 2.0 * ahead * variance[:, 1:2] + ahead**2 * variance[:, 2:]
         return Expected(
@@ -364,47 +348,6 @@ class Forecaster:
         """How far the head leads the motion, as far as that counts (n,), radians."""
         head = self._head[at]
         return lead(np.angle(head * velocity.conj()), np.abs(head), self.parameters)
-
-
-def spreads(
-    parameters: ForecastParameters, expected: Expected, ahead: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """1-σ (n, A) along and across the direction of motion, in a scene like others; metres."""
-    speed = expected.speed[:, None]
-    usual = parameters.spread_standing**2 + (parameters.spread_walking * speed) ** 2
-    usual = usual * ahead ** (2.0 * parameters.spread_power)
-    prior = parameters.spread_prior
-    variance = (prior * usual + expected.weight * expected.square) / (prior + expected.weight)
-    variance = variance + expected.estimate
-    ratio = parameters.spread_along ** (2.0 * speed / (speed + _WALKING))
-    return np.sqrt(variance * 2.0 * ratio / (1.0 + ratio)), np.sqrt(variance * 2.0 / (1.0 + ratio))
-
-
-def lead(angle: FloatArray, sure: FloatArray, parameters: ForecastParameters) -> FloatArray:
-    """How far (n,) the motion will turn to the head, radians.
-
-    Parameters
-    ----------
-    angle : (n,) from the direction of motion to the head
-    sure : (n,) 1 for a head that was seen and holds still, 0 for one that was not
-    """
-    counts = sure * np.exp(-((angle / parameters.head_limit) ** 2))
-    turn: FloatArray = parameters.head_share * counts * angle
-    return turn
-
-
-def mean_turn(ahead: FloatArray, parameters: ForecastParameters) -> FloatArray:
-    """Of a turn that is approached exponentially, the mean up to each time (A,), as a share of it."""
-    x = ahead / parameters.head_seconds
-    mean: FloatArray = 1.0 + np.expm1(-x) / x
-    return mean
-
-
-def _between_lags(ahead: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weights (A, G) of `LAGS` for each time, and by what to multiply: 0 now, on and on after the last."""
-    inner = np.clip(ahead, LAGS[0], LAGS[-1])
-    weights = np.stack([np.interp(inner, LAGS, one) for one in np.eye(len(LAGS))], axis=1)
-    return weights, ahead / inner
 
 
 def _plane(points: ComplexArray) -> FloatArray:
