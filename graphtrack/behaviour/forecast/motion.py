@@ -96,7 +96,7 @@ class MotionFilters:
         evidence = self._evidence[at] * keep + gained
         evidence -= evidence.max(axis=1, keepdims=True)
         mean[lost] = position[lost, None]
-        velocity[lost] *= 0.5
+        velocity[lost] = 0.5 * self._velocity[at[lost]]
         variance[lost] = np.stack(
             [at_first[lost], np.zeros_like(at_first[lost]), np.full_like(at_first[lost], _SPEED_VARIANCE)],
             axis=2,
