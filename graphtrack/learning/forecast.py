@@ -161,6 +161,7 @@ def density(found: Outcomes, parameters: ForecastParameters) -> float:
     along, across = spreads(parameters, expected, LAGS)
     off = few.error * expected.direction.conj()[:, None]
     known = np.isfinite(off)
+    off = np.where(known, off, 0.0)
     values = log_density(off.real, off.imag, along, across, parameters)
     return float(values[known].mean())
 

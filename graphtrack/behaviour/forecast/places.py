@@ -165,8 +165,10 @@ class Places:
             none = np.zeros((len(position), size))
             return Seen(none, none.astype(complex), none)
         there, here = self._where[:count], self._scaled(position, velocity)
-        distance = (here**2).sum(1)[:, None] + (there**2).sum(1) - 2.0 * (here @ there.T)
-        weights = np.exp(-0.5 * np.maximum(distance, 0.0))
+        weights = here @ there.T
+        weights -= 0.5 * (here**2).sum(axis=1)[:, None]
+        weights -= 0.5 * (there**2).sum(axis=1)
+        np.exp(weights, out=weights)
         real, imaginary, square, weight = np.split((weights @ self._outcome[:count]).astype(float), 4, axis=1)
         total = np.maximum(weight, 1e-12)
         return Seen(weight, (real + 1j * imaginary) / total, square / total)
