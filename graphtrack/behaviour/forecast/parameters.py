@@ -40,20 +40,20 @@ class ForecastParameters:
     scene_prior : forecasts whose outcome is known that it takes to trust the scene's own errors half
     """
 
-    stop_speed: float = number(0.05, 0.0, 1.0, "m/s")
-    head_share: float = number(0.7, 0.0, 1.5)
-    head_seconds: float = number(0.4, 0.01, 10.0, "s")
-    head_limit: float = number(1.6, 0.1, 10.0, "rad")
-    place_distance: float = number(1.2, 0.05, 20.0, "m")
+    stop_speed: float = number(0.1, 0.0, 1.0, "m/s")
+    head_share: float = number(1.0, 0.0, 1.5)
+    head_seconds: float = number(0.3, 0.01, 10.0, "s")
+    head_limit: float = number(1.2, 0.1, 10.0, "rad")
+    place_distance: float = number(1.8, 0.05, 20.0, "m")
     place_velocity: float = number(0.15, 0.01, 5.0, "m/s")
-    place_prior: float = number(2.0, 0.01, 1000.0)
-    spread_standing: float = number(0.05, 1e-3, 5.0, "m")
-    spread_walking: float = number(0.1, 1e-3, 5.0, "m/(m/s)")
-    spread_power: float = number(1.3, 0.3, 3.0)
-    spread_along: float = number(1.2, 0.1, 10.0)
-    spread_prior: float = number(10.0, 0.1, 1e6)
-    tail_share: float = number(0.2, 0.0, 0.9)
-    tail_scale: float = number(2.5, 1.0, 10.0)
+    place_prior: float = number(1.0, 0.01, 1000.0)
+    spread_standing: float = number(0.02, 0.02, 5.0, "m")
+    spread_walking: float = number(0.174, 1e-3, 5.0, "m/(m/s)")
+    spread_power: float = number(1.52, 0.3, 3.0)
+    spread_along: float = number(0.752, 0.1, 10.0)
+    spread_prior: float = number(0.581, 0.1, 1000.0)
+    tail_share: float = number(0.373, 0.0, 0.9)
+    tail_scale: float = number(3.44, 1.0, 5.0)
     scene_prior: float = number(30.0, 1.0, 1e9)
 
     def __post_init__(self) -> None:
