@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from graphtrack.association.tracker import OnlineTracker, PersonEstimate
     from graphtrack.association.tracks import associate
+    from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster
+    from graphtrack.behaviour.forecast.parameters import ForecastParameters
+    from graphtrack.behaviour.forecast.recorded import Forecasts, forecast
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.evaluation.tracking import SequenceScore, TrackingScore, score
@@ -35,6 +38,10 @@ __all__ = [
     "Comparison",
     "Estimate",
     "Failure",
+    "Forecast",
+    "ForecastParameters",
+    "Forecaster",
+    "Forecasts",
     "GraphtrackError",
     "InputError",
     "InputWarning",
@@ -58,6 +65,7 @@ __all__ = [
     "add_noise",
     "associate",
     "compare",
+    "forecast",
     "presets",
     "read",
     "score",
@@ -73,6 +81,9 @@ _HOMES = {
     "scene": ("SceneParameters",),
     "association.tracker": ("OnlineTracker", "PersonEstimate"),
     "association.tracks": ("associate",),
+    "behaviour.forecast.forecaster": ("Forecast", "Forecaster"),
+    "behaviour.forecast.parameters": ("ForecastParameters",),
+    "behaviour.forecast.recorded": ("Forecasts", "forecast"),
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
     "evaluation.compare": ("Comparison", "compare"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -13,6 +14,7 @@ import numpy as np
 
 from graphtrack.association.online import Decision, OnlineAssociation, Revision
 from graphtrack.association.shown import descriptors_of, facing_of, scores_of, to_smooth
+from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
@@ -28,6 +30,12 @@ Key = tuple[int, int]
 
 UNSEEN = -1
 """The place of what was not detected."""
+
+_UNASKED = 1500
+"""Frames that are kept for forecasts until one is asked for."""
+
+_KNOWN_HEAD = 0.6
+"""Standard deviation of a head's direction, rad, above which it says nothing of where somebody goes."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,6 +101,9 @@ class OnlineTracker:
         self._association = OnlineAssociation(known, math.inf if lag is None else lag)
         self._people: dict[int, _Person] = {}
         self._seen: dict[Key, Observation] = {}
+        self._forecaster: Forecaster | None = None
+        self._frames: deque[tuple[Any, ...]] = deque(maxlen=_UNASKED)
+        self._present: list[int] = []
         self.revised: tuple[Revision, ...] = ()
 
     def __repr__(self) -> str:
@@ -140,7 +151,58 @@ class OnlineTracker:
         self._seen = {key: one for key, one in self._seen.items() if key[0] >= settled}
         self.revised = decision.revised
         self._follow(owners, hidden, number, settled)
-        return self._told(decision, hidden)
+        people = self._told(decision, hidden)
+        self._keep_for_forecasts(t, people, position, std)
+        return people
+
+    def forecast(
+        self,
+        horizon: float = 4.8,
+        step: float = 0.4,
+        *,
+        samples: int = 0,
+        random: np.random.Generator | None = None,
+    ) -> Forecast:
+        """Where everybody will be whom the last update told of and who has been seen twice.
+
+        The first call looks back at the last frames, 1,500 at most; from then on each update is taken in.
+        `state` does not keep what forecasts know: whoever goes on with it begins to learn the place anew.
+
+        Parameters
+        ----------
+        horizon, step : every ``step`` seconds up to ``horizon``
+        samples, random : as in `Forecaster.forecast`
+
+        Raises
+        ------
+        InputError
+            For times that make no sense, and before the first update.
+        """
+        ahead = times_ahead(horizon, step)
+        if not self.updates:
+            raise InputError("no frame", "an update before a forecast")
+        if self._forecaster is None:
+            self._forecaster = Forecaster()
+            for frame in self._frames:
+                self._forecaster.update(*frame)
+            self._frames.clear()
+        people = self._forecaster.known(self._present)
+        return self._forecaster.forecast(ahead, people, samples=samples, random=random)
+
+    def _keep_for_forecasts(
+        self, t: float, people: list[PersonEstimate], position: FloatArray, std: list[float]
+    ) -> None:
+        """Positions as they were seen, for a forecast knows by itself how noisy they are, and heads."""
+        self._present = [one.track_id for one in people]
+        seen = [one for one in people if one.observed]
+        places = [one.detection for one in seen]
+        heads = [one.head if one.covariance[5, 5] < _KNOWN_HEAD**2 else math.nan for one in seen]
+        ids = [one.track_id for one in seen]
+        frame = (t, ids, position[places].reshape(-1, 2), np.array(std)[places], np.array(heads))
+        if self._forecaster is None:
+            self._frames.append(frame)
+        else:
+            self._forecaster.update(*frame)
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""

@@ -9,6 +9,7 @@ from typing import Any
 from graphtrack.association.shown import descriptors_of
 from graphtrack.association.tracker import OnlineTracker
 from graphtrack.cli.stream import Told, error_row, estimate_row, observation_of, text_of
+from graphtrack.cli.stream_forecast import told as told_forecast
 from graphtrack.errors import InputError
 from graphtrack.inference.state import pack_observation, unpack_observation
 from graphtrack.io.readers.ndjson import Pairs, parse_line, read_cells
@@ -55,6 +56,7 @@ class Scenes:
     fps : frames a second, for rows without a time
     note : is told of each unknown key, once
     forget : identities that rows have do not count; else such a row is an error
+    horizon : (seconds, step) of forecasts that are told with each person; None: none are
 
     Attributes
     ----------
@@ -70,7 +72,9 @@ class Scenes:
         note: Callable[[str], None] = print,
         *,
         forget: bool = False,
+        horizon: tuple[float, float] | None = None,
     ) -> None:
+        self._horizon = horizon
         self._make, self._fps, self._forget = make, fps, forget
         self._told = Told(note, {"stream", "end"})
         self.members: dict[Name, Frame] = {}
@@ -146,12 +150,16 @@ class Scenes:
             return []
         of_stream = {} if name == ONE else {"stream": name}
         people = frame.tracker.update(frame.t, frame.seen)
+        ahead = {} if self._horizon is None else told_forecast(frame.tracker.forecast(*self._horizon))
         number = frame.tracker.updates - 1 if frame.number is None else frame.number
         rows: list[dict[str, Any]] = []
         for person in people:
             row = estimate_row(person.track_id, person) | {"frame": number}
             sure = person.identity_p if person.observed else None
-            rows.append(of_stream | row | {"identity_p": sure, "observed": float(person.observed)})
+            row |= {"identity_p": sure, "observed": float(person.observed)}
+            if person.track_id in ahead:
+                row["forecast"] = ahead[person.track_id]
+            rows.append(of_stream | row)
         counts = {"people": len(people), "detections": len(frame.seen)}
         revised = [asdict(one) for one in frame.tracker.revised]
         rows.append(of_stream | {"end": frame.t} | counts | ({"revised": revised} if revised else {}))

@@ -30,6 +30,13 @@ def fit(
             "detections without identities it is what is learned anyway.",
         ),
     ] = False,
+    forecast: Annotated[
+        bool,
+        typer.Option(
+            "--forecast",
+            help="Learn how people go on, for graphtrack forecast --parameters; each file is a scene.",
+        ),
+    ] = False,
     model: Annotated[
         str | None,
         typer.Option(
@@ -82,6 +89,12 @@ def fit(
         },
         reading.inputs(inputs, model),
     )
+    if forecast:
+        from graphtrack.cli.fit_forecast import learn_forecast
+
+        unused = {"--scene": scene, "--model": model is not None, "--criterion": criterion is not None}
+        learn_forecast(inputs, reading, output, report, json_path, unused)
+        return
     rows, are_detections = reading.rows(inputs[0]) if len(inputs) == 1 else (None, False)
     if scene or are_detections:
         from graphtrack.cli.fit_scene import learn_scene

@@ -17,11 +17,13 @@ from typing import IO, Any
 import numpy as np
 
 from graphtrack.association.tracker import OnlineTracker
+from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.cli.console import console, counted, progress_bar
 from graphtrack.cli.detections import Frame, Scenes
 from graphtrack.cli.saving import Answering, Saving, saved_setting, settings_of
 from graphtrack.cli.state_file import StateFile
 from graphtrack.cli.stream import LONGEST_LINE, People, text_of
+from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
@@ -48,6 +50,7 @@ def track_stream(
     state: Path | None,
     save_every: float,
     associate: Associate = "auto",
+    horizon: tuple[float, float] | None = None,
 ) -> tuple[int, int]:
     """Answer every row of standard input.
 
@@ -59,6 +62,7 @@ def track_stream(
     save_every : seconds between flushings of it to the disk
     associate : whether rows are detections without identity: "always", forgetting those they have; "never";
         "auto": if the first one has none
+    horizon : (seconds, step) of forecasts that are told; None: none are
 
     Returns
     -------
@@ -82,14 +86,16 @@ def track_stream(
         if are_detections is None:
             lines, are_detections = _first_is_detection(lines)
         if not are_detections:
-            people = People(lambda: OnlineSmoother(model, **options), fps, note)
+            forecasts = None if horizon is None else FrameForecasts(times_ahead(*horizon))
+            people = People(lambda: OnlineSmoother(model, **options), fps, note, forecasts)
             return lines, people, lambda saved: OnlineSmoother.from_state(saved, model, **options)
 
         def restore(saved: Any) -> Frame:
             return Frame.restore(saved, OnlineTracker.from_state(saved["tracker"], model, **options))
 
         forget = associate == "always"
-        return lines, Scenes(lambda: OnlineTracker(model, **options), fps, note, forget=forget), restore
+        scenes = Scenes(lambda: OnlineTracker(model, **options), fps, note, forget=forget, horizon=horizon)
+        return lines, scenes, restore
 
     known = {"never": False, "always": True}.get(associate)
     warm_up(model, chosen)

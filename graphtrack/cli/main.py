@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from graphtrack.cli import compare, demo, fit, info, reproduce, score, simulate, smooth, track
+from graphtrack.cli import compare, demo, fit, forecast, info, reproduce, score, simulate, smooth, track
 from graphtrack.cli.console import BAD_INPUT, fail, printed_log
 from graphtrack.cli.options import expanded
 from graphtrack.errors import GraphtrackError
@@ -47,6 +47,7 @@ app.command("track")(expanded(track.track))
 app.command("compare")(expanded(compare.compare))
 app.command("score")(expanded(score.score))
 app.command("fit")(expanded(fit.fit))
+app.command("forecast")(expanded(forecast.forecast))
 app.command("reproduce")(reproduce.reproduce)
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)

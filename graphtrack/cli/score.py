@@ -67,14 +67,19 @@ def score(
         ),
     ] = None,
 ) -> None:
-    """Judge tracks against the truth: HOTA, IDF1, MOTA, identity switches.
+    """Judge tracks against the truth (HOTA, IDF1, MOTA, identity switches), and tables of forecasts.
 
     The names of files, without their endings, are those of the sequences.
     """
+    from graphtrack.cli.score_forecast import are_forecasts, score_forecasts
     from graphtrack.evaluation.tracking.judge import judge, threshold_of
     from graphtrack.io import atomic_path
     from graphtrack.io.pairs import paired_files
 
+    if are_forecasts(inputs):
+        unused = {"--metres": metres, "--iou": iou, "--report": report, "--select": reading.select}
+        score_forecasts(inputs, truth, reading, json_path, unused)
+        return
     threshold = threshold_of(metres, iou)
     if report is not None and threshold.measure == "iou":
         raise InputError("--report and --iou", "one of them: the report shows places on the ground")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.bounds import APPEARANCE, INPUT
+from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.inference.online import Estimate, OnlineSmoother
@@ -35,6 +36,7 @@ class People:
     make : a new smoother
     fps : frames a second, for rows without a time
     note : is told of each unknown key, once
+    forecasts : of people, where they are asked for
 
     Attributes
     ----------
@@ -44,8 +46,13 @@ class People:
     """
 
     def __init__(
-        self, make: Callable[[], OnlineSmoother], fps: float | None, note: Callable[[str], None] = print
+        self,
+        make: Callable[[], OnlineSmoother],
+        fps: float | None,
+        note: Callable[[str], None] = print,
+        forecasts: FrameForecasts | None = None,
     ) -> None:
+        self._forecasts, self._before = forecasts, list[dict[str, Any]]()
         self._make, self._fps, self._told = make, fps, Told(note)
         self.members: dict[int, OnlineSmoother] = {}
         self.rows = self.line = 0
@@ -65,17 +72,21 @@ class People:
             self.before_change(track_id)
             estimate = smoother.update(observation)
             self.members[track_id] = smoother
+            if self._forecasts is not None:
+                self._before = self._forecasts.take(track_id, observation, estimate)
         except InputError as error:
             return error_row(pairs, number, error)
         return estimate_row(track_id, estimate)
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """What is to be said after a line of input: its `answer`."""
-        return [self.answer(number, line)]
+        """What is to be said after a line of input: forecasts of the frame that it ends, and its `answer`."""
+        answer, before = self.answer(number, line), self._before
+        self._before = []
+        return [*before, answer]
 
     def finish(self) -> list[dict[str, Any]]:
-        """What is to be said when no more rows come: nothing."""
-        return []
+        """What is to be said when no more rows come: of the last frame the forecasts."""
+        return [] if self._forecasts is None else self._forecasts.finish()
 
 
 class Told:

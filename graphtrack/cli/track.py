@@ -70,6 +70,15 @@ def track(
             "loses nothing.",
         ),
     ] = 10.0,
+    forecast: Annotated[
+        float | None,
+        typer.Option(
+            "--forecast",
+            metavar="SECONDS",
+            help="With -: tell where people will be, every 0.4 s up to so many seconds ahead.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone."""
     from graphtrack.display import duration
@@ -90,8 +99,10 @@ def track(
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
         _refuse_with_stream({"output": output} | reading.given())
-        _track_stream(chosen, engine, kept, reading, state, save_every)
+        _track_stream(chosen, engine, kept, reading, state, save_every, _horizon(forecast, state))
         return
+    if forecast is not None:
+        raise InputError("--forecast with a file", "graphtrack forecast, which writes a table")
     if output is None:
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
@@ -168,6 +179,20 @@ def _seconds(lag: str) -> float | None:
         raise InputError(f"--lag {lag}", "a number of seconds, or none") from None
 
 
+def _horizon(forecast: float | None, state: Path | None) -> tuple[float, float] | None:
+    """The horizon and step of forecasts; InputError for what is none."""
+    if forecast is None:
+        return None
+    from graphtrack.behaviour.forecast.forecaster import times_ahead
+    from graphtrack.cli.stream_forecast import STEP
+
+    if state is not None:
+        raise InputError("--forecast with --state", "one of them: what forecasts learn is not kept")
+    step = min(STEP, forecast)
+    times_ahead(forecast, step)
+    return forecast, step
+
+
 _OF_A_STREAM = ("fps", "homography", "point_pairs_unit", "associate")
 
 
@@ -184,6 +209,7 @@ def _track_stream(
     reading: options.SceneReading,
     state: Path | None,
     save_every: float,
+    horizon: tuple[float, float] | None,
 ) -> None:
     from graphtrack.cli.live import track_stream
     from graphtrack.geometry.camera import GroundCamera
@@ -202,6 +228,7 @@ def _track_stream(
         state=state,
         save_every=save_every,
         associate=given.associate,
+        horizon=horizon,
     )
     if wrong:
         console.print(f"error: {wrong} of {rows} rows could not be used", markup=False)

@@ -1,0 +1,174 @@
+"""What people did who were in the same place before, going the same way: a scene's paths, learned as it goes.
+
+Every so often a person's position and velocity become an anchor, which is filled with where the person went
+instead of straight on, as that is seen. A forecast is corrected by the anchors near it (a kernel regression:
+Nadaraya, Theory Probab. Appl. 9(1), 1964), weighed against people who went straight on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.behaviour.forecast.motion import ComplexArray
+from graphtrack.behaviour.forecast.parameters import ForecastParameters
+from graphtrack.geometry.angles import FloatArray
+
+LAGS: FloatArray = 0.4 * np.arange(1.0, 13.0)
+"""(G,) seconds after an anchor at which its person's deviation is kept."""
+
+EVERY = 0.4
+"""Seconds between two anchors of a person."""
+
+_CAPACITY = 4096
+"""Anchors that are kept; when there are more, new ones take the places of any."""
+_LONGEST_GAP = 1.0
+"""Seconds without a person beyond which nobody knows where the person was in between."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What was seen near n people, at each of `LAGS`.
+
+    Attributes
+    ----------
+    weight : (n, G) how many anchors count
+    deviation : (n, G) complex, their mean deviation from going straight on, m
+    square : (n, G) their mean squared deviation, m²
+    """
+
+    weight: FloatArray
+    deviation: ComplexArray
+    square: FloatArray
+
+
+class Places:
+    """The anchors of a scene.
+
+    Parameters
+    ----------
+    parameters : how near is near
+    judge : is told of errors over the expected spread, beside the numbers of their `LAGS`
+    """
+
+    def __init__(
+        self, parameters: ForecastParameters, judge: Callable[[NDArray[np.int64], FloatArray], None]
+    ) -> None:
+        self._parameters, self._judge = parameters, judge
+        self._random = np.random.default_rng(0)
+        self._count = 0
+        self._where = np.zeros((_CAPACITY, 4), np.float32)
+        self._outcome = np.zeros((_CAPACITY, 4 * len(LAGS)), np.float32)
+        self._position, self._velocity = np.zeros(_CAPACITY, complex), np.zeros(_CAPACITY, complex)
+        self._t, self._owner = np.zeros(_CAPACITY), np.full(_CAPACITY, -1)
+        self._next = np.full(_CAPACITY, len(LAGS))
+        self._expected = np.zeros((_CAPACITY, len(LAGS)), complex)
+        self._spread = np.ones((_CAPACITY, len(LAGS)))
+        self._active = np.zeros(0, np.int64)
+
+    def __len__(self) -> int:
+        return min(self._count, _CAPACITY)
+
+    def _scaled(self, position: ComplexArray, velocity: ComplexArray) -> NDArray[np.float32]:
+        near, alike = self._parameters.place_distance, self._parameters.place_velocity
+        columns = (position.real / near, position.imag / near, velocity.real / alike, velocity.imag / alike)
+        return np.stack(columns, axis=1).astype(np.float32)
+
+    def add(
+        self,
+        t: float,
+        owner: NDArray[np.int64],
+        position: ComplexArray,
+        velocity: ComplexArray,
+        expected: ComplexArray,
+        spread: FloatArray,
+    ) -> None:
+        """New anchors.
+
+        Parameters
+        ----------
+        owner : (n,) numbers of the people, of whom nobody else ever has the same
+        position, velocity : (n,)
+        expected : (n, G) deviations that were forecast for them at `LAGS`
+        spread : (n, G) and their 1-σ; NaN: not to be judged
+        """
+        free = np.arange(self._count, self._count + len(owner))
+        over = free >= _CAPACITY
+        free[over] = self._random.choice(_CAPACITY, int(over.sum()), replace=False)
+        self._count += len(owner)
+        self._position[free], self._velocity[free], self._t[free] = position, velocity, t
+        self._where[free] = self._scaled(position, velocity)
+        self._owner[free], self._next[free], self._outcome[free] = owner, 0, 0.0
+        self._expected[free], self._spread[free] = expected, spread
+        self._active = np.union1d(self._active, free)
+
+    def see(
+        self,
+        owner: NDArray[np.int64],
+        before: FloatArray,
+        t: float,
+        was: ComplexArray,
+        position: ComplexArray,
+    ) -> None:
+        """People were seen again: their open anchors learn where they went.
+
+        Parameters
+        ----------
+        owner : (n,) who
+        before, was : (n,) when and where they had been seen before
+        t, position : when, and (n,) where they are seen now
+        """
+        active = self._active
+        if not len(active) or not len(owner):
+            return
+        order = np.argsort(owner)
+        found = np.searchsorted(owner, self._owner[active], sorter=order)
+        person = order[np.minimum(found, len(owner) - 1)]
+        here = owner[person] == self._owner[active]
+        active, person = active[here], person[here]
+        while len(active):
+            due = LAGS[self._next[active]] + self._t[active]
+            is_due = due <= t + 1e-6
+            active, person, due = active[is_due], person[is_due], due[is_due]
+            if not len(active):
+                break
+            lag, gap = self._next[active], t - before[person]
+            share = np.clip((due - before[person]) / np.maximum(gap, 1e-9), 0.0, 1.0)
+            place = was[person] + share * (position[person] - was[person])
+            straight = self._position[active] + LAGS[lag] * self._velocity[active]
+            sure = gap <= _LONGEST_GAP
+            self._learn(active[sure], lag[sure], (place - straight)[sure])
+            self._next[active] += 1
+            more = self._next[active] < len(LAGS)
+            active, person = active[more], person[more]
+        oldest = t - LAGS[-1] - _LONGEST_GAP
+        open_ = (self._next[self._active] < len(LAGS)) & (self._t[self._active] > oldest)
+        self._active = self._active[open_]
+
+    def _learn(self, at: NDArray[np.int64], lag: NDArray[np.int64], deviation: ComplexArray) -> None:
+        size = len(LAGS)
+        self._outcome[at, lag] = deviation.real
+        self._outcome[at, size + lag] = deviation.imag
+        self._outcome[at, 2 * size + lag] = np.abs(deviation) ** 2
+        self._outcome[at, 3 * size + lag] = 1.0
+        error = np.abs(deviation - self._expected[at, lag]) / self._spread[at, lag]
+        judged = np.isfinite(error)
+        self._judge(lag[judged], error[judged])
+
+    def near(self, position: ComplexArray, velocity: ComplexArray) -> Seen:
+        """What was seen near people of those positions and velocities (n,)."""
+        count, size = len(self), len(LAGS)
+        if not count:
+            none = np.zeros((len(position), size))
+            return Seen(none, none.astype(complex), none)
+        there, here = self._where[:count], self._scaled(position, velocity)
+        weights = here @ there.T
+        weights -= 0.5 * (here**2).sum(axis=1)[:, None]
+        weights -= 0.5 * (there**2).sum(axis=1)
+        np.exp(weights, out=weights)
+        real, imaginary, square, weight = np.split((weights @ self._outcome[:count]).astype(float), 4, axis=1)
+        total = np.maximum(weight, 1e-12)
+        return Seen(weight, (real + 1j * imaginary) / total, square / total)

@@ -1,0 +1,198 @@
+"""Forecasts for recorded tracks: each from what had been seen when it was made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster, times_ahead
+from graphtrack.behaviour.forecast.parameters import ForecastParameters
+from graphtrack.bounds import check_positive
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.tracks import STATE, Track, TrackSet
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LONGEST = 86400.0
+_MOST_ROWS = 20_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class SeenFrame:
+    """Who was seen at a time.
+
+    Attributes
+    ----------
+    t, frame : seconds, and the number of the frame
+    track_id, position, std, head : as `Forecaster.update` takes them
+    """
+
+    t: float
+    frame: int
+    track_id: NDArray[np.int64]
+    position: FloatArray
+    std: FloatArray
+    head: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Forecasts:
+    """Forecasts of a recording, as a table.
+
+    Attributes
+    ----------
+    columns : name → (rows,): ``track_id, frame, t, ahead, x, y, x_std, y_std, xy_cov, radius_50, radius_90``;
+        ``sample_<k>_x, sample_<k>_y`` where samples were asked for
+    people : how many were forecast
+    too_short : ids of those who were never seen for long enough
+    """
+
+    columns: dict[str, NDArray[np.float64] | NDArray[np.int64]]
+    people: int
+    too_short: tuple[int, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.columns["ahead"])
+
+    def __repr__(self) -> str:
+        return f"Forecasts({len(self)} rows of {self.people} people)"
+
+    def to_table(self) -> pd.DataFrame:
+        """The columns as a DataFrame."""
+        import pandas as pd
+
+        return pd.DataFrame(self.columns)
+
+    def write(self, path: str | Path) -> None:
+        """Write the table; the ending says as what (.csv, .csv.gz, .parquet, .ndjson)."""
+        from graphtrack.io.reading import write_table
+
+        write_table(self.columns, path)
+
+
+def frames_of(tracks: TrackSet | list[Track]) -> Iterator[SeenFrame]:
+    """Who was seen, time by time; rows without a position are left out."""
+    parts: list[tuple[FloatArray, ...]] = []
+    for track in tracks:
+        seen = np.isfinite(track.position).all(axis=1)
+        if track.observed is not None:
+            seen &= ~(track.observed == 0.0)
+        unknown = np.full(len(track), np.nan)
+        std = unknown if track.position_std is None else track.position_std
+        if track.covariance is not None:
+            places = [STATE.index("x"), STATE.index("y")]
+            std = np.sqrt(track.covariance[:, places, places].mean(axis=1))
+        head = unknown if track.head is None else track.head
+        who = np.full(len(track), track.track_id)
+        values = (track.t, track.frame, who, *track.position.T, std, head)
+        parts.append(tuple(np.asarray(one)[seen] for one in values))
+    if not parts:
+        return
+    t, frame, who, x, y, std, head = (np.concatenate(one) for one in zip(*parts, strict=True))
+    order = np.lexsort((who, np.round(t, 6)))
+    edges = np.flatnonzero(np.diff(np.round(t[order], 6), prepend=-np.inf))
+    for rows in np.split(order, edges[1:]) if len(order) else []:
+        yield SeenFrame(
+            t=float(t[rows[0]]),
+            frame=int(frame[rows[0]]),
+            track_id=who[rows].astype(np.int64),
+            position=np.stack([x[rows], y[rows]], axis=1),
+            std=std[rows],
+            head=head[rows],
+        )
+
+
+def forecast(
+    tracks: TrackSet | Track,
+    *,
+    horizon: float = 4.8,
+    step: float = 0.4,
+    every: float | None = None,
+    history: float | None = None,
+    samples: int = 0,
+    parameters: ForecastParameters | str | Path | None = None,
+    seed: int = 0,
+) -> Forecasts:
+    """Where people will be, and how sure that is, at each time from what was seen until then.
+
+    Parameters
+    ----------
+    tracks : of one scene, with positions as they were seen. Tracks that were smoothed offline know their
+        future, and so would the forecasts.
+    horizon, step : forecasts are for every ``step`` seconds up to ``horizon``
+    every : seconds between the times at which forecasts are made; None: at each frame
+    history : seconds that somebody must have been seen for; None: in two frames
+    samples : paths to draw for each
+    parameters : or the file that they are in; by default those learned
+    seed : of the samples
+
+    Raises
+    ------
+    InputError
+        For settings that make no sense, and where nobody was seen for long enough.
+    """
+    ahead = times_ahead(horizon, step)
+    check_positive("every", every, _LONGEST)
+    if history is not None and not (math.isfinite(history) and 0.0 <= history <= _LONGEST):
+        raise InputError(f"history = {history:g}", f"seconds from 0 to {_LONGEST:g}")
+    if not 0 <= samples <= 1000:
+        raise InputError(f"samples = {samples}", "a number from 0 to 1000")
+    tracks = TrackSet((tracks,)) if isinstance(tracks, Track) else tracks
+    if isinstance(parameters, str | Path):
+        parameters = ForecastParameters.load(parameters)
+    forecaster, random = Forecaster(parameters), np.random.default_rng(seed)
+    made: list[tuple[int, Forecast]] = []
+    last, rows = -math.inf, 0
+    for seen in frames_of(tracks):
+        forecaster.update(seen.t, seen.track_id, seen.position, seen.std, seen.head)
+        if every is not None and seen.t - last < every - 1e-6:
+            continue
+        last = seen.t
+        people = forecaster.people(history or 0.0)
+        if len(people):
+            made.append((seen.frame, forecaster.forecast(ahead, people, samples=samples, random=random)))
+            rows += len(people) * len(ahead)
+            if rows > _MOST_ROWS:
+                raise InputError(
+                    f"more than {_MOST_ROWS} rows", "forecasts less often (every), or longer steps"
+                )
+    told = set(np.concatenate([one.track_id for _, one in made]).tolist()) if made else set()
+    short = tuple(track.track_id for track in tracks if track.track_id not in told)
+    if not made:
+        needed = "two frames" if history is None else f"{history:g} s, the history"
+        raise InputError(f"nobody among {len(tracks)} who was seen for {needed}", "longer tracks")
+    return Forecasts(columns_of(made), len(told), short)
+
+
+def columns_of(made: list[tuple[int, Forecast]]) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
+    """The table of forecasts and the frames at which they were made."""
+    sizes = [(len(one.track_id), len(one.ahead)) for _, one in made]
+
+    def each(values: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+        return np.concatenate([one.reshape(-1) for one in values])
+
+    found: dict[str, NDArray[np.float64] | NDArray[np.int64]] = {
+        "track_id": np.concatenate([np.repeat(one.track_id, len(one.ahead)) for _, one in made]),
+        "frame": np.concatenate([np.full(n * a, k) for (k, _), (n, a) in zip(made, sizes, strict=True)]),
+        "t": np.concatenate([np.full(n * a, one.t) for (_, one), (n, a) in zip(made, sizes, strict=True)]),
+        "ahead": np.concatenate([np.tile(one.ahead, len(one.track_id)) for _, one in made]),
+        "x": each([one.position[..., 0] for _, one in made]),
+        "y": each([one.position[..., 1] for _, one in made]),
+        "x_std": each([np.sqrt(one.covariance[..., 0, 0]) for _, one in made]),
+        "y_std": each([np.sqrt(one.covariance[..., 1, 1]) for _, one in made]),
+        "xy_cov": each([one.covariance[..., 0, 1] for _, one in made]),
+        "radius_50": each([one.radius_50 for _, one in made]),
+        "radius_90": each([one.radius_90 for _, one in made]),
+    }
+    for k in range(made[0][1].samples.shape[1]):
+        for i, axis in enumerate("xy"):
+            found[f"sample_{k}_{axis}"] = each([one.samples[:, k, :, i] for _, one in made])
+    return found

@@ -1,0 +1,227 @@
+"""How good forecasts are: errors, density and coverage, beside constant velocity and the Kalman filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.baselines.kalman import filter_states
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.parameters import Parameters
+from graphtrack.tracks import Track, TrackSet
+
+SAMPLES = 20
+"""Paths of which the best counts."""
+
+LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+"""Shares of the probability in the circles of the reliability curve."""
+
+_LONGEST_GAP = 1.0
+"""Seconds between two true positions beyond which it is not known where somebody was in between."""
+
+
+@dataclass(frozen=True)
+class MethodScore:
+    """What one method's forecasts are worth; NaN: it says nothing of the kind.
+
+    Attributes
+    ----------
+    ade, fde : mean error over all times ahead, and at the last, m
+    best_ade, best_fde : of the best of `SAMPLES` paths of each forecast, m
+    log_likelihood : mean over forecasts and times, nats: the logarithm of a density per m²
+    inside_50, inside_90 : shares of true positions in the circles that should hold 50 and 90 %
+    """
+
+    ade: float
+    fde: float
+    best_ade: float = float("nan")
+    best_fde: float = float("nan")
+    log_likelihood: float = float("nan")
+    inside_50: float = float("nan")
+    inside_90: float = float("nan")
+
+
+@dataclass(frozen=True)
+class ForecastScore:
+    """Forecasts of one recording, judged.
+
+    Attributes
+    ----------
+    forecasts : that were judged
+    left_out : whose person's truth is not known at all times ahead and a step before
+    methods : "forecast", "constant velocity", "Kalman filter"
+    by_ahead : a row for each time ahead
+    reliability : share that circles should hold → share that they do
+    drawn : whether the best of `SAMPLES` is of paths drawn from the table's Gaussian, for it has no samples
+    """
+
+    forecasts: int
+    left_out: int
+    methods: Mapping[str, MethodScore]
+    by_ahead: tuple[Mapping[str, float], ...]
+    reliability: Mapping[float, float]
+    drawn: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> ForecastScore:
+    """Judge a table of forecasts.
+
+    Constant velocity is that of the last step of the truth before the forecast, as long as the table's own
+    first time ahead; the Kalman filter sees the true positions with the default parameters.
+
+    Parameters
+    ----------
+    table : columns (rows,) as `graphtrack.behaviour.forecast.table.read_forecasts` gives them
+    truth : true positions where it has them, else the positions
+
+    Raises
+    ------
+    InputError
+        If forecasts differ in their times ahead, or none can be judged.
+    """
+    order = np.lexsort((table["ahead"], table["track_id"], table["t"]))
+    ahead = np.unique(table["ahead"])
+    shape = (len(order) // len(ahead), len(ahead))
+    grid = {name: values[order] for name, values in table.items()}
+    if len(order) % len(ahead) or (grid["ahead"].reshape(shape) != ahead).any():
+        raise InputError("forecasts for differing times ahead", "each one for the same times")
+    grid = {name: values.reshape(shape) for name, values in grid.items()}
+    people, made = grid["track_id"][:, 0].astype(int), grid["t"][:, 0]
+    true, straight, filtered = _references(truth, people, made, ahead)
+    known = np.asarray(np.isfinite(true).all(axis=(1, 2)) & np.isfinite(straight).all(axis=(1, 2)))
+    if not known.any():
+        raise InputError(
+            f"{len(known)} forecasts, none of whose outcomes is known", "truth of the same people and times"
+        )
+    grid = {name: values[known] for name, values in grid.items()}
+    true, straight, filtered = true[known], straight[known], filtered[known]
+    mean = np.stack([grid["x"], grid["y"]], axis=2)
+    error = np.linalg.norm(mean - true, axis=2)
+    off = true - mean
+    spread = np.empty((*error.shape, 2, 2))
+    spread[..., 0, 0], spread[..., 1, 1] = grid["x_std"] ** 2, grid["y_std"] ** 2
+    spread[..., 0, 1] = spread[..., 1, 0] = grid["xy_cov"]
+    if (np.linalg.det(spread) <= 0.0).any():
+        raise InputError("a covariance that is not positive definite", "x_std, y_std and xy_cov of one")
+    paths, drawn = _paths(grid, mean, spread)
+    best = np.linalg.norm(paths - true[:, None], axis=3)
+    held = _held(error, grid["radius_50"], grid["radius_90"])
+    own = MethodScore(
+        *_errors(error),
+        best_ade=float(best.mean(axis=2).min(axis=1).mean()),
+        best_fde=float(best[:, :, -1].min(axis=1).mean()),
+        log_likelihood=_log_likelihood(off, spread),
+        inside_50=float((error <= grid["radius_50"]).mean()),
+        inside_90=float((error <= grid["radius_90"]).mean()),
+    )
+    other = np.linalg.norm(straight - true, axis=2)
+    off_filter, variance = true - filtered[..., :2], filtered[..., 2]
+    of_filter = np.linalg.norm(off_filter, axis=2)
+    inside = [float((of_filter**2 <= -2.0 * np.log(1.0 - level) * variance).mean()) for level in (0.5, 0.9)]
+    kalman = MethodScore(
+        *_errors(of_filter),
+        log_likelihood=_log_likelihood(off_filter, variance[..., None, None] * np.eye(2)),
+        inside_50=inside[0],
+        inside_90=inside[1],
+    )
+    rows = tuple(
+        {
+            "ahead": float(ahead[k]),
+            "error": float(error[:, k].mean()),
+            "constant velocity": float(other[:, k].mean()),
+            "inside_50": float((error[:, k] <= grid["radius_50"][:, k]).mean()),
+            "inside_90": float((error[:, k] <= grid["radius_90"][:, k]).mean()),
+        }
+        for k in range(len(ahead))
+    )
+    methods = {"forecast": own, "constant velocity": MethodScore(*_errors(other)), "Kalman filter": kalman}
+    curve = {level: float((held <= level).mean()) for level in LEVELS}
+    return ForecastScore(int(known.sum()), int((~known).sum()), methods, rows, curve, drawn)
+
+
+def _errors(error: FloatArray) -> tuple[float, float]:
+    return float(error.mean()), float(error[:, -1].mean())
+
+
+def _held(error: FloatArray, inner: FloatArray, outer: FloatArray) -> FloatArray:
+    """Share of the probability within each error: of the Weibull distribution with the two radii.
+
+    With a power of 2 it is that of a Gaussian, with less it has heavier tails.
+    """
+    power = np.log(np.log(10.0) / np.log(2.0)) / np.log(np.maximum(outer / inner, 1.0 + 1e-9))
+    shares: FloatArray = -np.expm1(-np.log(2.0) * (error / inner) ** power)
+    return shares
+
+
+def _log_likelihood(off: FloatArray, spread: FloatArray) -> float:
+    distance = np.einsum("nai,nai->na", off, np.linalg.solve(spread, off[..., None])[..., 0])
+    return float((-0.5 * distance - 0.5 * np.log(np.linalg.det(spread)) - np.log(2.0 * np.pi)).mean())
+
+
+def _paths(grid: Mapping[str, FloatArray], mean: FloatArray, spread: FloatArray) -> tuple[FloatArray, bool]:
+    """`SAMPLES` paths (n, S, A, 2) of each forecast, and whether they had to be drawn."""
+    if all(f"sample_{k}_{axis}" in grid for k in range(SAMPLES) for axis in "xy"):
+        axes = [np.stack([grid[f"sample_{k}_{axis}"] for k in range(SAMPLES)], axis=1) for axis in "xy"]
+        return np.stack(axes, axis=3), False
+    random = np.random.default_rng(0)
+    # Whoever is fast stays fast: one draw for the whole path.
+    draws = random.standard_normal((len(mean), SAMPLES, 2))
+    found: FloatArray = mean[:, None] + np.einsum("naij,nsj->nsai", np.linalg.cholesky(spread), draws)
+    return found, True
+
+
+def _references(
+    truth: TrackSet, people: NDArray[np.int64], made: FloatArray, ahead: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where people were and would be going straight on (n, A, 2), and what the filter says (n, A, 3)."""
+    shape = (len(people), len(ahead))
+    true, straight = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
+    filtered = np.full((*shape, 3), np.nan)
+    tracks = {track.track_id: track for track in truth}
+    parameters = Parameters()
+    density = parameters.motion.acceleration_density
+    for one in np.unique(people).tolist():
+        rows = np.flatnonzero(people == one)
+        track = tracks.get(one)
+        if track is None:
+            continue
+        position = track.true_position if track.has_truth else track.position
+        assert position is not None
+        seen = np.isfinite(position).all(axis=1)
+        if seen.sum() < 2:
+            continue
+        t, position = track.t[seen], position[seen]
+        now, before = _between(t, position, made[rows]), _between(t, position, made[rows] - ahead[0])
+        true[rows] = _between(t, position, (made[rows, None] + ahead).ravel()).reshape(len(rows), -1, 2)
+        velocity = (now - before) / ahead[0]
+        straight[rows] = now[:, None] + velocity[:, None] * ahead[:, None]
+        alone = Track(one, np.flatnonzero(seen), t, position)
+        states, _ = filter_states(alone, parameters)
+        last = np.clip(np.searchsorted(t, made[rows] + 1e-6) - 1, 0, len(t) - 1)
+        mean, spread = states.mean[last], states.covariance[last]
+        since = (made[rows] - t[last])[:, None] + ahead
+        filtered[rows, :, :2] = mean[:, None, :2] + since[..., None] * mean[:, None, 2:]
+        own, cross, speed = spread[:, 0, 0], spread[:, 0, 2], spread[:, 2, 2]
+        variance = own[:, None] + 2.0 * since * cross[:, None] + since**2 * speed[:, None]
+        filtered[rows, :, 2] = variance + density * since**3 / 3.0
+    return true, straight, filtered
+
+
+def _between(t: FloatArray, position: FloatArray, at: FloatArray) -> FloatArray:
+    """Positions (n, 2) at times (n,), between two that are not far apart; NaN elsewhere."""
+    after = np.clip(np.searchsorted(t, at - 1e-6), 1, len(t) - 1)
+    before = after - 1
+    share = (at - t[before]) / (t[after] - t[before])
+    found = position[before] + share[:, None] * (position[after] - position[before])
+    inside = (share > -1e-6) & (share < 1.0 + 1e-4)
+    inside &= (t[after] - t[before] <= _LONGEST_GAP) | (np.abs(share - 1.0) < 1e-4) | (np.abs(share) < 1e-4)
+    return np.where(inside[:, None], found, np.nan)

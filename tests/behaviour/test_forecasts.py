@@ -1,0 +1,336 @@
+"""Forecasts: nothing of the future leaks, circles hold what they say, and turning the world turns them."""
+
+import numpy as np
+import pytest
+
+import graphtrack as gt
+from graphtrack.behaviour.forecast.forecaster import Forecaster, times_ahead
+from graphtrack.behaviour.forecast.parameters import ForecastParameters
+from graphtrack.behaviour.forecast.spread import offsets, radius
+from graphtrack.behaviour.forecast.table import is_forecast, read_forecasts
+from graphtrack.errors import InputError
+from graphtrack.evaluation.forecasts import judge_forecasts
+
+STEP = 0.4
+
+
+def track(track_id, position, first=0, head=None):
+    position = np.asarray(position, float)
+    frame = first + np.arange(len(position))
+    return gt.Track(track_id, frame, STEP * frame, position, head=head)
+
+
+def wanderers(count, rng, steps=40, apart=200.0):
+    """People whose velocity wanders (a random walk, 0.1 m/s a step), so far apart that nobody meets."""
+    people = []
+    for k in range(count):
+        speeds = rng.normal(0, 0.8, 2) + np.cumsum(rng.normal(0, 0.1, (steps, 2)), axis=0)
+        where = rng.uniform(-apart, apart, 2) + np.cumsum(STEP * speeds, axis=0)
+        people.append(track(k, where, first=int(rng.integers(0, 60))))
+    return gt.TrackSet(tuple(people))
+
+
+def test_nothing_of_the_future_leaks():
+    scene = wanderers(12, np.random.default_rng(1), apart=5.0)
+    whole = gt.forecast(scene, history=1.2).to_table()
+    end = 20.0
+    seen = scene.with_tracks(one[one.t <= end] for one in scene if one.t[0] <= end)
+    part = gt.forecast(seen, history=1.2).to_table()
+    whole = whole[whole["t"] <= end + 1e-9]
+    assert len(part) == len(whole) > 1000
+    for name in part:
+        np.testing.assert_array_equal(part[name], whole[name])
+
+
+def test_turning_and_moving_the_world_turns_and_moves_the_forecasts():
+    rng = np.random.default_rng(2)
+    scene = wanderers(8, rng, apart=4.0)
+    heads = [rng.uniform(-3, 3) + np.cumsum(rng.normal(0, 0.1, len(one))) for one in scene]
+    angle = 0.7
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+    def forecasts(turned):
+        people = [
+            gt.Track(
+                one.track_id,
+                one.frame,
+                one.t,
+                one.position @ turn.T + (3.0, -8.0) if turned else one.position,
+                head=head + angle if turned else head,
+            )
+            for one, head in zip(scene, heads, strict=True)
+        ]
+        return gt.forecast(gt.TrackSet(tuple(people))).columns
+
+    before, after = forecasts(False), forecasts(True)
+    there = np.stack([before["x"], before["y"]], axis=1) @ turn.T + (3.0, -8.0)
+    np.testing.assert_allclose(np.stack([after["x"], after["y"]], axis=1), there, atol=1e-3)
+    for name in ("radius_50", "radius_90"):
+        np.testing.assert_allclose(after[name], before[name], rtol=1e-3, atol=1e-4)
+    spread = np.array([[before["x_std"] ** 2, before["xy_cov"]], [before["xy_cov"], before["y_std"] ** 2]])
+    turned = np.einsum("ij,jkn,lk->iln", turn, spread, turn)
+    np.testing.assert_allclose(after["xy_cov"], turned[0, 1], rtol=1e-2, atol=1e-3)
+
+
+def test_whom_one_names_first_does_not_matter():
+    scene = wanderers(6, np.random.default_rng(3), apart=3.0)
+    other = scene.with_tracks(reversed(scene.tracks))
+    for name, values in gt.forecast(scene).columns.items():
+        np.testing.assert_allclose(gt.forecast(other).columns[name], values, atol=1e-5)
+
+
+def test_circles_hold_what_they_say_of_people_who_wander():
+    scene = wanderers(120, np.random.default_rng(4))
+    table = gt.forecast(scene, history=3.2)
+    found = judge_forecasts(table.columns, scene)
+    assert found.forecasts > 500
+    own = found.methods["forecast"]
+    assert 0.45 <= own.inside_50 <= 0.55
+    assert 0.86 <= own.inside_90 <= 0.94
+    assert own.ade <= 1.02 * found.methods["constant velocity"].ade
+
+
+@pytest.mark.parametrize("level", [0.5, 0.9])
+@pytest.mark.parametrize("ratio", [0.2, 1.0])
+def test_a_circle_has_its_share_of_the_samples(level, ratio):
+    parameters = ForecastParameters()
+    along, across = np.full((40_000, 1), 2.0), np.full((40_000, 1), 2.0 * ratio)
+    direction = np.full(40_000, np.exp(0.5j))
+    drawn = offsets(1, along, across, direction, parameters, np.random.default_rng(5))
+    size = radius(level, along[:1], across[:1], parameters)
+    assert np.mean(np.abs(drawn[:, 0]) <= size) == pytest.approx(level, abs=0.01)
+
+
+def test_circles_of_a_gaussian_are_those_of_a_rayleigh_distribution():
+    one = np.ones(1)
+    parameters = ForecastParameters(tail_share=0.0)
+    for level in (0.5, 0.9):
+        assert radius(level, one, one, parameters)[0] == pytest.approx(
+            np.sqrt(-2 * np.log(1 - level)), rel=1e-3
+        )
+
+
+def test_samples_are_paths_about_the_mean():
+    forecaster = Forecaster()
+    for k in range(10):
+        forecaster.update(STEP * k, [1], [(0.5 * k, 0.2 * k)])
+    told = forecaster.forecast([0.4, 4.8], samples=4000, random=np.random.default_rng(6))
+    paths, spread = told.samples[0], told.covariance[0]
+    np.testing.assert_allclose(paths.mean(axis=0), told.position[0], atol=0.1)
+    np.testing.assert_allclose(np.cov(paths[:, 1].T), spread[1], rtol=0.3, atol=0.05)
+    assert np.corrcoef(paths[:, 0, 0], paths[:, 1, 0])[0, 1] > 0.9
+
+
+def test_who_goes_straight_is_expected_straight_on_however_noisy_the_positions_are():
+    rng = np.random.default_rng(7)
+    errors, last_step = [], []
+    for _ in range(30):
+        where = np.stack([0.5 * np.arange(12), np.zeros(12)], axis=1)
+        seen = where + rng.normal(0, 0.1, where.shape)
+        forecaster = Forecaster()
+        for k in range(12):
+            forecaster.update(STEP * k, [1], seen[k : k + 1])
+        errors.append(np.linalg.norm(forecaster.forecast([4.8]).position[0, 0] - (11.5, 0.0)))
+        last_step.append(np.linalg.norm(seen[-1] + 12 * (seen[-1] - seen[-2]) - (11.5, 0.0)))
+    assert np.mean(errors) < 0.5 * np.mean(last_step)
+
+
+def test_the_head_leads_to_its_side():
+    def end(head):
+        forecaster = Forecaster()
+        for k in range(20):
+            forecaster.update(0.1 * k, [1], [(0.12 * k, 0.0)], head=np.array([head]))
+        return forecaster.forecast([1.0]).position[0, 0]
+
+    straight = end(np.nan)
+    assert straight[1] == pytest.approx(0.0, abs=1e-9)
+    assert end(0.5)[1] > 0.1 and end(-0.5)[1] < -0.1
+    np.testing.assert_allclose(end(0.0), straight)
+    assert abs(end(3.0)[1]) < 0.1  # whoever walks backwards does not turn round
+
+
+def test_people_are_expected_to_turn_where_others_turned():
+    corner = np.concatenate(
+        [
+            np.stack([0.5 * np.arange(20), np.zeros(20)], 1),
+            np.stack([np.full(20, 9.5), 0.5 * np.arange(1, 21)], 1),
+        ]
+    )
+    people = [track(k, corner, first=15 * k) for k in range(10)]
+    table = gt.forecast(gt.TrackSet(tuple(people))).to_table()
+    at_corner = table[
+        (table["ahead"] == table["ahead"].max()) & (table["frame"] == 15 * table["track_id"] + 18)
+    ]
+    truth = corner[30]
+    error = np.hypot(at_corner["x"] - truth[0], at_corner["y"] - truth[1]).to_numpy()
+    assert error[0] > 5.0
+    assert error[-1] < 0.5 * error[0]
+
+
+def test_who_stands_is_expected_to_stand():
+    rng = np.random.default_rng(8)
+    scene = gt.TrackSet((track(1, rng.normal(0, 0.02, (20, 2))),))
+    table = gt.forecast(scene, history=3.2).to_table()
+    assert np.hypot(table["x"], table["y"]).max() < 0.5
+
+
+def test_forecasts_widen_with_time_and_hold_more_in_the_larger_circle():
+    table = gt.forecast(wanderers(10, np.random.default_rng(9))).columns
+    assert (table["radius_90"] > table["radius_50"]).all()
+    size = table["radius_50"].reshape(-1, 12)
+    assert (np.diff(size, axis=1) > 0).mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"horizon": 0.0},
+        {"horizon": -1.0},
+        {"horizon": np.nan},
+        {"horizon": 86400.0},
+        {"horizon": 2.0, "step": 2.4},
+        {"step": 0.0},
+        {"horizon": 50.0, "step": 0.001},
+        {"every": 0.0},
+        {"history": -1.0},
+        {"history": 1000.0},
+        {"samples": -1},
+    ],
+)
+def test_settings_that_make_no_sense_are_told(wrong):
+    with pytest.raises(InputError):
+        gt.forecast(wanderers(2, np.random.default_rng(10)), **wrong)
+
+
+def test_who_was_not_seen_for_long_enough_is_left_out_and_counted():
+    short, long = track(1, [(0, 0), (1, 1)]), track(2, np.stack([np.arange(20), np.arange(20)], 1))
+    found = gt.forecast(gt.TrackSet((short, long)), history=3.2)
+    assert found.too_short == (1,) and found.people == 1
+    # Eight frames are 3.2 s: the first forecast is made in the eighth.
+    assert found.columns["frame"].min() == 7
+    assert gt.forecast(long).columns["frame"].min() == 1
+
+
+def test_forecasts_are_made_as_often_as_is_asked_for():
+    times = np.unique(gt.forecast(wanderers(5, np.random.default_rng(11)), every=2.0).columns["t"])
+    assert (np.diff(times) >= 2.0 - 1e-6).all()
+
+
+def test_a_thousand_people_at_once_are_forecast_within_bounds():
+    rng = np.random.default_rng(12)
+    where, speed = rng.uniform(0, 100, (1000, 2)), rng.normal(0, 1, (1000, 2))
+    forecaster = Forecaster()
+    for k in range(12):
+        forecaster.update(STEP * k, np.arange(1000), where + STEP * k * speed)
+    told = forecaster.forecast(times_ahead(2.0, STEP))
+    assert told.position.shape == (1000, 5, 2) and np.isfinite(told.radius_90).all()
+    error = np.linalg.norm(told.position[:, 0] - (where + STEP * 12 * speed), axis=1)
+    assert np.median(error) < 0.1
+
+
+def test_people_who_left_are_forgotten():
+    forecaster = Forecaster()
+    for k in range(400):
+        forecaster.update(STEP * k, [k, k + 1], [(0.0, 0.1 * k), (3.0, 0.1 * k)])
+    assert len(forecaster._of) < 50 and len(forecaster._id) < 100
+    with pytest.raises(InputError, match="track 0"):
+        forecaster.forecast([0.4], [0])
+
+
+def test_frames_that_cannot_be_used_change_nothing():
+    forecaster = Forecaster()
+    forecaster.update(0.0, [1], [(0, 0)])
+    for t, ids, position in ((0.0, [1], [(0, 0)]), (1.0, [1, 1], [(0, 0)] * 2), (1.0, [1], [(np.nan, 0)])):
+        with pytest.raises(InputError):
+            forecaster.update(t, ids, position)
+    forecaster.update(0.4, [1], [(0.4, 0)])
+    assert forecaster.people().tolist() == [1]
+
+
+def test_somebody_who_jumps_does_not_fly_off():
+    forecaster = Forecaster()
+    for k in range(20):
+        forecaster.update(0.1 * k, [1], [(0.1 * k, 0.0)])
+    forecaster.update(2.0, [1], [(30.0, 0.0)])
+    assert np.linalg.norm(forecaster.forecast([1.0]).position[0, 0] - (30.0, 0.0)) < 5.0
+
+
+def test_parameters_come_back_from_their_file(tmp_path):
+    path = tmp_path / "learned.toml"
+    given = ForecastParameters(place_distance=2.5, tail_share=0.4)
+    given.save(path)
+    assert ForecastParameters.load(path) == given
+    path.write_text("[forecast]\nplace_distance = -1\n")
+    with pytest.raises(InputError, match="place_distance"):
+        ForecastParameters.load(path)
+    path.write_text("[motion]\nacceleration_density = 1\n")
+    with pytest.raises(InputError, match="motion"):
+        ForecastParameters.load(path)
+
+
+@pytest.mark.parametrize("ending", ["csv", "csv.gz", "parquet", "ndjson"])
+def test_tables_come_back(ending, tmp_path):
+    path = tmp_path / f"forecast.{ending}"
+    found = gt.forecast(wanderers(3, np.random.default_rng(13)), samples=2)
+    found.write(path)
+    assert is_forecast(path)
+    read = read_forecasts(path)
+    assert set(read) == set(found.columns)
+    for name, values in found.columns.items():
+        np.testing.assert_allclose(read[name], values)
+
+
+def test_what_is_no_table_of_forecasts_is_told(tmp_path):
+    path = tmp_path / "forecast.csv"
+    found = gt.forecast(wanderers(3, np.random.default_rng(14)))
+    found.write(path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], lines[1].replace(lines[1].split(",")[4], "far")]))
+    with pytest.raises(InputError, match="line 2, column x"):
+        read_forecasts(path)
+    path.write_text("track_id,frame,x,y\n1,0,0,0\n")
+    assert not is_forecast(path)
+
+
+def test_scores_of_forecasts_that_are_exactly_as_sure_as_they_should_be():
+    rng = np.random.default_rng(15)
+    people, ahead = 400, np.array([0.4, 0.8])
+    tracks, rows = [], []
+    for k in range(people):
+        where = rng.uniform(-9, 9, 2) + np.cumsum(rng.normal(0, 1, (4, 2)), axis=0)
+        tracks.append(track(k, where))
+        for i, h in enumerate(ahead):
+            mean = where[2 + i] + rng.normal(0, 1, 2)
+            r50, r90 = np.sqrt(-2 * np.log([0.5, 0.1]))
+            rows.append((k, 1, STEP, h, *mean, 1.0, 1.0, 0.0, r50, r90))
+    names = (
+        "track_id",
+        "frame",
+        "t",
+        "ahead",
+        "x",
+        "y",
+        "x_std",
+        "y_std",
+        "xy_cov",
+        "radius_50",
+        "radius_90",
+    )
+    table = dict(zip(names, np.array(rows).T, strict=True))
+    found = judge_forecasts(table, gt.TrackSet(tuple(tracks)))
+    own = found.methods["forecast"]
+    assert own.ade == pytest.approx(np.sqrt(np.pi / 2), rel=0.05)
+    assert own.log_likelihood == pytest.approx(-1.0 - np.log(2 * np.pi), abs=0.06)
+    assert found.forecasts == people and found.left_out == 0
+    for level, held in found.reliability.items():
+        assert held == pytest.approx(level, abs=0.05)
+    assert own.best_ade < own.ade
+
+
+def test_forecasts_whose_outcome_is_not_known_are_left_out():
+    scene = wanderers(3, np.random.default_rng(16), steps=15)
+    found = judge_forecasts(gt.forecast(scene).columns, scene)
+    # 15 frames: forecasts in frames 1 and 2 alone have all twelve outcomes.
+    assert found.forecasts == 6 and found.left_out == 3 * 14 - 6
+    with pytest.raises(InputError, match="outcomes"):
+        judge_forecasts(gt.forecast(scene).columns, wanderers(3, np.random.default_rng(17), steps=5))
