@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from graphtrack.association.tracker import OnlineTracker, PersonEstimate
     from graphtrack.association.tracks import associate
+    from graphtrack.behaviour.groups import Groups, groups
+    from graphtrack.behaviour.parameters import GroupParameters
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.evaluation.tracking import SequenceScore, TrackingScore, score
@@ -36,6 +38,8 @@ __all__ = [
     "Estimate",
     "Failure",
     "GraphtrackError",
+    "GroupParameters",
+    "Groups",
     "InputError",
     "InputWarning",
     "Model",
@@ -58,6 +62,7 @@ __all__ = [
     "add_noise",
     "associate",
     "compare",
+    "groups",
     "presets",
     "read",
     "score",
@@ -73,6 +78,8 @@ _HOMES = {
     "scene": ("SceneParameters",),
     "association.tracker": ("OnlineTracker", "PersonEstimate"),
     "association.tracks": ("associate",),
+    "behaviour.groups": ("Groups", "groups"),
+    "behaviour.parameters": ("GroupParameters",),
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
     "evaluation.compare": ("Comparison", "compare"),

@@ -30,6 +30,15 @@ def fit(
             "detections without identities it is what is learned anyway.",
         ),
     ] = False,
+    groups: Annotated[
+        Path | None,
+        typer.Option(
+            "--groups",
+            help="Learn who is in a group with whom, from this file of labelled groups: SALSA's, ETH's or a "
+            "table.",
+            show_default=False,
+        ),
+    ] = None,
     model: Annotated[
         str | None,
         typer.Option(
@@ -80,8 +89,17 @@ def fit(
             "--report": report,
             "--json": json_path,
         },
-        reading.inputs(inputs, model),
+        {**reading.inputs(inputs, model), "--groups": groups},
     )
+    if groups is not None:
+        from graphtrack.cli.groups import learn_groups
+
+        unused = {"--scene": scene, "--model": model is not None, "--criterion": criterion is not None}
+        for name, given in {**unused, "--report": report is not None}.items():
+            if given:
+                raise InputError(f"{name} with --groups", "tracks and their labelled groups alone")
+        learn_groups(reading.tracks(inputs), groups, hold_out, output, json_path)
+        return
     rows, are_detections = reading.rows(inputs[0]) if len(inputs) == 1 else (None, False)
     if scene or are_detections:
         from graphtrack.cli.fit_scene import learn_scene

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from graphtrack.cli import compare, demo, fit, info, reproduce, score, simulate, smooth, track
+from graphtrack.cli import compare, demo, fit, groups, info, reproduce, score, simulate, smooth, track
 from graphtrack.cli.console import BAD_INPUT, fail, printed_log
 from graphtrack.cli.options import expanded
 from graphtrack.errors import GraphtrackError
@@ -46,6 +46,7 @@ app.command("smooth")(expanded(smooth.smooth))
 app.command("track")(expanded(track.track))
 app.command("compare")(expanded(compare.compare))
 app.command("score")(expanded(score.score))
+app.command("groups")(expanded(groups.groups))
 app.command("fit")(expanded(fit.fit))
 app.command("reproduce")(reproduce.reproduce)
 app.command("demo")(demo.demo)

@@ -67,10 +67,21 @@ def score(
         ),
     ] = None,
 ) -> None:
-    """Judge tracks against the truth: HOTA, IDF1, MOTA, identity switches.
+    """Judge tracks against the truth: HOTA, IDF1, MOTA, identity switches; a table of groups: F1.
 
     The names of files, without their endings, are those of the sequences.
     """
+    from graphtrack.io.groups import is_group_table
+
+    if any(is_group_table(path) for path in inputs):
+        from graphtrack.cli.groups import score_tables
+
+        unused = {"--metres": metres, "--iou": iou, "--report": report}
+        for name, given in unused.items():
+            if given is not None:
+                raise InputError(f"{name} with groups", "a table of groups and the true ones alone")
+        score_tables(inputs, truth, json_path)
+        return
     from graphtrack.evaluation.tracking.judge import judge, threshold_of
     from graphtrack.io import atomic_path
     from graphtrack.io.pairs import paired_files
