@@ -7,7 +7,19 @@ from typing import Annotated, Any
 
 import typer
 
-from graphtrack.cli import compare, demo, fit, groups, info, reproduce, score, simulate, smooth, track
+from graphtrack.cli import (
+    attention,
+    compare,
+    demo,
+    fit,
+    groups,
+    info,
+    reproduce,
+    score,
+    simulate,
+    smooth,
+    track,
+)
 from graphtrack.cli.console import BAD_INPUT, fail, printed_log
 from graphtrack.cli.options import expanded
 from graphtrack.errors import GraphtrackError
@@ -47,6 +59,7 @@ app.command("track")(expanded(track.track))
 app.command("compare")(expanded(compare.compare))
 app.command("score")(expanded(score.score))
 app.command("groups")(expanded(groups.groups))
+app.command("attention")(expanded(attention.attention))
 app.command("fit")(expanded(fit.fit))
 app.command("reproduce")(reproduce.reproduce)
 app.command("demo")(demo.demo)
