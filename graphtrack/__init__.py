@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster
     from graphtrack.behaviour.forecast.parameters import ForecastParameters
     from graphtrack.behaviour.forecast.recorded import Forecasts, forecast
+    from graphtrack.behaviour.groups import Groups, groups
+    from graphtrack.behaviour.parameters import GroupParameters
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
     from graphtrack.evaluation.tracking import SequenceScore, TrackingScore, score
@@ -43,6 +45,8 @@ __all__ = [
     "Forecaster",
     "Forecasts",
     "GraphtrackError",
+    "GroupParameters",
+    "Groups",
     "InputError",
     "InputWarning",
     "Model",
@@ -66,6 +70,7 @@ __all__ = [
     "associate",
     "compare",
     "forecast",
+    "groups",
     "presets",
     "read",
     "score",
@@ -84,6 +89,8 @@ _HOMES = {
     "behaviour.forecast.forecaster": ("Forecast", "Forecaster"),
     "behaviour.forecast.parameters": ("ForecastParameters",),
     "behaviour.forecast.recorded": ("Forecasts", "forecast"),
+    "behaviour.groups": ("Groups", "groups"),
+    "behaviour.parameters": ("GroupParameters",),
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
     "evaluation.compare": ("Comparison", "compare"),

@@ -37,6 +37,15 @@ def fit(
             help="Learn how people go on, for graphtrack forecast --parameters; each file is a scene.",
         ),
     ] = False,
+    groups: Annotated[
+        Path | None,
+        typer.Option(
+            "--groups",
+            help="Learn who is in a group with whom, from this file of labelled groups: SALSA's, ETH's or a "
+            "table.",
+            show_default=False,
+        ),
+    ] = None,
     model: Annotated[
         str | None,
         typer.Option(
@@ -87,13 +96,22 @@ def fit(
             "--report": report,
             "--json": json_path,
         },
-        reading.inputs(inputs, model),
+        {**reading.inputs(inputs, model), "--groups": groups},
     )
     if forecast:
         from graphtrack.cli.fit_forecast import learn_forecast
 
         unused = {"--scene": scene, "--model": model is not None, "--criterion": criterion is not None}
         learn_forecast(inputs, reading, output, report, json_path, unused)
+        return
+    if groups is not None:
+        from graphtrack.cli.groups import learn_groups
+
+        unused = {"--scene": scene, "--model": model is not None, "--criterion": criterion is not None}
+        for name, given in {**unused, "--report": report is not None}.items():
+            if given:
+                raise InputError(f"{name} with --groups", "tracks and their labelled groups alone")
+        learn_groups(reading.tracks(inputs), groups, hold_out, output, json_path)
         return
     rows, are_detections = reading.rows(inputs[0]) if len(inputs) == 1 else (None, False)
     if scene or are_detections:

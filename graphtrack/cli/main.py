@@ -7,7 +7,20 @@ from typing import Annotated, Any
 
 import typer
 
-from graphtrack.cli import compare, demo, fit, forecast, info, reproduce, score, simulate, smooth, track
+from graphtrack.cli import (
+    attention,
+    compare,
+    demo,
+    fit,
+    forecast,
+    groups,
+    info,
+    reproduce,
+    score,
+    simulate,
+    smooth,
+    track,
+)
 from graphtrack.cli.console import BAD_INPUT, fail, printed_log
 from graphtrack.cli.options import expanded
 from graphtrack.errors import GraphtrackError
@@ -46,6 +59,8 @@ app.command("smooth")(expanded(smooth.smooth))
 app.command("track")(expanded(track.track))
 app.command("compare")(expanded(compare.compare))
 app.command("score")(expanded(score.score))
+app.command("groups")(expanded(groups.groups))
+app.command("attention")(expanded(attention.attention))
 app.command("fit")(expanded(fit.fit))
 app.command("forecast")(expanded(forecast.forecast))
 app.command("reproduce")(reproduce.reproduce)

@@ -67,15 +67,24 @@ def score(
         ),
     ] = None,
 ) -> None:
-    """Judge tracks against the truth (HOTA, IDF1, MOTA, identity switches), and tables of forecasts.
+    """Judge tracks against the truth (HOTA, IDF1, MOTA, switches), and tables of forecasts and of groups.
 
     The names of files, without their endings, are those of the sequences.
     """
     from graphtrack.cli.score_forecast import are_forecasts, score_forecasts
     from graphtrack.evaluation.tracking.judge import judge, threshold_of
     from graphtrack.io import atomic_path
+    from graphtrack.io.groups import is_group_table
     from graphtrack.io.pairs import paired_files
 
+    if any(is_group_table(path) for path in inputs):
+        from graphtrack.cli.groups import score_tables
+
+        for name, given in {"--metres": metres, "--iou": iou, "--report": report}.items():
+            if given is not None:
+                raise InputError(f"{name} with groups", "a table of groups and the true ones alone")
+        score_tables(inputs, truth, json_path)
+        return
     if are_forecasts(inputs):
         unused = {"--metres": metres, "--iou": iou, "--report": report, "--select": reading.select}
         score_forecasts(inputs, truth, reading, json_path, unused)

@@ -42,6 +42,26 @@ def simulate(
     scenario: Annotated[
         bool, typer.Option("--scenario", help="The demo's six scripted people instead, who need no model.")
     ] = False,
+    scene: Annotated[
+        Literal["party"] | None,
+        typer.Option(
+            "--scene",
+            help="A party instead: people in conversations and alone, who look at each other, without noise.",
+            show_default=False,
+        ),
+    ] = None,
+    groups: Annotated[
+        Path | None,
+        typer.Option(
+            "--groups", help="Write who is in conversation at the party (.csv).", show_default=False
+        ),
+    ] = None,
+    looks: Annotated[
+        Path | None,
+        typer.Option(
+            "--looks", help="Write who looks at whom at the party (.csv); -1: nobody.", show_default=False
+        ),
+    ] = None,
     seed: options.Seed = 0,
 ) -> None:
     """Simulate people from the model, with their truth, and write the table."""
@@ -52,9 +72,23 @@ def simulate(
     from graphtrack.simulation.sampling import simulate as sample
     from graphtrack.simulation.scenario import scenario as scripted
 
-    options.check_outputs({"--output": output}, {"--model": options.model_file(model)}, table=output)
+    outputs = {"--output": output, "--groups": groups, "--looks": looks}
+    options.check_outputs(outputs, {"--model": options.model_file(model)}, table=output)
+    if scene is None and (groups is not None or looks is not None):
+        raise InputError("--groups or --looks without --scene party", "the scene that has them")
+    if scene is not None and scenario:
+        raise InputError("--scene and --scenario", "one of them")
     rng = np.random.default_rng(seed)
-    if scenario:
+    if scene is not None:
+        from graphtrack.io.groups import write_columns
+        from graphtrack.simulation.party import party
+
+        made = party(rng, people=tracks, steps=steps, fps=fps)
+        what, found = "a party", made.tracks
+        for path, columns in ((groups, made.group_columns()), (looks, made.look_columns())):
+            if path is not None:
+                write_columns(columns, path)
+    elif scenario:
         what, found = "the demo's people", scripted(rng, fps=fps, seconds=steps / fps)
     else:
         chosen = Model.named(model)

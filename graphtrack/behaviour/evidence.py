@@ -1,0 +1,129 @@
+"""Log odds that two people are of one group, in each frame in which they are near each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graphtrack.behaviour.features import pair_features
+from graphtrack.behaviour.parameters import GroupParameters
+from graphtrack.behaviour.people import IntArray, People
+from graphtrack.behaviour.smoothing import averaged
+from graphtrack.geometry.angles import FloatArray
+
+_SLOW = np.array([False, True, False, False, True])
+"""Which of the features are averaged over ``look_seconds``."""
+_SPEED_STEP = 0.1
+"""m/s over which standing becomes walking."""
+_ALONG = 1.5
+"""Those who walk together are side by side: a metre along their way counts as so many across it."""
+_MOST = 6.0
+"""Log odds that one frame of walking says at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairEvidence:
+    """Pairs of people near each other, frame by frame.
+
+    Attributes
+    ----------
+    left, right : (n,) rows in `People`
+    start : (k + 1,) first pair of each frame
+    odds : (n,) log odds that they are of one group, averaged over time
+    caution : (n,) to be taken from them before people are parted
+    walking : (n,) how much both walk, 0 to 1, averaged over time
+    """
+
+    left: IntArray
+    right: IntArray
+    start: IntArray
+    odds: FloatArray
+    caution: FloatArray
+    walking: FloatArray
+
+
+def with_bodies(people: People, spread: float) -> People:
+    """People whose unknown bodies are where their heads point, more or less: 1-σ ``spread`` radians."""
+    unseen = np.asarray(~people.body.any(axis=1))
+    if not (unseen & people.head.any(axis=1)).any():
+        return people
+    turned = np.exp(-0.5 * spread**2) * people.head
+    return replace(people, body=np.where(unseen[:, None], turned, people.body))
+
+
+def known_shares(people: People, left: IntArray, right: IntArray) -> FloatArray:
+    """(n, 3) how much a pair is one of which positions alone, bodies too, and heads too are known."""
+    body, head = (np.linalg.norm(vector, axis=1) for vector in (people.body, people.head))
+    bodies, heads = body[left] * body[right], head[left] * head[right]
+    return np.column_stack([1.0 - bodies, bodies * (1.0 - heads), bodies * heads])
+
+
+def conversation_odds(
+    shares: FloatArray, features: FloatArray, parameters: GroupParameters
+) -> tuple[FloatArray, FloatArray]:
+    """What features say of each pair, (n,): what is averaged over a short time, and over a long one."""
+    quick, slow = np.zeros(len(features)), np.zeros(len(features))
+    for share, weights in zip(shares.T, parameters.conversations, strict=True):
+        terms = weights.of_features
+        quick += share * (weights.bias + features @ np.where(_SLOW, 0.0, terms))
+        slow += share * (features @ np.where(_SLOW, terms, 0.0))
+    return quick, slow
+
+
+def walking_odds(people: People, left: IntArray, right: IntArray, parameters: GroupParameters) -> FloatArray:
+    """Log odds, (n,), that two who walk do so together: how near, side by side and alike they go."""
+    apart = people.position[right] - people.position[left]
+    way = people.velocity[right] + people.velocity[left]
+    way = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
+    along = np.sum(apart * way, axis=1)
+    across = apart[:, 0] * way[:, 1] - apart[:, 1] * way[:, 0]
+    far = np.hypot(across, _ALONG * along)
+    mean, std = parameters.walking_distance, parameters.walking_distance_std
+    near = -0.5 * ((far - mean) / std) ** 2 - np.log(
+        np.sqrt(2.0 * np.pi) * std * 2.0 * np.pi * np.maximum(far, 0.2)
+    )
+    square = np.sum((people.velocity[right] - people.velocity[left]) ** 2, axis=1)
+    alike, other = parameters.walking_speed_std, parameters.others_speed_std
+    same = -0.5 * square * (1.0 / alike**2 - 1.0 / other**2) + 2.0 * np.log(other / alike)
+    prior = np.log(parameters.walking_share / (1.0 - parameters.walking_share))
+    odds: FloatArray = np.clip(prior + near - np.log(parameters.others_density) + same, -_MOST, _MOST)
+    return odds
+
+
+def walks(people: People, parameters: GroupParameters) -> FloatArray:
+    """(n,) how much each walks, 0 to 1, by speed."""
+    speed = np.linalg.norm(people.velocity, axis=1)
+    share: FloatArray = 0.5 * (1.0 + np.tanh(0.5 * (speed - parameters.walking_speed) / _SPEED_STEP))
+    return share
+
+
+def pair_evidence(people: People, parameters: GroupParameters, *, both_sides: bool = True) -> PairEvidence:
+    """The evidence of all pairs.
+
+    Parameters
+    ----------
+    both_sides : whether the future counts, or the past alone
+    """
+    people = with_bodies(people, parameters.head_spread)
+    left, right, features = pair_features(people, parameters.stride)
+    shares = known_shares(people, left, right)
+    quick, slow = conversation_odds(shares, features, parameters)
+    caution = shares @ np.array([one.caution for one in parameters.conversations])
+    walk = walks(people, parameters)
+    walking, standing = walk[left] * walk[right], (1.0 - walk[left]) * (1.0 - walk[right])
+    pair = people.person[left] * len(people.ids) + people.person[right]
+    frame = people.frame_of[left]
+    t = people.t[frame]
+
+    def mean(values: FloatArray, seconds: float) -> FloatArray:
+        return averaged(pair, t, values, seconds, both_sides=both_sides)
+
+    odds = mean(standing * quick + (1.0 - standing - walking) * parameters.apart, parameters.place_seconds)
+    odds = odds + mean(standing * slow, parameters.look_seconds)
+    if walking.any():
+        together = walking_odds(people, left, right, parameters)
+        odds = odds + mean(walking * together, parameters.walking_seconds)
+    start = np.searchsorted(frame, np.arange(len(people.frame) + 1))
+    caution = mean(standing * caution, parameters.place_seconds)
+    return PairEvidence(left, right, start, odds, caution, mean(walking, parameters.walking_seconds))

@@ -1,0 +1,71 @@
+"""Evidence about pairs, averaged over time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.behaviour.people import IntArray
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.kernels.compiled import compiled
+
+_BEGINNING = 0.5
+"""Seconds that the first frame counts for where nobody knows when the next one will come."""
+
+
+def averaged(
+    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, *, both_sides: bool
+) -> FloatArray:
+    """Averages with weights exp(−|Δt|/seconds), within each pair.
+
+    Each frame counts for the time about it, so that the frame rate is without effect, but no frame for more
+    than `seconds`.
+
+    Parameters
+    ----------
+    pair : (n,) which pair a value is of
+    t : (n,) seconds
+    values : (n,)
+    both_sides : whether the future counts, or the past alone
+    """
+    if seconds <= 0.0 or not len(pair):
+        return values
+    order: NDArray[np.int64] = np.lexsort((t, pair))
+    found = np.empty_like(values)
+    found[order] = _averaged(pair[order], t[order], values[order], seconds, both_sides)
+    return found
+
+
+@compiled
+def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, both: bool) -> FloatArray:
+    n = len(pair)
+    before = np.empty((n, 2))
+    weight = np.empty(n)
+    for k in range(n):
+        low = t[k] - t[k - 1] if k > 0 and pair[k - 1] == pair[k] else math.inf
+        high = t[k + 1] - t[k] if k + 1 < n and pair[k + 1] == pair[k] else math.inf
+        if not both:  # the future is unknown
+            high = low if low < math.inf else _BEGINNING
+        if low == math.inf or high == math.inf:
+            about = min(low, high, seconds)
+        else:
+            about = 0.5 * (min(low, seconds) + min(high, seconds))
+        weight[k] = about
+        fade = math.exp(-low / seconds)
+        before[k, 0], before[k, 1] = about * values[k], about
+        if fade > 0.0:
+            before[k, 0] += fade * before[k - 1, 0]
+            before[k, 1] += fade * before[k - 1, 1]
+    found = np.empty(n)
+    after, total = 0.0, 0.0
+    for k in range(n - 1, -1, -1):
+        if both and k + 1 < n and pair[k + 1] == pair[k]:
+            fade = math.exp(-(t[k + 1] - t[k]) / seconds)
+            after = fade * (after + weight[k + 1] * values[k + 1])
+            total = fade * (total + weight[k + 1])
+        else:
+            after, total = 0.0, 0.0
+        found[k] = (before[k, 0] + after) / (before[k, 1] + total)
+    return found

@@ -1,0 +1,86 @@
+"""`graphtrack attention`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import console
+from graphtrack.cli.groups import Smoothing, Table, check_csv, estimated
+from graphtrack.display import counted
+
+PICTURES = ("looks.png", "timeline.png", "matrix.png")
+
+
+def attention(
+    inputs: options.Inputs,
+    output: Table,
+    reading: options.SceneReading,
+    places: Annotated[
+        Path | None,
+        typer.Option(
+            "--places",
+            help="CSV of what else may be looked at: name and x, y, radius, or name and polygon (x y x y …).",
+            show_default=False,
+        ),
+    ] = None,
+    model: Smoothing = None,
+    online: Annotated[
+        bool, typer.Option("--online", help="In each frame the past alone counts, as in a live scene.")
+    ] = False,
+    json_path: Annotated[
+        Path | None,
+        typer.Option(
+            "--json", help="Write who looks at whom, dwell times of places and mutual gaze, in seconds."
+        ),
+    ] = None,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(
+            "--pictures", help="Folder for a heat map of looks on the ground, a timeline and the matrix."
+        ),
+    ] = None,
+) -> None:
+    """Find who looks at whom, and at which places, in every frame, with probabilities."""
+    from graphtrack.behaviour.attention import attention as find
+    from graphtrack.behaviour.looks import attention_columns, summary_of
+    from graphtrack.behaviour.places import read_places
+    from graphtrack.io.groups import write_columns
+
+    options.check_outputs(
+        {
+            "--output": output,
+            "--json": json_path,
+            "--pictures": [] if pictures is None else [pictures / name for name in PICTURES],
+        },
+        {**reading.inputs(inputs, model), "--places": places},
+        to_make=[] if pictures is None else [pictures],
+    )
+    check_csv(output)
+    known = [] if places is None else read_places(places)
+    tracks = estimated(reading.tracks(inputs), model)
+    found = find(tracks, known, online=online)
+    columns = attention_columns(found)
+    write_columns(columns, output)
+    console.print(
+        f"wrote {output}: {counted(len(columns['frame']), 'row')}; {counted(len(found), 'track')}, "
+        f"{counted(len(known), 'place')}",
+        markup=False,
+    )
+    summary = summary_of(found)
+    if json_path is not None:
+        from graphtrack.io import atomic_path
+
+        with atomic_path(json_path) as temporary:
+            temporary.write_text(json.dumps(summary.to_dict(), indent=1), encoding="utf-8")
+        console.print(f"wrote {json_path}", markup=False)
+    if pictures is not None:
+        from graphtrack.report.plots.looks import draw_looks
+
+        options.make_folder(pictures)
+        draw_looks(tracks, known, found, summary, [pictures / name for name in PICTURES])
+        console.print(f"wrote {pictures}", markup=False)

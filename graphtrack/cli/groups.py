@@ -1,0 +1,179 @@
+"""`graphtrack groups`, and what `fit` and `score` do with groups."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import console, print_table, quiet_input_warnings
+from graphtrack.display import counted
+from graphtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from graphtrack.behaviour.parameters import GroupParameters
+    from graphtrack.evaluation.groups import GroupScore
+    from graphtrack.table.groups import GroupLabels
+    from graphtrack.tracks import TrackSet
+
+Table = Annotated[Path, typer.Option("--output", "-o", help="File to write: .csv or .csv.gz.")]
+ParametersFile = Annotated[
+    Path | None,
+    typer.Option("--parameters", help="What 'graphtrack fit --groups' wrote (.toml).", show_default=False),
+]
+Smoothing = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        help="Smooth observations first, with this preset or model file (.toml); by default they are taken "
+        "as they are.",
+        show_default=False,
+    ),
+]
+
+
+def groups(
+    inputs: options.Inputs,
+    output: Table,
+    reading: options.SceneReading,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth", help="Labelled groups to judge by: SALSA's or ETH's file, or a table of groups."
+        ),
+    ] = None,
+    model: Smoothing = None,
+    parameters: ParametersFile = None,
+    online: Annotated[
+        bool, typer.Option("--online", help="In each frame the past alone counts, as in a live scene.")
+    ] = False,
+    json_path: options.Json = None,
+) -> None:
+    """Find who stands in conversation with whom, and who walks together, in every frame."""
+    from graphtrack.behaviour.groups import groups as find
+    from graphtrack.io.groups import write_columns
+
+    options.check_outputs(
+        {"--output": output, "--json": json_path},
+        {**reading.inputs(inputs, model), "--truth": truth, "--parameters": parameters},
+    )
+    check_csv(output)
+    chosen = parameters_of(parameters)
+    labels = None if truth is None else read_quietly(truth)
+    found = find(estimated(reading.tracks(inputs), model), chosen, online=online)
+    write_columns(found.columns(), output)
+    count = counted(int(found.group.max(initial=-1)) + 1, "group")
+    most = {frame: len(one) for frame, one in found.members().items()}
+    console.print(
+        f"wrote {output}: {counted(len(found), 'row')}, {count}, "
+        f"{sum(most.values()) / max(len(most), 1):.2f} a frame",
+        markup=False,
+    )
+    if labels is not None:
+        from graphtrack.evaluation.groups import score_groups
+
+        true = labels.labels(found.frame, found.t, found.track_id)
+        show(score_groups(found.frame, found.track_id, found.group, true), json_path)
+
+
+def estimated(tracks: TrackSet, model: str | None) -> TrackSet:
+    """The tracks, smoothed if a model is named."""
+    if model is None:
+        return tracks
+    from graphtrack.inference.offline import engine_of, solve_tracks
+    from graphtrack.inference.solution import Solution
+    from graphtrack.model import Model
+
+    chosen = Model.named(model)
+    found = solve_tracks(tracks, chosen, engine_of(chosen, "auto"))
+    return tracks.with_tracks(result.track for result in found if isinstance(result, Solution))
+
+
+def check_csv(output: Path) -> None:
+    """Refuse a name of a table that is not CSV."""
+    if not output.name.lower().endswith((".csv", ".csv.gz")):
+        raise InputError(f"the file name {output.name!r}", "one of the endings .csv, .csv.gz", path=output)
+
+
+def read_quietly(path: Path) -> GroupLabels:
+    """Read labelled groups; what is to be said of them is said as a note."""
+    import warnings
+
+    from graphtrack.errors import InputWarning
+    from graphtrack.io.groups import read_groups
+
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", InputWarning)
+        found = read_groups(path)
+    for one in told:
+        console.print(f"  note: {one.message}", markup=False)
+    return found
+
+
+def parameters_of(path: Path | None) -> GroupParameters | None:
+    """Parameters from a file; None without one."""
+    if path is None:
+        return None
+    from graphtrack.behaviour.files import load_parameters
+
+    return load_parameters(path)
+
+
+def show(found: GroupScore, json_path: Path | None) -> None:
+    """Print a score of groups, and write it."""
+    print_table(f"Groups beside the truth, {counted(found.frames, 'frame')}", found.shown())
+    if json_path is not None:
+        from graphtrack.io import atomic_path
+
+        with atomic_path(json_path) as temporary:
+            temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
+        console.print(f"wrote {json_path}", markup=False)
+
+
+def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) -> None:
+    """`graphtrack score` of a table of groups.
+
+    Raises
+    ------
+    InputError
+        For several files.
+    """
+    from graphtrack.evaluation.groups import score_groups
+    from graphtrack.io.groups import read_group_rows
+
+    if len(inputs) != 1 or len(truth) != 1:
+        raise InputError(f"{len(inputs)} tables of groups, {len(truth)} truths", "one of each")
+    options.check_outputs({"--json": json_path}, {"the input": inputs, "--truth": truth})
+    rows = read_group_rows(inputs[0])
+    labels = read_quietly(truth[0])
+    true = labels.labels(rows["frame"], rows["t"], rows["track_id"])
+    show(score_groups(rows["frame"], rows["track_id"], rows["group"], true), json_path)
+
+
+def learn_groups(
+    tracks: TrackSet, truth: Path, hold_out: float, output: Path, json_path: Path | None
+) -> None:
+    """`graphtrack fit --groups`: learn, say how well groups are found, and write the parameters."""
+    from graphtrack.behaviour.files import save_parameters
+    from graphtrack.learning.groups import fit_groups
+
+    labels = read_quietly(truth)
+    with console.status("learning"), quiet_input_warnings():
+        found = fit_groups(tracks, labels, hold_out=hold_out)
+    save_parameters(found.parameters, output)
+    names = [("what was learned from", found.learned_from), ("what was held out", found.held_out)]
+    for name, score in names:
+        if score is not None:
+            print_table(f"Groups in {name}, {counted(score.frames, 'frame')}", score.shown())
+    console.print(f"wrote {output}", markup=False)
+    if json_path is not None:
+        from graphtrack.io import atomic_path
+
+        content = {"parameters": found.parameters.to_dict()}
+        content |= {name: score.to_dict() for name, score in names if score is not None}
+        with atomic_path(json_path) as temporary:
+            temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        console.print(f"wrote {json_path}", markup=False)

@@ -1,0 +1,128 @@
+"""How right groups are, as the literature of F-formations judges it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from graphtrack.table.groups import UNLABELLED, IntArray
+
+Group = frozenset[int]
+
+
+@dataclass(frozen=True)
+class GroupScore:
+    """Groups beside the truth; frames are averaged.
+
+    Attributes
+    ----------
+    frames : that are labelled
+    precision, recall, f1 : share of the estimated and of the true groups that match, and their harmonic mean;
+        a match has ⌈T·n⌉ of the n members of a true group and ⌈(1 − T)·n⌉ others at most (Setti et al. 2015);
+        first at T = 2/3, then at T = 1
+    pair_precision, pair_recall, pair_f1 : of pairs that share a group, over all frames
+    """
+
+    frames: int
+    precision: tuple[float, float]
+    recall: tuple[float, float]
+    f1: tuple[float, float]
+    pair_precision: float
+    pair_recall: float
+    pair_f1: float
+
+    def shown(self) -> list[dict[str, object]]:
+        """Rows of a table."""
+        rows: list[dict[str, object]] = [
+            {"": f"groups, {name} of the members", "precision": p, "recall": r, "F1": f}
+            for name, p, r, f in zip(("two thirds", "all"), self.precision, self.recall, self.f1, strict=True)
+        ]
+        rows.append(
+            {"": "pairs", "precision": self.pair_precision, "recall": self.pair_recall, "F1": self.pair_f1}
+        )
+        return rows
+
+    def to_dict(self) -> dict[str, object]:
+        """For a JSON file."""
+        return {
+            "frames": self.frames,
+            "t_two_thirds": _named(self.precision[0], self.recall[0], self.f1[0]),
+            "t_one": _named(self.precision[1], self.recall[1], self.f1[1]),
+            "pairs": _named(self.pair_precision, self.pair_recall, self.pair_f1),
+        }
+
+
+def matches(estimated: Sequence[Group], true: Sequence[Group], share: float) -> int:
+    """How many true groups are matched, each by an estimated group of its own."""
+    left, count = list(estimated), 0
+    for group in true:
+        need = math.ceil(share * len(group) - 1e-9)
+        most = math.ceil((1.0 - share) * len(group) - 1e-9)
+        for place, one in enumerate(left):
+            if len(group & one) >= need and len(one - group) <= most:
+                del left[place]
+                count += 1
+                break
+    return count
+
+
+def score_groups(frame: IntArray, track_id: IntArray, estimated: IntArray, true: IntArray) -> GroupScore:
+    """Judge groups in the frames that are labelled.
+
+    Parameters
+    ----------
+    frame, track_id : (n,) of the rows
+    estimated, true : (n,) numbers that those of a group share within a frame, −1 for those alone;
+        `UNLABELLED` where nothing is known
+    """
+    used = true != UNLABELLED
+    order = np.flatnonzero(used)[np.argsort(frame[used], kind="stable")]
+    edges = np.flatnonzero(np.diff(frame[order], prepend=np.nan, append=np.nan))
+    shares = (2.0 / 3.0, 1.0)
+    precision, recall = [], []
+    pairs = np.zeros(3)
+    for start, stop in pairwise(edges):
+        rows = order[start:stop]
+        found, known = (_groups(track_id[rows], labels[rows]) for labels in (estimated, true))
+        hits = [matches(found, known, share) for share in shares]
+        precision.append([hit / len(found) if found else float(not known) for hit in hits])
+        recall.append([hit / len(known) if known else 1.0 for hit in hits])
+        pairs += _pairs(found, known)
+    mean_precision, mean_recall = (np.mean(values, axis=0) for values in (precision, recall))
+    both, of_found, of_known = pairs
+    pair = (both / of_found if of_found else 1.0, both / of_known if of_known else 1.0)
+    return GroupScore(
+        len(precision),
+        (float(mean_precision[0]), float(mean_precision[1])),
+        (float(mean_recall[0]), float(mean_recall[1])),
+        tuple(_f1(p, r) for p, r in zip(mean_precision, mean_recall, strict=True)),  # type: ignore[arg-type]
+        float(pair[0]),
+        float(pair[1]),
+        _f1(*pair),
+    )
+
+
+def _named(precision: float, recall: float, f1: float) -> dict[str, float]:
+    return {"precision": precision, "recall": recall, "f1": f1}
+
+
+def _f1(precision: float, recall: float) -> float:
+    total = precision + recall
+    return float(2.0 * precision * recall / total) if total > 0.0 else 0.0
+
+
+def _groups(person: IntArray, label: IntArray) -> list[Group]:
+    members: dict[int, set[int]] = {}
+    for one, number in zip(person.tolist(), label.tolist(), strict=True):
+        if number >= 0:
+            members.setdefault(number, set()).add(one)
+    return [frozenset(group) for group in members.values() if len(group) > 1]
+
+
+def _pairs(found: Sequence[Group], known: Sequence[Group]) -> tuple[int, int, int]:
+    both = sum(math.comb(len(one & other), 2) for one in found for other in known)
+    return both, sum(math.comb(len(g), 2) for g in found), sum(math.comb(len(g), 2) for g in known)

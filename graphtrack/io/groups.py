@@ -1,0 +1,188 @@
+"""Files that say who is in a group with whom: SALSA's, ETH's, and the table of ``graphtrack groups``."""
+
+from __future__ import annotations
+
+import csv
+import re
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from graphtrack import bounds
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.io.atomic import atomic_path
+from graphtrack.io.numbers import expected_number, parse_number
+from graphtrack.io.source import Source
+from graphtrack.table.groups import GroupLabels, GroupStep
+
+_ID = re.compile(r"(?:ID_)?(\d{1,15})", re.ASCII)
+_NEEDED = ("frame", "track_id", "group")
+
+
+def is_group_table(path: Path) -> bool:
+    """Whether a file is a table of groups, by its first line."""
+    if not path.is_file() or not path.name.lower().endswith(".csv"):
+        return False
+    with path.open("rb") as stream:
+        first = stream.readline(4096).decode("utf-8", errors="replace")
+    return set(_NEEDED) <= {cell.strip().strip('"') for cell in first.removeprefix("\ufeff").split(",")}
+
+
+def read_groups(path: str | Path) -> GroupLabels:
+    """Read labelled groups; the format is recognised.
+
+    SALSA's: a line for each time, ``t < ID … > < ID … >``. ETH's: a line for each group, the ids of those who
+    walk together. The table: CSV with ``frame``, ``track_id`` and ``group`` (−1: alone).
+
+    Raises
+    ------
+    InputError
+        With the line of what cannot be used: no id or number, somebody in two groups at a time, times that do
+        not ascend, or no group at all.
+    """
+    source = Source.open(path)
+    lines = [(number, line) for number, line in enumerate(source.lines, 1) if line.strip()]
+    if not lines:
+        raise InputError("no rows", "groups", path=source.path)
+    first = lines[0][1]
+    if "," in first and set(_NEEDED) <= {cell.strip().strip('"') for cell in first.split(",")}:
+        return _read_table(source, lines)
+    return _read_salsa(source, lines) if "<" in first else _read_lines(source, lines)
+
+
+def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
+    steps: list[GroupStep] = []
+    twice: set[int] = set()
+    for number, line in lines:
+        time, _, rest = line.strip().partition(" ")
+        key = parse_number(time)
+        if key is None or abs(key) > bounds.LARGEST_SECONDS:
+            raise InputError(repr(time[:40]), "a time in seconds", path=source.path, line=number, column=1)
+        if steps and key <= steps[-1].key:
+            raise InputError(f"{key:g}", "a time after that of the row before", path=source.path, line=number)
+        parts = re.findall(r"<([^<>]*)>", rest)
+        if re.sub(r"<[^<>]*>", "", rest).strip():
+            raise InputError(
+                repr(rest.strip()[:40]), "groups such as < ID ID >", path=source.path, line=number
+            )
+        # The published annotation has somebody in two groups here and there: the larger one counts.
+        groups = [_group(source, number, part.split()) for part in parts]
+        kept: list[frozenset[int]] = []
+        for group in sorted(groups, key=len, reverse=True):
+            left = group.difference(*kept)
+            twice |= {number} if left != group else set()
+            kept.append(left)
+        steps.append(GroupStep(key, tuple(group for group in kept if group), number))
+    if twice:
+        warnings.warn(
+            f"{source.path}: somebody in two groups at once in line {', '.join(map(str, sorted(twice)))}: "
+            "counted in the larger one",
+            InputWarning,
+            stacklevel=3,
+        )
+    return GroupLabels("t", tuple(steps), source.path)
+
+
+def _read_lines(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
+    groups: list[frozenset[int]] = []
+    seen: set[int] = set()
+    for number, line in lines:
+        group = _group(source, number, line.replace(",", " ").split())
+        twice = seen & group
+        if twice:
+            raise InputError(
+                f"person {min(twice)} in a second group", "each person in one", path=source.path, line=number
+            )
+        seen |= group
+        groups.append(group)
+    return GroupLabels("always", (GroupStep(0.0, tuple(groups), lines[0][0]),), source.path)
+
+
+def _group(source: Source, line: int, cells: list[str]) -> frozenset[int]:
+    group: set[int] = set()
+    for cell in cells:
+        match = _ID.fullmatch(cell)
+        if match is None:
+            raise InputError(repr(cell[:40]), "the id of a person", path=source.path, line=line)
+        if int(match[1]) in group:
+            raise InputError(
+                f"person {match[1]} twice in a group", "each person once", path=source.path, line=line
+            )
+        group.add(int(match[1]))
+    return frozenset(group)
+
+
+def _read_table(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
+    header = [cell.strip() for cell in next(csv.reader([lines[0][1]]))]
+    places = [header.index(name) for name in _NEEDED]
+    frames: dict[int, dict[int, int]] = {}
+    line_of: dict[int, int] = {}
+    for number, line in lines[1:]:
+        cells = next(csv.reader([line]))
+        if len(cells) != len(header):
+            raise InputError(f"{len(cells)} columns", str(len(header)), path=source.path, line=number)
+        frame, person, group = (
+            _whole(source, number, name, cells[place]) for name, place in zip(_NEEDED, places, strict=True)
+        )
+        of_frame = frames.setdefault(frame, {})
+        line_of.setdefault(frame, number)
+        if person in of_frame:
+            raise InputError(
+                f"person {person} twice in frame {frame}",
+                "each person in one group",
+                path=source.path,
+                line=number,
+            )
+        of_frame[person] = group
+    if not frames:
+        raise InputError("no rows", "at least one row", path=source.path)
+    steps = []
+    for frame in sorted(frames):
+        members: dict[int, set[int]] = {}
+        for person, group in frames[frame].items():
+            if group >= 0:
+                members.setdefault(group, set()).add(person)
+        steps.append(GroupStep(frame, tuple(frozenset(one) for one in members.values()), line_of[frame]))
+    return GroupLabels("frame", tuple(steps), source.path)
+
+
+def _whole(source: Source, line: int, name: str, cell: str) -> int:
+    value = parse_number(cell.strip())
+    if value is None or value != int(value) or abs(value) > bounds.LARGEST_ID:
+        expected = "a whole number" if value is not None else expected_number(cell)
+        raise InputError(repr(cell.strip()[:40]), expected, path=source.path, line=line, column=name)
+    return int(value)
+
+
+def read_group_rows(path: str | Path) -> dict[str, np.ndarray]:
+    """The rows of a table of groups: ``frame``, ``t``, ``track_id``, ``group``; ``t`` is NaN if it has none.
+
+    Raises
+    ------
+    InputError
+        As `read_groups`.
+    """
+    source = Source.open(path)
+    lines = [(number, line) for number, line in enumerate(source.lines, 1) if line.strip()]
+    _read_table(source, lines)
+    rows = list(csv.DictReader([line for _, line in lines], skipinitialspace=True))
+    found: dict[str, np.ndarray] = {
+        name: np.array([int(float(row[name])) for row in rows], dtype=np.int64) for name in _NEEDED
+    }
+    found["t"] = np.array([_seconds(row.get("t")) for row in rows], dtype=float)
+    return found
+
+
+def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
+    """Write columns as CSV, whole or not at all; NaN and "" are empty cells."""
+    from graphtrack.io.readers.native_csv import write_columns as write
+
+    with atomic_path(path) as temporary:
+        write(columns, temporary)
+
+
+def _seconds(cell: str | None) -> float:
+    value = parse_number((cell or "").strip())
+    return np.nan if value is None else value

@@ -1,0 +1,166 @@
+"""Attention: calibrated on simulated looks, whole posteriors, who stands in between, and places."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import Done
+from command import run as run_program
+
+import graphtrack as gt
+from graphtrack.behaviour.attention import Attention, attention
+from graphtrack.behaviour.looks import attention_columns, summary_of
+from graphtrack.behaviour.places import Place, read_places
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import class_centres, wrap
+from graphtrack.simulation.party import party
+from graphtrack.tracks import Track, TrackSet
+
+
+def run(*arguments: object) -> Done:
+    return run_program(*arguments, program="graphtrack")
+
+
+def still(one: int, x: float, y: float, head: float | None, n: int = 6) -> Track:
+    frame = np.arange(n, dtype=np.int64)
+    looks = None if head is None else np.full(n, head)
+    return Track(one, frame, 0.5 * frame, np.tile([x, y], (n, 1)), head=looks)
+
+
+def of(found: Attention, kind: str, name: str) -> float:
+    """Mean probability of a target."""
+    return float(found.probability[:, found.targets.index((kind, name))].mean())
+
+
+def test_probabilities_of_simulated_looks_hold() -> None:
+    made = party(np.random.default_rng(5), people=10, steps=240, fps=2.0)
+    noisy = gt.add_noise(made.tracks, head_kappa=6.0, body_kappa=6.0, rng=np.random.default_rng(1))
+    for tracks in (made.tracks, noisy):
+        given, true = [], []
+        for one in attention(tracks):
+            given.append(one.probability.ravel())
+            true.append((made.look[one.track_id][:, None] == np.array([*one.people, -1])).ravel())
+        p, y = np.concatenate(given), np.concatenate(true)
+        bins = np.minimum((15 * p).astype(int), 14)
+        error = sum(abs(np.sum(p[bins == k]) - np.sum(y[bins == k])) for k in range(15)) / len(p)
+        assert error <= 0.05
+        best = sum(
+            np.sum(np.array([*one.people, -1])[one.probability.argmax(axis=1)] == made.look[one.track_id])
+            for one in attention(tracks)
+        )
+        assert best / made.look.size > 0.4
+
+
+def test_probabilities_sum_to_one_whoever_comes_first_and_however_the_scene_lies() -> None:
+    tracks = party(np.random.default_rng(2), people=6, steps=40).tracks
+    found = attention(tracks)
+    for one, other in zip(found, attention(tracks.tracks[::-1]), strict=True):
+        np.testing.assert_allclose(one.probability.sum(axis=1), 1.0)
+        np.testing.assert_allclose(one.probability, other.probability)
+    rotation = np.array([[0.0, -1.0], [1.0, 0.0]])
+    turned = tracks.map(
+        lambda track: replace(
+            track,
+            position=track.position @ rotation.T + [5.0, -3.0],
+            body=wrap(track.body + np.pi / 2),
+            head=wrap(track.head + np.pi / 2),
+        )
+    )
+    for one, other in zip(found, attention(turned), strict=True):
+        np.testing.assert_allclose(one.probability, other.probability, atol=1e-6)
+
+
+def test_who_stands_in_between_takes_the_look() -> None:
+    looker, behind, between = still(1, 0.0, 0.0, 0.0), still(2, 4.0, 0.0, None), still(3, 2.0, 0.05, None)
+    alone = of(attention([looker, behind])[0], "person", "2")
+    hidden = attention([looker, behind, between])[0]
+    assert alone > 0.8 and of(hidden, "person", "2") < 0.1 < 0.8 < of(hidden, "person", "3")
+
+
+def test_both_modes_of_a_head_count() -> None:
+    scores = np.exp(8.0 * (np.cos(2.0 * class_centres(12)) - 1.0))
+    looker = replace(still(1, 0.0, 0.0, None), head_likelihood=np.tile(scores, (6, 1)))
+    found = attention(
+        [looker, still(2, 3.0, 0.0, None), still(3, -3.0, 0.0, None), still(4, 0.0, 3.0, None)]
+    )[0]
+    ahead, back, aside = (of(found, "person", name) for name in "234")
+    assert ahead == pytest.approx(back, abs=0.02) and ahead > 0.3 and aside < 0.1
+
+
+def test_an_unknown_head_leaves_the_prior_and_nobody_leaves_nothing() -> None:
+    found = attention([still(1, 0.0, 0.0, None), still(2, 1.0, 0.0, None)])[0]
+    assert of(found, "nothing", "") == pytest.approx(0.3)
+    assert of(attention([still(1, 0.0, 0.0, 0.3)])[0], "nothing", "") == 1.0
+
+
+def test_places_are_looked_at_the_larger_the_rather(tmp_path: Path) -> None:
+    path = tmp_path / "places.csv"
+    path.write_text("name,x,y,radius,polygon\nposter,4,0,0.5,\nstage,,,,-5 -1 -5 1 -6 0\n")
+    poster, stage = read_places(path)
+    for head, expected in ((0.0, "poster"), (np.pi, "stage")):
+        found = attention([still(1, 0.0, 0.0, head)], [poster, stage])[0]
+        assert of(found, "place", expected) > 0.8
+    far, near = (attention([still(1, 0.0, 0.0, 0.5)], [Place("p", poster.outline, r)])[0] for r in (0.1, 2.0))
+    assert of(near, "place", "p") > of(far, "place", "p")
+    summary = summary_of(attention([still(1, 0.0, 0.0, 0.0)], [poster, stage]))
+    seconds, intervals = summary.dwell["poster"][1]
+    assert seconds > 2.0 and intervals == [(-0.25, 2.75)]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name,x,y,radius\na,0,0,\n", "line 2: found place 'a' with neither radius nor polygon"),
+        ("name,x,y,radius\na,0,0,0\n", "line 2, column radius: found 0, expected metres above 0"),
+        ("name,x,y,radius\na,0,0,1\na,1,0,1\n", "line 3, column name: found the name 'a' again"),
+        ("name,polygon\na,0 0 1 1\n", "found 4 numbers, expected x y of three corners or more"),
+        ("name,x,y,radius\na,q,0,1\n", "line 2, column x: found 'q'"),
+        ("name,x,y\na,0,0\n", "expected name and x, y, radius, or name and polygon"),
+    ],
+)
+def test_places_that_cannot_be_are_told(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "places.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as told:
+        read_places(path)
+    assert message in str(told.value)
+
+
+def test_the_command_writes_table_summary_and_pictures(tmp_path: Path) -> None:
+    made = run(
+        *("simulate", "-o", tmp_path / "party.csv", "--scene", "party", "--tracks", 5, "--steps", 30),
+        *("--groups", tmp_path / "groups.csv", "--looks", tmp_path / "looks.csv"),
+    )
+    assert made.returncode == 0, made.stderr
+    (tmp_path / "places.csv").write_text("name,x,y,radius\nbar,1,1,0.5\n")
+    done = run(
+        *("attention", tmp_path / "party.csv", "-o", tmp_path / "attention.csv"),
+        *("--places", tmp_path / "places.csv", "--json", tmp_path / "looks.json"),
+        *("--pictures", tmp_path / "pictures"),
+    )
+    assert done.returncode == 0, done.stderr
+    rows = list(csv.DictReader((tmp_path / "attention.csv").open()))
+    assert list(rows[0]) == ["frame", "t", "track_id", "kind", "target", "probability"]
+    summary = json.loads((tmp_path / "looks.json").read_text())
+    assert np.sum(summary["seconds"]) == pytest.approx(5 * 3.0, rel=1e-3)
+    assert {path.name for path in (tmp_path / "pictures").iterdir()} == {
+        "looks.png",
+        "timeline.png",
+        "matrix.png",
+    }
+    assert sum(row["kind"] == "nothing" for row in rows) == 5 * 30
+    judged = run(
+        "groups", tmp_path / "party.csv", "-o", tmp_path / "g.csv", "--truth", tmp_path / "groups.csv"
+    )
+    assert judged.returncode == 0, judged.stderr
+
+
+def test_two_who_look_at_each_other_do_so_mutually() -> None:
+    found = attention(TrackSet((still(1, 0.0, 0.0, 0.0), still(2, 1.5, 0.0, np.pi))))
+    assert summary_of(found).mutual[1, 2] > 2.0
+    assert set(attention_columns(found)["kind"]) <= {"person", "nothing"}

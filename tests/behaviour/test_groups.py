@@ -1,0 +1,277 @@
+"""Groups: what they do not depend on, what they keep, and what their files may hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import Done
+from command import run as run_program
+
+import graphtrack as gt
+from graphtrack.behaviour.partition import partition
+from graphtrack.behaviour.smoothing import averaged
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.evaluation.groups import matches, score_groups
+from graphtrack.geometry.angles import direction, wrap
+from graphtrack.io.groups import read_groups
+from graphtrack.tracks import Track, TrackSet
+
+
+def run(*arguments: object) -> Done:
+    done = run_program(*arguments, program="graphtrack")
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def circle(ids: range, centre: tuple[float, float], radius: float, n: int, dt: float = 0.5) -> list[Track]:
+    """People who stand on a circle and face its centre, a little restless."""
+    rng = np.random.default_rng(min(ids))
+    tracks = []
+    for k, one in enumerate(ids):
+        angle = 2.0 * np.pi * k / len(ids)
+        place = np.array(centre) + radius * np.array([np.cos(angle), np.sin(angle)])
+        position = place + 0.02 * rng.standard_normal((n, 2))
+        facing = wrap(direction(np.array(centre) - position) + 0.1 * rng.standard_normal(n))
+        frame = np.arange(n, dtype=np.int64)
+        tracks.append(Track(one, frame, dt * frame, position, body=facing, head=facing))
+    return tracks
+
+
+def party(n: int = 20, dt: float = 0.5) -> TrackSet:
+    """Two conversations and somebody alone, who looks away."""
+    alone = circle(range(9, 10), (6.0, 3.0), 0.0, n, dt)[0]
+    alone = replace(alone, body=np.full(n, 0.4), head=np.full(n, 0.4))
+    return TrackSet(
+        (*circle(range(1, 5), (0.0, 0.0), 0.7, n, dt), *circle(range(5, 8), (3.5, 0.5), 0.6, n, dt), alone)
+    )
+
+
+def walkers(n: int = 40, dt: float = 0.4) -> TrackSet:
+    """A pair side by side, and somebody who overtakes them."""
+    frame = np.arange(n, dtype=np.int64)
+    t = dt * frame
+    ways = {1: (1.2, 0.0), 2: (1.2, 0.7), 3: (1.9, 1.6)}
+    return TrackSet(
+        tuple(Track(k, frame, t, np.column_stack([v * t, np.full(n, y)])) for k, (v, y) in ways.items())
+    )
+
+
+def partitions_of(found: gt.Groups) -> dict[int, set[frozenset[int]]]:
+    return {frame: set(groups) for frame, groups in found.members().items()}
+
+
+def moved(tracks: TrackSet, turn: float, shift: tuple[float, float]) -> TrackSet:
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+
+    def one(track: Track) -> Track:
+        angles = {
+            name: wrap(getattr(track, name) + turn)
+            for name in ("body", "head")
+            if getattr(track, name) is not None
+        }
+        return replace(track, position=track.position @ rotation.T + shift, **angles)
+
+    return tracks.map(one)
+
+
+def reversed_in_time(tracks: TrackSet) -> TrackSet:
+    def one(track: Track) -> Track:
+        angles = {
+            name: getattr(track, name)[::-1] for name in ("body", "head") if getattr(track, name) is not None
+        }
+        return replace(
+            track, frame=-track.frame[::-1], t=-track.t[::-1], position=track.position[::-1], **angles
+        )
+
+    return tracks.map(one)
+
+
+def test_conversations_are_found_and_who_is_alone_stays_so() -> None:
+    found = gt.groups(party())
+    expected = {frozenset(range(1, 5)), frozenset(range(5, 8))}
+    assert all(groups == expected for groups in partitions_of(found).values())
+    assert set(found.to_table()["kind"]) == {"", "conversing"}
+    grouped = found.group >= 0
+    assert (found.probability[grouped] > 0.5).all() and (found.probability >= 0.0).all()
+    centre = found.centre[found.track_id == 1]
+    assert np.hypot(*centre.T).max() < 0.3
+    assert np.isnan(found.centre[~grouped]).all()
+
+
+def test_those_who_walk_side_by_side_are_together() -> None:
+    found = gt.groups(walkers())
+    assert all(groups == {frozenset({1, 2})} for groups in partitions_of(found).values())
+    assert set(found.to_table()["kind"][found.group >= 0]) == {"walking"}
+
+
+@pytest.mark.parametrize("tracks", [party(), walkers()], ids=["party", "walkers"])
+def test_order_motion_and_direction_of_time_are_without_effect(tracks: TrackSet) -> None:
+    expected = partitions_of(gt.groups(tracks))
+    assert partitions_of(gt.groups(tracks.tracks[::-1])) == expected
+    turned = gt.groups(moved(tracks, 1.3, (40.0, -7.0)))
+    assert partitions_of(turned) == expected
+    np.testing.assert_allclose(turned.probability, gt.groups(tracks).probability, atol=1e-6)
+    back = partitions_of(gt.groups(reversed_in_time(tracks)))
+    assert {-frame: groups for frame, groups in back.items()} == expected
+    names = {track.track_id: 100 - 7 * track.track_id for track in tracks}
+    renamed = partitions_of(
+        gt.groups(tracks.map(lambda track: replace(track, track_id=names[track.track_id])))
+    )
+    assert renamed == {
+        frame: {frozenset(names[k] for k in group) for group in groups} for frame, groups in expected.items()
+    }
+
+
+def test_less_is_sure_where_less_is_known() -> None:
+    sure = gt.groups(party()).probability
+    hidden = party().map(lambda track: replace(track, body=None, head=None))
+    places = gt.groups(hidden)
+    vague = party().map(lambda track: replace(track, body_kappa=np.full(len(track), 0.01), head=None))
+    grouped = gt.groups(party()).group >= 0
+    assert places.probability[grouped].mean() < sure[grouped].mean()
+    np.testing.assert_allclose(gt.groups(vague).probability, places.probability, atol=0.02)
+
+
+def test_the_frame_rate_is_without_effect() -> None:
+    slow, fast = party(10, 1.0), party(200, 0.05)
+    found = [set().union(*partitions_of(gt.groups(tracks)).values()) for tracks in (slow, fast)]
+    assert found[0] == found[1]
+
+
+def test_online_the_future_counts_for_nothing() -> None:
+    tracks = party()
+    part = tracks.map(lambda track: track[:12])
+    whole, begun = gt.groups(tracks, online=True), gt.groups(part, online=True)
+    early = whole.frame < 12
+    np.testing.assert_allclose(whole.probability[early], begun.probability, atol=1e-12)
+    assert (whole.group[early] == begun.group).all()
+
+
+def test_a_group_keeps_its_number_while_most_of_its_members_stay() -> None:
+    first, then = party(), circle(range(1, 4), (0.0, 0.0), 0.7, 40)
+    leaver = replace(first[4], position=first[4].position + np.where(np.arange(20)[:, None] > 9, 30.0, 0.0))
+    tracks = TrackSet((*(track[:20] for track in then), leaver))
+    found = gt.groups(tracks)
+    assert set(found.group[found.track_id == 1]) == {0}
+    assert found.group[found.track_id == 4][-1] == -1
+
+
+def test_one_person_and_nobody() -> None:
+    one = gt.groups(party().tracks[:1])
+    assert (one.group == -1).all() and (one.probability == 1.0).all()
+    assert len(gt.groups(TrackSet(()))) == 0
+
+
+def test_a_thousand_people_are_parted() -> None:
+    tracks = [
+        one
+        for k in range(250)
+        for one in circle(range(4 * k, 4 * k + 4), (6.0 * (k % 20), 6.0 * (k // 20)), 0.6, 2)
+    ]
+    found = gt.groups(tracks)
+    assert all(len(groups) == 250 for groups in found.members().values())
+
+
+def test_a_partition_is_nearly_the_best_of_all() -> None:
+    rng = np.random.default_rng(2)
+    left, right = np.triu_indices(5, 1)
+    shares = []
+    for _ in range(60):
+        odds = rng.normal(size=len(left)) * 2.0
+
+        def worth(label: np.ndarray, odds: np.ndarray = odds) -> float:
+            return float(odds[label[left] == label[right]].sum())
+
+        every = np.stack(np.meshgrid(*[range(5)] * 5, indexing="ij"), -1).reshape(-1, 5)
+        best = max(worth(label) for label in every)
+        found = worth(partition(5, left, right, odds, -4.0))
+        assert found <= best + 1e-9
+        shares.append(found / best)
+    assert np.mean(shares) > 0.98
+
+
+def test_averages_of_a_constant_are_it() -> None:
+    rng = np.random.default_rng(0)
+    pair, t = rng.integers(0, 3, 50), np.arange(50) * 0.3
+    for both in (True, False):
+        np.testing.assert_allclose(averaged(pair, t, np.full(50, 2.5), 4.0, both_sides=both), 2.5)
+
+
+def test_scores_of_the_truth_are_one_and_of_nothing_zero() -> None:
+    frame, person = np.repeat(np.arange(4), 5), np.tile(np.arange(5), 4)
+    true = np.tile([0, 0, 1, 1, -1], 4)
+    same, none = (
+        score_groups(frame, person, label, true) for label in (true + 3 * (true >= 0), np.full(20, -1))
+    )
+    assert same.f1 == (1.0, 1.0) and same.pair_f1 == 1.0
+    assert none.f1 == (0.0, 0.0) and none.pair_recall == 0.0
+    three, four = frozenset({1, 2, 3}), frozenset({1, 2, 3, 4})
+    assert matches([three], [four], 2 / 3) == 1 and matches([three], [four], 1.0) == 0
+    assert matches([frozenset({1, 2, 7, 8})], [three], 2 / 3) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("0.0 < ID_001 ID_x >\n", "line 1: found 'ID_x', expected the id of a person"),
+        ("0.0 < ID_001 >\n0.0 < ID_001 >\n", "line 2: found 0, expected a time after"),
+        ("1 2\n2 3\n", "line 2: found person 2 in a second group"),
+        ("frame,track_id,group\n0,1,0\n0,1,1\n", "line 3: found person 1 twice in frame 0"),
+        ("frame,track_id,group\n0,1,a\n", "line 2, column group: found 'a'"),
+        ("\n", "expected groups"),
+    ],
+)
+def test_groups_that_cannot_be_are_told(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "groups.txt"
+    path.write_text(text)
+    with pytest.raises(InputError) as told:
+        read_groups(path)
+    assert message in str(told.value)
+
+
+def test_unknown_people_and_overlaps_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "groups.txt"
+    rows = np.zeros(2, dtype=np.int64), np.zeros(2), np.array([1, 2])
+    path.write_text("0.0 < ID_001 ID_0077 >\n")
+    with pytest.raises(InputError, match="line 1: found person 77 in a group, expected people of the tracks"):
+        read_groups(path).labels(*rows)
+    path.write_text("0.0 < ID_002 > < ID_001 ID_002 >\n")
+    with pytest.warns(InputWarning, match="in two groups at once in line 1"):
+        assert (read_groups(path).labels(*rows) == 0).all()
+    path.write_text("1 2 77\n")
+    with pytest.warns(InputWarning, match="1 people"):
+        assert (read_groups(path).labels(*rows) == 0).all()
+
+
+def test_the_command_writes_what_it_reads_and_learns(tmp_path: Path) -> None:
+    gt.write(party(160), tmp_path / "party.csv")
+    run("groups", tmp_path / "party.csv", "-o", tmp_path / "groups.csv")
+    lines = (tmp_path / "groups.csv").read_text().splitlines()
+    assert lines[0] == "frame,t,track_id,group,kind,probability,centre_x,centre_y"
+    assert len(lines) == 1 + 8 * 160
+    done = run("score", tmp_path / "groups.csv", "--truth", tmp_path / "groups.csv")
+    assert "1" in done.stdout
+    run("fit", tmp_path / "party.csv", "--groups", tmp_path / "groups.csv", "-o", tmp_path / "learned.toml")
+    run(
+        *("groups", tmp_path / "party.csv", "-o", tmp_path / "again.csv"),
+        *("--parameters", tmp_path / "learned.toml", "--truth", tmp_path / "groups.csv"),
+    )
+    assert [line.split(",")[:4] for line in (tmp_path / "again.csv").read_text().splitlines()] == [
+        line.split(",")[:4] for line in lines
+    ]
+
+
+def test_groups_of_a_party_that_was_not_learned_from(data_dir: Path) -> None:
+    tracks = gt.read(data_dir / "salsa" / "features.txt").map(
+        lambda track: track[(track.t > 1000.0) & (track.t < 1934.0)]
+    )
+    found = gt.groups(tracks)
+    with pytest.warns(InputWarning):
+        labels = read_groups(data_dir / "salsa" / "groups.txt")
+    score = score_groups(
+        found.frame, found.track_id, found.group, labels.labels(found.frame, found.t, found.track_id)
+    )
+    assert score.f1[0] >= 0.9 and score.f1[1] >= 0.76
