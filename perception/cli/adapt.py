@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,16 +18,14 @@ from perception.cli.common import (
     Homography,
     VideoOrFolder,
     check_places,
-    decoded_frames,
     frame_rate,
     print_skipped,
     read_camera,
 )
+from perception.cli.own_networks import stamp_of
+from perception.cli.searching import PeopleSearch, search_journals
 
 if TYPE_CHECKING:
-    from graphtrack.geometry.camera import GroundCamera
-    from perception.detection.boxes import PersonBox
-    from perception.images.frames import FrameSource
     from perception.storage import ModelCard
 
 
@@ -56,7 +53,8 @@ def adapt(
     if output.suffix != ".npz":
         raise InputError(f"--output {output.name}", "a name that ends in .npz")
     inputs = {"--boxes": boxes, "--homography": homography, "--calibration": calibration}
-    check_places({"--output": output}, None, source, inputs)
+    journals = search_journals(output)
+    check_places({"--output": output, "the journals of --output": journals}, None, source, inputs)
     camera = read_camera(homography, calibration)
     if camera is None:
         raise InputError("no camera", "--calibration or --homography: where people go is seen on the ground")
@@ -65,13 +63,16 @@ def adapt(
     rate = frame_rate(frames, fps)
     refused: dict[str, None] = {}
     refuse = refused.setdefault
-    people = _detected(frames, camera, refuse) if boxes is None else read_boxes(boxes, refuse)
+    asked = stamp_of(homography), stamp_of(calibration)
+    search = PeopleSearch(frames, camera, rate, output, asked, one_size=True)
     package = PackageModels(
         load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
     )
     rng = np.random.default_rng(seed)
-    found = adapted(frames, people, camera, rate, package, rng, progress_bar, refuse)
-    found.models.save(output)
+    with search:
+        people = search.people(refuse) if boxes is None else read_boxes(boxes, refuse)
+        found = adapted(frames, people, camera, rate, package, rng, progress_bar, refuse)
+        found.models.save(output)
     print_skipped(list(refused))
     console.print(
         f"learned from {len(found.labels)} boxes of {found.people} people who "
@@ -80,20 +81,6 @@ def adapt(
     )
     print_figures(found.models.card)
     console.print(f"wrote {output}", markup=False)
-
-
-def _detected(frames: FrameSource, camera: GroundCamera, refuse: Callable[[str], object]) -> list[PersonBox]:
-    """People that OpenCV's detector finds, joined to tracks."""
-    from perception.detection.people import Detections, PeopleDetector, PeopleTracker
-
-    detector, tracker = PeopleDetector(), PeopleTracker(camera)
-    with decoded_frames(frames, lambda number: True, frames.count, one_size=True) as decoded:
-        for frame in decoded:
-            if frame.image is None:
-                refuse(frame.reason)
-            else:
-                tracker.update(frame.number, Detections.of(frame.image, *detector.detect(frame.image)))
-    return tracker.tracks()
 
 
 def print_figures(card: ModelCard) -> None:

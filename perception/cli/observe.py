@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -44,15 +43,11 @@ from perception.cli.own_networks import (
     stamp_of,
     with_their_keypoints,
 )
+from perception.cli.searching import PeopleSearch, key_of, search_journals
 from perception.cli.teaching import check_adapt, forget, stamp_of_camera, teach
 
 if TYPE_CHECKING:
-    from graphtrack.geometry.camera import GroundCamera
-    from perception.detection.boxes import PersonBox
-    from perception.detection.networks.found import Detector as Detects
-    from perception.detection.people import Detections, PeopleTracker
     from perception.images.frames import Frame, FrameSource
-    from perception.observe.journal import FrameJournal
     from perception.observe.pipeline import SeenTracks
 
 
@@ -106,8 +101,8 @@ def observe(
         bool | None,
         typer.Option(
             "--causal/--whole-track",
-            help="Choose heads, and join detections, from what came before alone, or along whole tracks; "
-            "the former with -o -, else the latter.",
+            help="Choose heads from what came before alone, or along whole tracks, and find people by each "
+            "frame alone, or by what all frames teach; the former with -o -, else the latter.",
             show_default=False,
         ),
     ] = None,
@@ -123,7 +118,8 @@ def observe(
 ) -> None:
     """Find people and say where they are and how their bodies and heads point, frame by frame.
 
-    Boxes without identities stand alone, and so are the rows of the table, whose ids are -1.
+    Boxes without identities, such as those that are detected without --boxes, stand alone, and so do the rows
+    of the table, whose ids are -1: `graphtrack smooth` finds out who is who.
 
     A run that was broken off goes on where it was when it is called again in the same way.
     """
@@ -134,7 +130,6 @@ def observe(
     from perception.cli.observe_stream import observe_stream
     from perception.detection.boxes import read_boxes, write_boxes
     from perception.detection.networks.found import FoundPeople
-    from perception.detection.people import Detections, PeopleDetector, PeopleTracker
     from perception.images.drawing.output import is_video
     from perception.images.frames import FrameSource
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser, load_keypoint_pose
@@ -158,7 +153,6 @@ def observe(
         check_adapt(streamed, homography or calibration, (*own_models, camera_models, keypoints))
     if streamed:
         _refuse_with_stream({"--write-boxes": write_boxes_to, "--render": render}, causal)
-    found_so_far = output.with_name(f"{output.name}.detections")
     points_so_far = output.with_name(f"{output.name}.keypoints")
     known_so_far = output.with_name(f"{output.name}.journal")
     taught_so_far = output.with_name(f"{output.name}.camera.npz")
@@ -167,7 +161,12 @@ def observe(
         if streamed
         else {
             "--output": output,
-            "the journals of --output": [found_so_far, points_so_far, known_so_far, taught_so_far],
+            "the journals of --output": [
+                *search_journals(output),
+                points_so_far,
+                known_so_far,
+                taught_so_far,
+            ],
             "--write-boxes": write_boxes_to,
         },
         render,
@@ -191,8 +190,8 @@ def observe(
     refuse = refused.setdefault
     networks = own_networks(frames, detector, keypoints, person_class, input_size, least_score)
     given = None if boxes is None else read_boxes(boxes, refuse)
-    pointed = given is None and networks.makes_boxes  # whose boxes are made of keypoints, has no identity
-    identified = not (pointed or (given and not given[0].identified))
+    pointed = given is None and networks.makes_boxes  # boxes are made of keypoints
+    identified = given is not None and (not given or given[0].identified)
     if not (identified or streamed):
         check_table_name(output)
     models = pipeline.Models(
@@ -209,23 +208,24 @@ def observe(
         observe_stream(frames, given, observer, refused, networks)
         return
     one_size = render is not None and is_video(render)
-    detections, points = (
-        FrameJournal(path, _key(frames.stamp(), networks.asked), kind.to_record, kind.from_record)
-        for path, kind in ((found_so_far, Detections), (points_so_far, FoundPeople))
+    asked_of = stamp_of(homography), stamp_of(calibration), networks.asked
+    search = PeopleSearch(
+        frames,
+        camera,
+        rate,
+        output,
+        asked_of,
+        causal=bool(causal),
+        one_size=one_size,
+        detector=networks.detector,
     )
-    if given is not None or pointed:
-        people = given
-    else:
-        tracker = PeopleTracker(camera)
-        people = _detect(
-            frames,
-            tracker,
-            networks.detector or PeopleDetector(),
-            detections,
-            refuse,
-            one_size=one_size,
-            causal=bool(causal),
-        )
+    points = FrameJournal(
+        points_so_far,
+        key_of(frames.stamp(), networks.asked),
+        FoundPeople.to_record,
+        FoundPeople.from_record,
+    )
+    people = given if given is not None or pointed else search.people(refuse)
     if networks.has_keypoints:
         numbers = None if people is None else {item.frame for item in people}
         found = find_keypoints(frames, networks, numbers, points, refuse, one_size=one_size)
@@ -235,16 +235,16 @@ def observe(
         write_boxes(people, write_boxes_to)
     own = [stamp_of(path) for path in (*own_models, camera_models)]
     if adapt and camera is not None:
-        asked = _key(frames.stamp(), rate, people, stamp_of_camera(camera))
+        asked = key_of(frames.stamp(), rate, people, stamp_of_camera(camera))
         taught, _ = teach(taught_so_far, asked, frames, people, camera, rate, refuse)
         models, own = replace(models, of_camera=taught), [asked]
     looked = time.perf_counter()
-    key = _key(frames.stamp(), head_pose, own, people, models.appearance, networks.has_keypoints)
+    key = key_of(frames.stamp(), head_pose, own, people, models.appearance, networks.has_keypoints)
     journal = FrameJournal(known_so_far, key, pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record)
     journal.open()
     say_how_far(journal)
     # Where people were detected, nothing new is to be found in frames without any.
-    looked_at = detections.frames.keys() | points.frames.keys()
+    looked_at = search.found.keys() | points.frames.keys()
     empty = set() if boxes is not None else looked_at - {item.frame for item in people}
     try:
         with _decoded(frames, journal.frames.keys() | empty, one_size=one_size) as decoded:
@@ -252,7 +252,7 @@ def observe(
         seen = pipeline.seen_in(journal)
         observed = pipeline.to_tracks(seen, models.head_classes, camera, rate, causal=bool(causal))
     except InputError:  # the same command would end in the same way
-        for one in (journal, detections, points):
+        for one in (journal, search, points):
             one.close(remove=True)
         forget(taught_so_far, adapt)
         raise
@@ -263,7 +263,7 @@ def observe(
         _render(frames, observed, render, rate)
     tracks = observed.tracks
     (write if identified else write_detections)(tracks, output)
-    for one in (journal, detections, points):
+    for one in (journal, search, points):
         one.close(remove=True)
     forget(taught_so_far, adapt)
     print_skipped(list(refused))
@@ -288,10 +288,6 @@ def _refuse_with_stream(files: Mapping[str, Path | None], causal: bool | None) -
         raise InputError("--whole-track with -o -", "a file as the output: rows are given before the rest")
 
 
-def _key(*asked: object) -> str:
-    return hashlib.sha256(repr(asked).encode()).hexdigest()
-
-
 @contextmanager
 def _decoded(
     frames: FrameSource, known: Collection[int] = (), *, unit: str = "frames", one_size: bool = False
@@ -308,62 +304,6 @@ def _decoded(
         frames, lambda number: number not in known, count, unit=unit, one_size=one_size
     ) as decoded:
         yield decoded
-
-
-def _detect(
-    frames: FrameSource,
-    tracker: PeopleTracker,
-    detector: Detects,
-    journal: FrameJournal[Detections],
-    refuse: Callable[[str], object],
-    *,
-    one_size: bool,
-    causal: bool,
-) -> list[PersonBox]:
-    """Detected people as tracks; frames that the journal has are not looked at again."""
-    from perception.detection.people import Detections
-
-    journal.open()
-    say_how_far(journal)
-    start, count = time.perf_counter(), 0
-    try:
-        with _decoded(frames, journal.frames, one_size=one_size) as decoded:
-            for frame in decoded:
-                if frame.image is None:
-                    refuse(frame.reason)
-                else:
-                    journal.add(frame.number, Detections.of(frame.image, *detector.detect(frame.image)))
-                    count += 1
-    finally:
-        journal.close(remove=False)
-    for number, found in sorted(journal.frames.items()):
-        tracker.update(number, found)
-    console.print(f"looked for people in {in_time(count, time.perf_counter() - start)}", markup=False)
-    if tracker.passing:
-        detected = sum(len(found.scores) for found in journal.frames.values())
-        refuse(
-            f"{tracker.passing} of {detected} detected boxes, in tracks of less than {tracker.least} boxes"
-        )
-    return tracker.tracks(causal=causal)
-
-
-def search(
-    frames: FrameSource, camera: GroundCamera | None, output: Path, refuse: Callable[[str], object]
-) -> list[PersonBox]:
-    """People who are detected in frames of one size; what is known goes to a journal beside the output."""
-    from perception.detection.people import Detections, PeopleDetector, PeopleTracker
-    from perception.observe.journal import FrameJournal
-
-    journal = FrameJournal(
-        output.with_name(f"{output.name}.detections"),
-        _key(frames.stamp()),
-        Detections.to_record,
-        Detections.from_record,
-    )
-    tracker = PeopleTracker(camera)
-    found = _detect(frames, tracker, PeopleDetector(), journal, refuse, one_size=True, causal=False)
-    journal.close(remove=True)
-    return found
 
 
 def _render(frames: FrameSource, observed: SeenTracks, path: Path, fps: float) -> None:

@@ -140,13 +140,13 @@ class _Run:
                 read_boxes(boxes or detected, refused.setdefault)
                 detected.unlink(missing_ok=True)
                 return [f"{len(given)} boxes of {boxes}", *_told(refused)]
-            found = found_people(self.frames, self.known, detected, refused.setdefault)
+            found = found_people(self.frames, self.known, self.rate, detected, refused.setdefault)
             if not found:
                 raise InputError("a recording in which nobody is found", "people, or their boxes (--boxes)")
             write_boxes(found, detected)
             return [f"{len(found)} boxes of people who were detected", *_told(refused)]
 
-        asked = self.frames.stamp(), stamp_of_camera(self.known), given
+        asked = self.frames.stamp(), stamp_of_camera(self.known), self.rate, given
         self.assume(*self.folder.stage("people", asked, () if given else ("boxes",), work))
         self.people = read_boxes(detected) if given is None else given
         if not self.people:
@@ -325,12 +325,19 @@ class _Run:
 
 
 def found_people(
-    frames: FrameSource, camera: GroundCamera | None, output: Path, refuse: Callable[[str], object]
+    frames: FrameSource,
+    camera: GroundCamera | None,
+    rate: float,
+    output: Path,
+    refuse: Callable[[str], object],
 ) -> list[PersonBox]:
     """People who are detected, as `perception observe` does; a search that was broken off goes on."""
-    from perception.cli.observe import search
+    from perception.cli.searching import PeopleSearch
+    from perception.cli.teaching import stamp_of_camera
 
-    return search(frames, camera, output, refuse)
+    asked = (stamp_of_camera(camera),)
+    with PeopleSearch(frames, camera, rate, output, asked, one_size=True) as search:
+        return search.people(refuse)
 
 
 def _told(refused: Sequence[str] | dict[str, None]) -> list[str]:

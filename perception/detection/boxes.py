@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.io import atomic_path
 from graphtrack.io.readers import caviar, mot
 from graphtrack.io.source import Source
@@ -72,6 +73,16 @@ def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: 
     ]
 
 
+def detected(found: Mapping[int, tuple[FloatArray, FloatArray]]) -> list[PersonBox]:
+    """Detections by frame, boxes (n, 4) and scores (n,), as boxes without identities, numbered from 1 on."""
+    boxes: list[PersonBox] = []
+    for frame, (of_frame, scores) in sorted(found.items()):
+        for (left, top, width, height), score in zip(of_frame.tolist(), scores.tolist(), strict=True):
+            box = left, top, width, height
+            boxes.append(PersonBox(frame, len(boxes) + 1, box, score, identified=False, score=score))
+    return boxes
+
+
 def write_boxes(boxes: Iterable[PersonBox], path: str | Path) -> None:
     """Write MOT text that `read_boxes` and any MOT tool read.
 
@@ -83,7 +94,8 @@ def write_boxes(boxes: Iterable[PersonBox], path: str | Path) -> None:
     with atomic_path(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as stream:
         for item in boxes:
             cells = ",".join(f"{value:.2f}" for value in (*item.box, item.confidence))
-            stream.write(f"{item.frame},{item.track_id},{cells},-1,-1,-1\n")
+            number = item.track_id if item.identified else -1
+            stream.write(f"{item.frame},{number},{cells},-1,-1,-1\n")
 
 
 def foot_point(box: tuple[float, float, float, float]) -> np.ndarray:

@@ -104,6 +104,12 @@ class FrameSource:
                 return frame.image.shape[1], frame.image.shape[0]
         raise InputError("no frame that can be decoded", "a video or a folder of images", path=self.path)
 
+    def numbers(self) -> list[int]:
+        """The numbers of the frames that it has; a video, which may say anything, is gone through."""
+        if self.path.is_dir():
+            return [number for number, _ in _images(self.path)]
+        return list(range(_length(self.path)))
+
     def __iter__(self) -> Iterator[Frame]:
         return self.where(lambda number: True)
 
@@ -182,6 +188,19 @@ def _from_folder(folder: Path, wanted: Callable[[int], bool]) -> Iterator[Frame]
 def _capture(path: Path) -> cv2.VideoCapture:
     """OpenCV's reader of a video; by its whole path, since FFmpeg takes "name:" before one for a protocol."""
     return cv2.VideoCapture(str(path.absolute()))
+
+
+def _length(path: Path) -> int:
+    """Up to the last frame of a video that can be read, failing ones before it included."""
+    video = _capture(path)
+    try:
+        length = failed = 0
+        while failed < _MOST_BAD:
+            failed = 0 if video.grab() else failed + 1
+            length += 1
+        return length - failed
+    finally:
+        video.release()
 
 
 def _from_video(path: Path, count: int, wanted: Callable[[int], bool]) -> Iterator[Frame]:

@@ -10,9 +10,10 @@ import numpy as np
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.table.columns import to_columns
 from graphtrack.tracks import TrackSet
-from perception.detection.boxes import PersonBox
+from perception.detection.boxes import PersonBox, detected
+from perception.detection.ground_detector import GroundDetector
 from perception.detection.networks.found import Detector, FoundPeople
-from perception.detection.people import Detections, PeopleDetector, PeopleTracker
+from perception.detection.people import PeopleDetector
 from perception.detection.pointed import boxes_of, with_keypoints
 from perception.images.frames import Frame
 from perception.images.pixels import Image
@@ -114,11 +115,15 @@ def boxes_of_keypoints(look: Look) -> Finder:
 
 
 def detected_boxes(camera: GroundCamera | None, detector: Detector | None = None) -> Finder:
-    """Boxes that are detected and joined to tracks as frames come; by the package's detector, if by none."""
-    detector, tracker = detector or PeopleDetector(), PeopleTracker(camera)
+    """Boxes that are detected as frames come, each by itself; by the package's detector, if by none."""
+    if detector is None and camera is None:
+        detector = PeopleDetector()
 
     def find(frame: int, image: Image) -> list[PersonBox]:
-        tracker.update(frame, Detections.of(image, *detector.detect(image)))
-        return tracker.confirmed(frame)
+        nonlocal detector
+        if detector is None:
+            assert camera is not None
+            detector = GroundDetector.of_frame(camera, image)
+        return detected({frame: detector.detect(image)})
 
     return find

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -62,6 +63,16 @@ def test_a_video_that_ends_early_is_told_of(tmp_path: Path) -> None:
     good = [frame.number for frame in frames if frame.image is not None]
     assert 0 < len(good) < 20
     assert good == list(range(len(good)))
+
+
+def test_numbers_are_those_of_the_frames_that_there_are(tmp_path: Path) -> None:
+    source = FrameSource.open(written(tmp_path / "film.avi", 5))
+    assert source.numbers() == list(range(5))
+    assert replace(source, count=2).numbers() == list(range(5))  # some containers say anything
+    for name in ("0003.png", "0011.png"):
+        cv2.imwrite(str(tmp_path / name), np.zeros((20, 20, 3), np.uint8))
+    (tmp_path / "film.avi").unlink()
+    assert FrameSource.open(tmp_path).numbers() == [3, 11]
 
 
 def test_what_is_no_video_is_refused(tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def test_detection_that_was_broken_off_goes_on(
         return np.array([boxes[min(len(looked), 6) - 1].box]), np.ones(1)
 
     monkeypatch.setattr(PeopleDetector, "detect", detect)
-    arguments = "observe", clip / "frames", "--homography", clip / "homography.txt", "-o", tmp_path / "o.csv"
+    arguments = "observe", clip / "frames", "-o", tmp_path / "o.csv"
     assert run(*arguments).returncode != 0
     assert (tmp_path / "o.csv.detections").exists() and not (tmp_path / "o.csv").exists()
     decoded = images_read(monkeypatch)
@@ -101,7 +101,8 @@ def test_detection_that_was_broken_off_goes_on(
     assert decoded == ["0003", "0004", "0005", *(f"{k:04d}" for k in range(6))]
     assert done.returncode == 0, done.stderr
     assert "going on after 3 frames" in done.stderr and "looked for people in 3 frames" in done.stderr
-    assert len(looked) == 4 + 3
+    assert len(looked) == 4 + 3 and "observed 6 detections" in done.stderr
+    assert set(pd.read_csv(tmp_path / "o.csv")["track_id"]) == {-1}
     assert [path.name for path in tmp_path.iterdir()] == ["o.csv"]
 
 
@@ -246,19 +247,6 @@ def test_what_is_left_out_is_told(clip: Path, tmp_path: Path) -> None:
         assert told in done.stderr
 
 
-def test_detections_of_no_track_are_told(clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    boxes = [item.box for item in read_boxes(clip / "boxes.txt")]
-    once = iter([(280.0, 10.0, 30.0, 80.0)])
-
-    def detect(self: PeopleDetector, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = np.array([boxes.pop(0), *once])
-        return found, np.ones(len(found))
-
-    monkeypatch.setattr(PeopleDetector, "detect", detect)
-    done = run("observe", clip / "frames", "--homography", clip / "homography.txt", "-o", tmp_path / "o.csv")
-    assert done.returncode == 0 and "1 of 7 detected boxes, in tracks of less than 3" in done.stderr
-
-
 @pytest.mark.parametrize("where", ["observing", "writing"])
 def test_an_error_leaves_nothing_that_the_next_run_trips_over(
     clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
@@ -377,7 +365,7 @@ def rows_of(clip: Path, frames: Path, out: Path, *options: object) -> pd.DataFra
     done = run("observe", frames, *given, *options, "-o", out)
     assert done.returncode == 0, done.stderr
     table = pd.read_json(StringIO(done.stdout), lines=True) if str(out) == "-" else pd.read_csv(out)
-    return table.sort_values(["track_id", "frame"], ignore_index=True)
+    return table.sort_values(["track_id", "frame", "u", "v"], ignore_index=True)
 
 
 def cut(clip: Path, folder: Path, count: int) -> Path:

@@ -1,4 +1,4 @@
-"""Joining boxes to tracks on made-up boxes, and the detector on an empty frame."""
+"""People in single frames: OpenCV's detector at all scales."""
 
 from __future__ import annotations
 
@@ -7,76 +7,88 @@ import numpy as np
 import pytest
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.camera import GroundCamera
-from perception.detection.people import (
-    Detections,
-    DetectorParameters,
-    PeopleDetector,
-    PeopleTracker,
-    colour_histogram,
+from perception.detection.blocks import (
+    CELL,
+    ORIENTATIONS,
+    WINDOW,
+    WindowFilter,
+    gradient_blocks,
+    mean_blocks,
+    resized,
+)
+from perception.detection.boxes import detected, read_boxes, write_boxes
+from perception.detection.people import Detections, DetectorParameters, PeopleDetector
+from perception.synthetic import PedestrianVariation, make_pedestrians
+
+WHOLE = PedestrianVariation(
+    size=(100, 104), offset=0.0, scale=0.0, margin=1.6, elevation=(0.0, 0.1), occluded=0.0, floor=0.0
 )
 
-RED, BLUE = (20, 20, 200), (200, 40, 20)
+
+def noise(shape: tuple[int, ...], seed: int = 0) -> np.ndarray:
+    """Blurred noise with gradients everywhere."""
+    image = np.random.default_rng(seed).integers(0, 256, shape, np.uint8)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 2.0))
 
 
-def frame_of(*people: tuple[float, tuple[int, int, int]]) -> tuple[np.ndarray, np.ndarray]:
-    """A picture with people of one colour each at the given columns, and their boxes."""
-    image = np.full((120, 400, 3), 127, np.uint8)
-    boxes = []
-    for x, colour in people:
-        image[20:100, round(x) : round(x) + 30] = colour
-        boxes.append((x, 20.0, 30.0, 80.0))
-    return image, np.array(boxes).reshape(-1, 4)
+def test_scores_are_those_of_opencv() -> None:
+    image = noise((200, 160, 3))
+    ours = WindowFilter.of_opencv().scores(gradient_blocks(image))
+    hog = cv2.HOGDescriptor()
+    hog.setSVMDetector(cv2.HOGDescriptor.getDefaultPeopleDetector())
+    places, weights = hog.detect(image, hitThreshold=-100.0, winStride=(CELL, CELL))
+    theirs = np.zeros_like(ours)
+    column, row = np.array(places).T // CELL
+    theirs[row, column] = np.ravel(weights)
+    np.testing.assert_allclose(ours, theirs, atol=1e-4)
 
 
-def detections(*people: tuple[float, tuple[int, int, int]]) -> Detections:
-    return Detections.of(*frame_of(*people), np.ones(len(people)))
+def test_a_filter_is_its_weights_on_a_window() -> None:
+    rng = np.random.default_rng(1)
+    grid = rng.normal(size=(20, 11, 3)).astype(np.float32)
+    some = WindowFilter(rng.normal(size=(WINDOW[1], WINDOW[0], 3)).astype(np.float32), 0.5)
+    scores = some.scores(grid)
+    assert scores.shape == (6, 5)
+    window = grid[2 : 2 + WINDOW[1], 4 : 4 + WINDOW[0]]
+    assert scores[2, 4] == pytest.approx(float((window * some.weight).sum()) + 0.5, rel=1e-4)
+    assert some.scores(grid[:3]).size == 0
 
 
-def run(frames: list[list[tuple[float, tuple[int, int, int]]]], **options: object) -> list[list[int]]:
-    tracker = PeopleTracker(**options)  # type: ignore[arg-type]
-    return [tracker.update(k, detections(*people)) for k, people in enumerate(frames)]
+def test_means_are_of_the_same_pixels_as_gradients() -> None:
+    values = np.zeros((80, 64), np.float32)
+    values[16:32, 24:40] = 1.0
+    means = mean_blocks(values)
+    assert means.shape[:2] == gradient_blocks(np.zeros((80, 64, 3), np.uint8)).shape[:2]
+    assert means[2, 3, 0] == pytest.approx(1.0) and means[2, 4, 0] == pytest.approx(0.5)
+    assert gradient_blocks(noise((80, 64, 3))).shape[2] == ORIENTATIONS
 
 
-def test_a_person_keeps_the_id_and_a_second_one_gets_another() -> None:
-    ids = run([[(10 + 4 * k, RED), (300 - 4 * k, BLUE)] for k in range(10)])
-    assert {tuple(of_frame) for of_frame in ids} == {(1, 2)}
+def test_reducing_keeps_what_is_where() -> None:
+    image = np.zeros((400, 800, 3), np.uint8)
+    image[:, 600:] = 200
+    small = resized(image, (130, 65))
+    assert small.shape == (65, 130, 3)
+    assert abs(int(np.argmax(small[30, :, 0] > 100)) - round(130 * 0.75)) <= 1
 
 
-def test_people_who_cross_are_told_apart_by_motion_and_colour() -> None:
-    ids = run([[(100 + 5 * k, RED), (200 - 5 * k, BLUE)] for k in range(21)])
-    assert {tuple(of_frame) for of_frame in ids} == {(1, 2)}
-
-
-def test_a_short_gap_is_bridged_and_a_long_one_is_not() -> None:
-    def with_gap(gap: int) -> list[list[int]]:
-        return run([[] if 8 <= k < 8 + gap else [(50 + 3 * k, RED)] for k in range(50)])
-
-    assert {i for of_frame in with_gap(5) for i in of_frame} == {1}
-    assert {i for of_frame in with_gap(20) for i in of_frame} == {1, 2}
-
-
-def test_a_jump_starts_a_new_track() -> None:
-    ids = run([[(10.0, RED)]] * 4 + [[(300.0, RED)]] * 4)
-    assert [of_frame[0] for of_frame in ids] == [1] * 4 + [2] * 4
-
-
-def test_with_a_camera_the_gate_is_in_metres() -> None:
-    step = [[(10.0 + 20 * (k > 3), RED)] for k in range(6)]
-    far, near = (GroundCamera.from_scale(scale) for scale in (0.1, 0.01))
-    assert [of_frame[0] for of_frame in run(step, camera=far)][-1] == 2  # 2 m in one frame
-    assert [of_frame[0] for of_frame in run(step, camera=near)][-1] == 1  # 0.2 m
-
-
-def test_short_tracks_are_dropped_and_gaps_are_filled() -> None:
-    tracker = PeopleTracker()
-    for k in range(9):
-        people = [] if k in (4, 5) else [(50 + 3 * k, RED)]
-        people = people + ([(300, BLUE)] if k == 2 else [])
-        tracker.update(k, detections(*people))
-    found = tracker.tracks()
-    assert [(item.frame, item.track_id) for item in found] == [(k, 1) for k in range(9)]
-    np.testing.assert_allclose([item.box[0] for item in found], 50 + 3 * np.arange(9))
+@pytest.mark.parametrize("height", [110, 240])
+def test_a_person_is_found_at_any_size(height: int) -> None:
+    rng = np.random.default_rng(3)
+    near = 0
+    for picture in make_pedestrians(6, rng, WHOLE).images:
+        tall = round(1.6 * height)
+        person = cv2.resize(picture, (round(tall * picture.shape[1] / picture.shape[0]), tall))
+        image = np.full((720, 640, 3), 120, np.uint8)
+        image[100 : 100 + tall, 200 : 200 + person.shape[1]] = person
+        boxes, scores = PeopleDetector(DetectorParameters(threshold=-0.5)).detect(image)
+        assert (np.diff(scores) <= 0).all() and ((scores > 0) & (scores < 1)).all()
+        if not len(boxes):
+            continue
+        left, top, width, tall_found = boxes[0]
+        foot = np.array([left + width / 2, top + tall_found])
+        true = np.array([200 + person.shape[1] / 2, 100 + tall / 2 + height / 2])
+        near += bool(np.abs(foot - true).max() < 0.2 * height)
+    assert near >= 4
 
 
 def test_an_empty_or_tiny_frame_has_no_people() -> None:
@@ -88,28 +100,29 @@ def test_an_empty_or_tiny_frame_has_no_people() -> None:
         PeopleDetector(DetectorParameters(enlarge=0.0))
 
 
-def test_colours_are_shares_even_outside_the_frame() -> None:
-    image, boxes = frame_of((10.0, RED))
-    for box in (boxes[0], boxes[0] + (900.0, 0.0, 0.0, 0.0)):
-        assert colour_histogram(image, box).sum() == pytest.approx(1.0)
+def test_detections_are_written_without_identities(tmp_path: object) -> None:
+    found = {
+        4: (np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.75])),
+        2: (np.ones((2, 4)), np.array([0.5, 0.25])),
+    }
+    boxes = detected(found)
+    assert [(item.frame, item.track_id, item.score) for item in boxes] == [
+        (2, 1, 0.5),
+        (2, 2, 0.25),
+        (4, 3, 0.75),
+    ]
+    path = f"{tmp_path}/boxes.txt"
+    write_boxes(boxes, path)
+    again = read_boxes(path)
+    assert again == boxes and not any(item.identified for item in again)
 
 
-def test_small_frames_are_enlarged_so_that_small_people_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    sizes: list[tuple[int, ...]] = []
-
-    class Descriptor:
-        def setSVMDetector(self, weights: np.ndarray) -> None: ...
-
-        def detectMultiScale(self, image: np.ndarray, **options: object) -> tuple[np.ndarray, np.ndarray]:
-            sizes.append(image.shape[:2])
-            return np.array([[250, 125, 160, 320]]), np.ones(1)
-
-        getDefaultPeopleDetector = staticmethod(cv2.HOGDescriptor.getDefaultPeopleDetector)
-
-    monkeypatch.setattr(cv2, "HOGDescriptor", Descriptor)
-    boxes, _ = PeopleDetector().detect(np.zeros((288, 384, 3), np.uint8))
-    assert sizes[0] == (720, 960)
-    np.testing.assert_allclose(boxes[0, :2] + boxes[0, 2:] / 2.0, (330 / 2.5, 285 / 2.5))
-    PeopleDetector().detect(np.zeros((1080, 1920, 3), np.uint8))
-    PeopleDetector(DetectorParameters(enlarge=2.0)).detect(np.zeros((288, 384, 3), np.uint8))
-    assert sizes[1:] == [(1080, 1920), (576, 768)]
+def test_what_was_detected_is_written_down_and_read_again() -> None:
+    found = Detections(np.array([[1.5, 2.0, 3.0, 4.0]]), np.array([0.75]))
+    again = Detections.from_record(found.to_record())
+    np.testing.assert_array_equal(again.boxes, found.boxes)
+    np.testing.assert_array_equal(again.scores, found.scores)
+    none = Detections.from_record(Detections(np.empty((0, 4)), np.empty(0)).to_record())
+    assert none.boxes.shape == (0, 4)
+    with pytest.raises(ValueError):
+        Detections.from_record({"boxes": [1.0], "scores": [0.5]})

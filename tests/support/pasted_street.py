@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -17,6 +17,8 @@ from perception.synthetic import Camera, PedestrianVariation, make_pedestrians
 SIZE = (320, 240)
 CAMERA = Camera((0.0, -14.0, 6.0), np.pi / 2, -0.4, 330.0, SIZE)
 FPS = 2.5
+_NEAR = 620.0
+"""Focal length at which people are as high as the pictures of them."""
 _TALL = 64
 _STEPS = 7
 _MARGIN = 1.5
@@ -42,10 +44,14 @@ def pasted_street(
     *,
     offset: float = 0.07,
     speed: float = 1.2,
-    identified: bool = True,
+    upright: bool = False,
 ) -> PastedStreet:
-    """One person after the other walks straight through the middle, in directions all around."""
-    camera = CAMERA.ground_camera()
+    """One person after the other walks straight through the middle, in directions all around.
+
+    With ``upright`` the camera is nearer, and people are as large as it shows them, and seen as it sees them.
+    """
+    view = replace(CAMERA, focal=_NEAR) if upright else CAMERA
+    camera = view.ground_camera()
     starts, ways = [], 2.0 * np.pi * (np.arange(people) + rng.uniform(0, 1, people)) / people
     places, angles = [], []
     for way in rng.permutation(ways).tolist():
@@ -54,15 +60,17 @@ def pasted_street(
         starts.append(len(places))
         places += list(path)
         angles += camera.image_angle(np.full(_STEPS, direction(velocity)), path).tolist()
-    shown = make_pedestrians(len(places), rng, _SEEN, body=np.array(angles))
+    variation = replace(_SEEN, elevation=(0.3, 0.5)) if upright else _SEEN
+    shown = make_pedestrians(len(places), rng, variation, body=np.array(angles))
     frames, boxes = [], []
     for k, (place, picture) in enumerate(zip(places, shown.images, strict=True)):
         foot = camera.ground_to_image(place)
-        box = np.array([foot[0] - 0.2 * _TALL, foot[1] - _TALL, 0.4 * _TALL, _TALL])
+        tall = float(foot[1] - view.project(np.append(place, 1.7))[1]) if upright else _TALL
+        box = np.array([foot[0] - 0.2 * tall, foot[1] - tall, 0.4 * tall, tall])
         image = np.full((SIZE[1], SIZE[0], 3), 110, np.uint8)
         _paste(image, picture, box)
         frames.append(Frame(k, image))
-        off = offset * _TALL * rng.normal(size=2) * (1.0, 0.4)
+        off = offset * tall * rng.normal(size=2) * (1.0, 0.4)
         left, top, width, height = (box + np.append(off, [0.0, 0.0])).tolist()
         boxes.append(PersonBox(k, 1 + k // _STEPS, (left, top, width, height)))
     return PastedStreet(frames, boxes, np.array(angles), camera)

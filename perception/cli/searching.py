@@ -1,0 +1,250 @@
+"""The search for people in a recording, with progress, and as a journal knows it."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from graphtrack.cli.console import console
+from graphtrack.display import counted
+from perception.cli.common import decoded_frames, in_time
+from perception.cli.own_networks import say_how_far
+
+if TYPE_CHECKING:
+    from graphtrack.geometry.camera import GroundCamera
+    from perception.detection.background import Backgrounds
+    from perception.detection.boxes import PersonBox
+    from perception.detection.ground_search import Candidates, GroundSearch
+    from perception.detection.networks.found import Detector
+    from perception.detection.people import Detections
+    from perception.detection.rescoring import PersonProbability
+    from perception.images.frames import Frame, FrameSource
+    from perception.observe.journal import FrameJournal
+
+Refuse = Callable[[str], object]
+
+
+def key_of(*asked: object) -> str:
+    """What tells one run from another."""
+    return hashlib.sha256(repr(asked).encode()).hexdigest()
+
+
+def search_journals(output: Path) -> list[Path]:
+    """The files beside an output that know how far the search for it came."""
+    return [output.with_name(f"{output.name}.{name}") for name in ("detections", "taught")]
+
+
+@dataclass(eq=False)
+class PeopleSearch:
+    """Looks for people in a recording; what is known goes to journals beside the output.
+
+    Attributes
+    ----------
+    frames : the recording
+    camera : over the ground; None: people may have any size
+    fps : frames a second
+    output : of the command
+    asked : what the result depends on besides the frames
+    causal : whether a detection depends on its frame alone: without a background, and nothing is learned
+    one_size : whether frames of several sizes are refused, as they are with a camera
+    detector : of the user's own, for every frame; None: the package's
+    found : by frame, what was found so far
+    """
+
+    frames: FrameSource
+    camera: GroundCamera | None
+    fps: float
+    output: Path
+    asked: tuple[object, ...] = ()
+    causal: bool = False
+    one_size: bool = False
+    detector: Detector | None = None
+    _journals: list[FrameJournal[Any]] = field(default_factory=list)
+
+    @property
+    def found(self) -> dict[int, Detections]:
+        """By frame, what was found so far."""
+        return self._journals[0].frames if self._journals else {}
+
+    def people(self, refuse: Refuse) -> list[PersonBox]:
+        """Everybody who is found, without identities; frames that a journal has are not looked at again.
+
+        ``refuse`` is told of frames that cannot be decoded.
+        """
+        from graphtrack.errors import InputError
+        from perception.detection.boxes import detected
+        from perception.detection.people import Detections
+        from perception.detection.rescoring import PersonProbability
+        from perception.observe.journal import FrameJournal
+
+        key = key_of(self.frames.stamp(), self.fps, self.causal, *self.asked)
+        detections, taught = search_journals(self.output)
+        journal = FrameJournal(detections, key, Detections.to_record, Detections.from_record)
+        known = FrameJournal(taught, key, PersonProbability.to_record, PersonProbability.from_record)
+        self._journals = [journal, known]
+        started, before = time.process_time(), time.perf_counter()
+        try:
+            journal.open()
+            say_how_far(journal)
+            count = len(journal.frames)
+            if self.detector is not None or self.camera is None:
+                self._frame_by_frame(journal, refuse)
+            else:
+                self._on_ground(self.camera, journal, known, refuse)
+        except InputError:  # the same command would end in the same way
+            self.close(remove=True)
+            raise
+        finally:
+            self.close(remove=False)
+        count = len(journal.frames) - count
+        spent = (time.process_time() - started) / max(count, 1)
+        console.print(
+            f"looked for people in {in_time(count, time.perf_counter() - before)}, "
+            f"{spent:.2f} s of processor time each",
+            markup=False,
+        )
+        return detected({number: (one.boxes, one.scores) for number, one in journal.frames.items()})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        """The journals stay only where the run was broken off: the same command would refuse as it did."""
+        from graphtrack.errors import InputError
+
+        self.close(remove=kind is None or issubclass(kind, InputError))
+
+    def close(self, *, remove: bool) -> None:
+        """End writing; ``remove`` when the run is complete."""
+        for journal in self._journals:
+            journal.close(remove=remove)
+
+    def _frame_by_frame(self, journal: FrameJournal[Detections], refuse: Refuse) -> None:
+        from perception.detection.people import Detections, PeopleDetector
+
+        detector = self.detector or PeopleDetector()
+        for frame in self._unknown(journal, one_size=self.one_size):
+            if frame.image is None:
+                refuse(frame.reason)
+            else:
+                journal.add(frame.number, Detections(*detector.detect(frame.image)))
+
+    def _unknown(self, journal: FrameJournal[Detections], *, one_size: bool) -> Iterator[Frame]:
+        """The frames that the journal has not, with a progress bar; and where a video ends too early."""
+        known = frozenset(journal.frames)
+        with decoded_frames(
+            self.frames,
+            lambda number: number not in known,
+            max(self.frames.count - len(known), 0),
+            unit="frames searched",
+            one_size=one_size,
+        ) as decoded:
+            yield from decoded
+
+    def _on_ground(
+        self,
+        camera: GroundCamera,
+        journal: FrameJournal[Detections],
+        known: FrameJournal[PersonProbability],
+        refuse: Refuse,
+    ) -> None:
+        from perception.detection.ground_detector import GroundDetector
+        from perception.detection.rescoring import PersonProbability
+
+        numbers = self.frames.numbers()
+        rest = set(numbers) - set(journal.frames)
+        backgrounds = self._backgrounds(numbers if rest else [])
+        known.open()
+        probability = known.frames.get(0)
+        search: GroundSearch | None = None
+        candidates: dict[int, Candidates] = {}
+        if probability is None and rest and not self.causal:
+            search, candidates = self._candidates(camera, numbers, backgrounds, refuse)
+            probability = self._taught(camera, candidates)
+        if probability is None:
+            probability = PersonProbability.untaught(foreground=bool(backgrounds.parts))
+        if not known.frames:
+            known.add(0, probability)
+        if search is not None:
+            detector = GroundDetector(search, probability)
+            for number, of_frame in candidates.items():
+                if number not in journal.frames:
+                    journal.add(number, detector.chosen(of_frame))
+        for frame in self._unknown(journal, one_size=True):
+            if frame.image is None:
+                refuse(frame.reason)
+            else:
+                search = search or ground_search(camera, frame.image)
+                detector = GroundDetector(search, probability, backgrounds.at(frame.number))
+                journal.add(frame.number, _detections(*detector.detect(frame.image)))
+
+    def _backgrounds(self, numbers: list[int]) -> Backgrounds:
+        from perception.detection.background import Backgrounds, background_samples
+
+        samples = [] if self.causal else background_samples(numbers, self.fps)
+        wanted = {number for part in samples for number in part}
+        if not wanted:
+            return Backgrounds.of((), samples, numbers)
+        with decoded_frames(
+            self.frames, wanted.__contains__, len(wanted), unit="frames for the background", one_size=True
+        ) as decoded:
+            return Backgrounds.of(decoded, samples, numbers)
+
+    def _candidates(
+        self, camera: GroundCamera, numbers: list[int], backgrounds: Backgrounds, refuse: Refuse
+    ) -> tuple[GroundSearch | None, dict[int, Candidates]]:
+        """Where people may be in the frames that are learned from."""
+        from perception.detection.rescoring import learning_frames
+
+        wanted = frozenset(learning_frames(numbers, self.fps))
+        search: GroundSearch | None = None
+        found: dict[int, Candidates] = {}
+        with decoded_frames(
+            self.frames, wanted.__contains__, len(wanted), unit="frames to learn from", one_size=True
+        ) as decoded:
+            for frame in decoded:
+                if frame.image is None:
+                    refuse(frame.reason)
+                    continue
+                search = search or ground_search(camera, frame.image)
+                found[frame.number] = search.candidates(frame.image, backgrounds.at(frame.number))
+        return search, found
+
+    def _taught(self, camera: GroundCamera, candidates: dict[int, Candidates]) -> PersonProbability | None:
+        from perception.detection.rescoring import taught
+
+        found = taught(candidates, camera, self.fps, np.random.default_rng(0))
+        if found is None:
+            console.print(
+                "  note: too few people surely walk: detections are not taught by this recording, and their "
+                "scores are no probabilities of it",
+                markup=False,
+            )
+        else:
+            console.print(
+                f"taught by {counted(found.boxes, 'detection')} of {found.people} people who surely walk",
+                markup=False,
+            )
+        return found
+
+
+def _detections(boxes: Any, scores: Any) -> Detections:
+    from perception.detection.people import Detections
+
+    return Detections(boxes, scores)
+
+
+def ground_search(camera: GroundCamera, image: np.ndarray) -> GroundSearch:
+    """The search in images like this one; a calibration of another size is refused."""
+    from perception.adaptation.recording import check_camera
+    from perception.detection.ground_search import GroundSearch
+
+    size = image.shape[1], image.shape[0]
+    check_camera(camera, size)
+    return GroundSearch(camera, size)

@@ -1,0 +1,51 @@
+"""Detections of a camera whose ground plane is known, each with the probability that it is a person."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from perception.detection.background import Background
+from perception.detection.blocks import foot_boxes
+from perception.detection.ground_search import Candidates, GroundSearch, joined
+from perception.detection.people import Detections
+from perception.detection.rescoring import PersonProbability
+from perception.images.pixels import Image
+
+_LEAST = 0.5
+"""Probability from which on a candidate is a detection."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundDetector:
+    """Finds people where they have the height of a person.
+
+    Attributes
+    ----------
+    search : where they may be
+    probability : how probably a candidate is one
+    background : behind them; None: not known
+    """
+
+    search: GroundSearch
+    probability: PersonProbability
+    background: Background | None = None
+
+    @classmethod
+    def of_frame(cls, camera: GroundCamera, image: Image) -> GroundDetector:
+        """One that knows nothing but the camera, for images like this one."""
+        size = image.shape[1], image.shape[0]
+        return cls(GroundSearch(camera, size), PersonProbability.untaught(foreground=False))
+
+    def detect(self, image: Image) -> tuple[FloatArray, FloatArray]:
+        """Boxes (n, 4), left, top, width, height in pixels, and probabilities (n,), best first."""
+        found = self.chosen(self.search.candidates(image, self.background))
+        return found.boxes, found.scores
+
+    def chosen(self, candidates: Candidates) -> Detections:
+        """The candidates of a frame that are people more probably than not."""
+        scored = candidates.scored(self.probability.of(candidates))
+        best = joined(scored, self.search.parameters.apart)
+        kept = best.score >= _LEAST
+        return Detections(foot_boxes(best.foot[kept], best.height[kept]), best.score[kept])

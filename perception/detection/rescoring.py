@@ -1,0 +1,258 @@
+"""What a recording teaches of its own people: who surely walks there, against all else that is seen."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from graphtrack.association.tracks import associate
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference import smooth
+from graphtrack.tracks import TrackSet
+from perception.detection.ground_search import FEATURES, Candidates, SearchParameters, strongest
+
+_FRAMES, _RUNS, _STEP = 150, 3, 0.4
+"""Frames that are learned from, in how many pieces of the recording, and seconds between them."""
+
+
+@dataclass(frozen=True)
+class TeachingParameters:
+    """Whom a recording learns from.
+
+    Attributes
+    ----------
+    least_score : of the first filter, for a detection to be associated
+    least_boxes, least_way : detections of a track, and metres from its first to its last place, for it to be
+        surely a person's
+    hit, miss : metres; a candidate so near to a sure track may be that person, one so far from all tracks
+        is nobody
+    least_people : sure tracks, for anything to be learned
+    folds : parts into which people are divided
+    strength : freedom of the weights
+    components : principal components that they act on
+    """
+
+    least_score: float = 1.0
+    least_boxes: int = 5
+    least_way: float = 1.5
+    hit: float = 0.5
+    miss: float = 0.8
+    least_people: int = 6
+    folds: int = 3
+    strength: float = 0.05
+    components: int = 120
+
+
+@dataclass(frozen=True, eq=False)
+class PersonProbability:
+    """How probably a candidate is a person.
+
+    Attributes
+    ----------
+    weight : (d,) of the features; bias
+    first, taught, offset : the log odds are first · score + taught · (weight · features + bias) + offset
+    people, boxes : sure tracks that it learned from, and their detections; 0: of no recording
+    """
+
+    weight: NDArray[np.float32]
+    bias: float
+    first: float
+    taught: float
+    offset: float
+    people: int = 0
+    boxes: int = 0
+
+    @classmethod
+    def untaught(cls, *, foreground: bool) -> PersonProbability:
+        """Of no recording: where the first filter's scores are zero, or one with a background, it is even."""
+        return cls(np.zeros(FEATURES, np.float32), 0.0, 2.0, 0.0, -2.0 if foreground else 0.0)
+
+    def to_record(self) -> dict[str, Any]:
+        """As JSON knows it."""
+        names = ("bias", "first", "taught", "offset", "people", "boxes")
+        weight = base64.b64encode(self.weight.astype("<f4").tobytes()).decode()
+        return {name: getattr(self, name) for name in names} | {"weight": weight}
+
+    @classmethod
+    def from_record(cls, values: dict[str, Any]) -> PersonProbability:
+        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
+        weight = np.frombuffer(base64.b64decode(values["weight"], validate=True), "<f4").astype(np.float32)
+        if len(weight) != FEATURES:
+            raise ValueError("weights of another number")
+        bias, first, taught, offset = (float(values[k]) for k in ("bias", "first", "taught", "offset"))
+        return cls(weight, bias, first, taught, offset, int(values["people"]), int(values["boxes"]))
+
+    def of(self, candidates: Candidates) -> FloatArray:
+        """Probabilities (n,)."""
+        linear = candidates.features.astype(np.float32) @ self.weight + self.bias
+        return np.asarray(expit(self.first * candidates.score + self.taught * linear + self.offset), float)
+
+
+def taught(
+    frames: Mapping[int, Candidates],
+    camera: GroundCamera,
+    fps: float,
+    rng: np.random.Generator,
+    search: SearchParameters = SearchParameters(),
+    parameters: TeachingParameters = TeachingParameters(),
+) -> PersonProbability | None:
+    """What tells this camera's people from its background; None where too few surely walk.
+
+    Detections by the first filter are associated; those of tracks that are long and lead somewhere are
+    people, candidates far from all tracks are not. A linear model is taught on some people and judged on
+    others, and a logistic regression on what it says of those, and on the first filter's score, gives the
+    probability.
+    """
+    numbers = np.repeat(sorted(frames), [len(frames[k]) for k in sorted(frames)])
+    if not len(numbers):
+        return None
+    foot, height, score = (
+        np.concatenate([getattr(frames[k], name) for k in sorted(frames)])
+        for name in ("foot", "height", "score")
+    )
+    place = camera.image_to_ground(foot)
+    found = _best_of_frames(numbers, foot, height, score, search)
+    label, person = _labels(numbers, place, score, found, fps, parameters)
+    people = np.unique(person[person >= 0])
+    if len(people) < parameters.least_people or not (label == 0).any():
+        return None
+    features = np.vstack([frames[k].features for k in sorted(frames)])
+    fold = np.full(len(label), -1)
+    part = rng.permutation(np.arange(len(people)) % parameters.folds)
+    fold[person >= 0] = part[np.searchsorted(people, person[person >= 0])]
+    nobody = label == 0
+    # What is nobody stays: neighbouring frames show the same, and go to the same part.
+    order = np.searchsorted(np.unique(numbers), numbers)
+    fold[nobody] = (order[nobody] * 10 // (order.max() + 1)) % parameters.folds
+    known = np.flatnonzero(np.isfinite(label))
+    truth = label[known] == 1
+    models = _linear(features[known], truth, fold[known], parameters)
+    linear = np.zeros(len(known))
+    for k, (weight, bias) in enumerate(models[:-1]):
+        out = fold[known] == k
+        linear[out] = features[known[out]].astype(np.float32) @ weight + bias
+    # As they will be met: the best of their surroundings.
+    met = _best_of_frames(numbers[known], foot[known], height[known], score[known] + linear, search)
+    first, second, offset = _logistic(np.column_stack([score[known], linear])[met], truth[met])
+    weight, bias = models[-1]
+    return PersonProbability(
+        weight.astype(np.float32), bias, first, second, offset, len(people), int(truth.sum())
+    )
+
+
+def _best_of_frames(
+    numbers: NDArray[np.int64],
+    foot: FloatArray,
+    height: FloatArray,
+    score: FloatArray,
+    search: SearchParameters,
+) -> NDArray[np.int64]:
+    """Which are left in each frame when each drops the weaker ones about it."""
+    kept = []
+    for number in np.unique(numbers).tolist():
+        rows = np.flatnonzero(numbers == number)
+        kept.append(rows[strongest(foot[rows], height[rows], score[rows], search.apart)])
+    return np.concatenate(kept)
+
+
+def _labels(
+    numbers: NDArray[np.int64],
+    place: FloatArray,
+    score: FloatArray,
+    found: NDArray[np.int64],
+    fps: float,
+    parameters: TeachingParameters,
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Of n candidates: 1 a person, 0 nobody, NaN not known; and the numbers of the people's tracks, or −1."""
+    label, person = np.full(len(numbers), np.nan), np.full(len(numbers), -1)
+    rows = found[score[found] >= parameters.least_score]
+    if not len(rows):
+        return label, person
+    tracks = smooth(_associated(numbers[rows], place[rows], expit(score[rows]), fps), "position")
+    ways: list[bool] = []
+    of_frame: dict[int, list[tuple[int, FloatArray]]] = {}
+    for one in tracks:
+        detected = one.observed if one.observed is not None else np.ones(len(one), bool)
+        way = float(np.linalg.norm(one.position[-1] - one.position[0]))
+        ways.append(int(detected.sum()) >= parameters.least_boxes and way >= parameters.least_way)
+        for frame, position in zip(one.frame.tolist(), one.position, strict=True):
+            of_frame.setdefault(frame, []).append((len(ways) - 1, position))
+    for number in np.unique(numbers).tolist():
+        of = np.flatnonzero(numbers == number)
+        there = of_frame.get(number, [])
+        if not there:
+            label[of] = 0.0
+            continue
+        away = np.linalg.norm(place[of][:, None] - np.array([at for _, at in there]), axis=2)
+        label[of[away.min(axis=1) > parameters.miss]] = 0.0
+        for column, (track, _) in enumerate(there):
+            near = np.flatnonzero(away[:, column] < parameters.hit)
+            if ways[track] and len(near):
+                best = of[near[np.argmax(score[of[near]] - 2.0 * away[near, column])]]
+                label[best], person[best] = 1.0, track
+    return label, person
+
+
+def _associated(frame: NDArray[np.int64], place: FloatArray, score: FloatArray, fps: float) -> TrackSet:
+    table: dict[str, Any] = {
+        "frame": frame,
+        "t": frame / fps,
+        "x": place[:, 0],
+        "y": place[:, 1],
+        "score": score,
+        "track_id": np.full(len(frame), -1),
+    }
+    return associate(table)
+
+
+def _linear(
+    features: NDArray[np.float16],
+    truth: NDArray[np.bool_],
+    fold: NDArray[np.int64],
+    parameters: TeachingParameters,
+) -> Sequence[tuple[FloatArray, float]]:
+    """Weights (d,) and bias without each part, and of all."""
+    from sklearn.decomposition import PCA
+
+    values = features.astype(np.float32)
+    count = min(parameters.components, *(length - 1 for length in values.shape))
+    components = PCA(count, random_state=0, svd_solver="randomized").fit(values)
+    reduced = components.transform(values)
+    found = []
+    for k in [*range(parameters.folds), None]:
+        kept = np.ones(len(truth), bool) if k is None else fold != k
+        coefficients = _logistic(reduced[kept], truth[kept], parameters.strength)
+        weight = coefficients[:-1] @ components.components_
+        found.append((weight, float(coefficients[-1] - weight @ components.mean_)))
+    return found
+
+
+def _logistic(values: FloatArray, truth: NDArray[np.bool_], strength: float | None = None) -> FloatArray:
+    """Coefficients (d + 1,), the constant last; given a strength both kinds weigh alike."""
+    from sklearn.linear_model import LogisticRegression
+
+    if truth.all() or not truth.any():
+        return np.append(np.zeros(values.shape[1]), 4.0 if truth.all() else -4.0)
+    model: Any = LogisticRegression(
+        C=1e3 if strength is None else strength,
+        class_weight=None if strength is None else "balanced",
+        max_iter=300,
+    ).fit(values, truth)
+    return np.append(model.coef_[0], model.intercept_[0])
+
+
+def learning_frames(numbers: Sequence[int], fps: float) -> list[int]:
+    """Those of a recording that it learns from: all of a short one, else pieces of a longer one."""
+    step = max(1, round(_STEP * fps))
+    if len(numbers) <= _FRAMES * step:
+        return list(numbers[::step])
+    length = _FRAMES // _RUNS * step
+    starts = [(2 * k + 1) * len(numbers) // (2 * _RUNS) - length // 2 for k in range(_RUNS)]
+    return [number for start in starts for number in numbers[start : start + length : step]]
