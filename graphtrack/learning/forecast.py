@@ -26,10 +26,10 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import TrackSet
 
 PLACE_STEPS: Mapping[str, tuple[float, ...]] = {
+    "stop_speed": (0.0, 0.1, 0.2, 0.3, 0.4),
     "place_velocity": (0.1, 0.15, 0.25),
     "place_distance": (0.8, 1.2, 1.8),
     "place_prior": (1.0, 3.0, 10.0),
-    "stop_speed": (0.0, 0.05, 0.1),
 }
 """Values that are tried, one parameter after the other."""
 HEAD_STEPS: Mapping[str, tuple[float, ...]] = {
