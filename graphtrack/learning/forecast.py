@@ -26,10 +26,13 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import TrackSet
 
 PLACE_STEPS: Mapping[str, tuple[float, ...]] = {
-    "stop_speed": (0.0, 0.1, 0.2, 0.3, 0.4),
+    "stop_speed": (0.0, 0.1, 0.2, 0.3),
+    "companion_distance": (1.0, 1.5, 2.2),
+    "companion_velocity": (0.2, 0.3),
+    "companion_weight": (0.0, 1.0, 2.0),
     "place_velocity": (0.1, 0.15, 0.25),
-    "place_distance": (0.8, 1.2, 1.8),
-    "place_prior": (1.0, 3.0, 10.0),
+    "place_distance": (1.2, 1.8),
+    "place_prior": (1.0, 3.0),
 }
 """Values that are tried, one parameter after the other."""
 HEAD_STEPS: Mapping[str, tuple[float, ...]] = {

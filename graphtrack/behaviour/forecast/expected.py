@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.behaviour.forecast.motion import ComplexArray
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
@@ -33,6 +34,25 @@ class Expected:
     estimate: FloatArray
     weight: FloatArray
     square: FloatArray
+
+
+def together(
+    position: ComplexArray, velocity: ComplexArray, others: NDArray[np.int64], parameters: ForecastParameters
+) -> ComplexArray:
+    """Velocities (n,) of people who keep together with whoever is near and goes as they do.
+
+    Parameters
+    ----------
+    position, velocity : (n,) of people on their own
+    others : (m,) which of them count as others
+    """
+    near, alike = parameters.companion_distance, parameters.companion_velocity
+    apart = np.abs(position[:, None] - position[others]) / near
+    unlike = np.abs(velocity[:, None] - velocity[others]) / alike
+    weight = parameters.companion_weight * np.exp(-0.5 * (apart**2 + unlike**2))
+    weight[others, np.arange(len(others))] = 0.0
+    found: ComplexArray = (velocity + weight @ velocity[others]) / (1.0 + weight.sum(axis=1))
+    return found
 
 
 def spreads(

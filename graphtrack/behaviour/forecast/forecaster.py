@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.behaviour.forecast.calibration import Calibration
-from graphtrack.behaviour.forecast.expected import Expected, between_lags, lead, mean_turn, spreads
+from graphtrack.behaviour.forecast.expected import Expected, between_lags, lead, mean_turn, spreads, together
 from graphtrack.behaviour.forecast.motion import ComplexArray, MotionFilters
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.behaviour.forecast.places import EVERY, LAGS, Places, Seen
@@ -299,12 +299,15 @@ class Forecaster:
         self._places.add(t, self._number[at], position, velocity, deviation, spread)
 
     def _going(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        old = at[self._moved[at] != self.t]
-        if len(old):
+        if (self._moved[at] != self.t).any():
+            here = np.flatnonzero((self._count >= 2) & (self._last == self.t))
+            old = np.union1d(here, at)
             motion = self._filters.motion(old, self.t - self._last[old])
             speed2 = np.abs(motion.velocity) ** 2
-            going = speed2 / (speed2 + self.parameters.stop_speed**2 + 1e-12)
-            self._now[old] = np.stack([motion.position, motion.velocity * going], axis=1)
+            own = motion.velocity * speed2 / (speed2 + self.parameters.stop_speed**2 + 1e-12)
+            others = np.searchsorted(old, here)
+            velocity = together(motion.position, own, others, self.parameters)
+            self._now[old] = np.stack([motion.position, velocity], axis=1)
             self._variance[old], self._moved[old] = motion.variance, self.t
         return self._now[at, 0], self._now[at, 1], self._variance[at]
 

@@ -25,6 +25,8 @@ class ForecastParameters:
     Attributes
     ----------
     stop_speed : speeds well below it count as standing, m/s
+    companion_weight : how much a companion's velocity counts beside one's own, at most
+    companion_distance, companion_velocity : how near in position (m) and velocity (m/s) companions are
     head_share : of the angle from the direction of motion to the visible head, how much the motion follows
     head_seconds : time constant of that, s
     head_limit : angles well beyond it lead nowhere, rad
@@ -40,7 +42,10 @@ class ForecastParameters:
     scene_prior : forecasts whose outcome is known that it takes to trust the scene's own errors half
     """
 
-    stop_speed: float = number(0.1, 0.0, 1.0, "m/s")
+    stop_speed: float = number(0.2, 0.0, 1.0, "m/s")
+    companion_weight: float = number(1.0, 0.0, 100.0)
+    companion_distance: float = number(1.5, 0.05, 20.0, "m")
+    companion_velocity: float = number(0.2, 0.01, 5.0, "m/s")
     head_share: float = number(1.0, 0.0, 1.5)
     head_seconds: float = number(0.3, 0.01, 10.0, "s")
     head_limit: float = number(1.2, 0.1, 10.0, "rad")
