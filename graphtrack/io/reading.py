@@ -25,8 +25,8 @@ from graphtrack.table.rows import Rows, check_identities, check_rows
 from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
 
-_REPORTED = "tracks.csv"
-"""The table of estimates in the folder of a report."""
+_STAGES, _REPORTED = "stages.json", "tracks.csv"
+"""What the folder of a report is known by, and its table of estimates."""
 
 
 def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, **options: Any) -> TrackSet:
@@ -74,8 +74,7 @@ def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> Tra
 
 def _table_of(path: Path) -> Path:
     """The estimates in a folder that `perception report` wrote; other paths stay as they are."""
-    tracks = path / _REPORTED
-    return tracks if tracks.is_file() else path
+    return path / _REPORTED if (path / _STAGES).is_file() else path
 
 
 def has_detections(rows: Rows, options: ReadOptions) -> bool:

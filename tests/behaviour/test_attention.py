@@ -37,6 +37,7 @@ def of(found: Attention, kind: str, name: str) -> float:
     return float(found.probability[:, found.targets.index((kind, name))].mean())
 
 
+@pytest.mark.slow
 def test_probabilities_of_simulated_looks_hold() -> None:
     made = party(np.random.default_rng(5), people=10, steps=240, fps=2.0)
     noisy = gt.add_noise(made.tracks, head_kappa=6.0, body_kappa=6.0, rng=np.random.default_rng(1))

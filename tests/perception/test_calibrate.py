@@ -103,6 +103,7 @@ def test_box_heights_are_those_of_projected_cylinders() -> None:
     np.testing.assert_allclose(box_heights(vector, feet), expected, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_cameras_are_recovered_within_what_is_said() -> None:
     scores = []
     for seed in range(16):

@@ -305,6 +305,7 @@ def test_observe_writes_detections_and_smooth_finds_who_is_who(
     assert 6 <= len(people) <= 14
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_with_what_it_was_taught(
     written: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -332,6 +333,7 @@ def test_a_run_goes_on_with_what_it_was_taught(
     pd.testing.assert_frame_equal(*tables, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_adapt_finds_people_itself_and_leaves_no_journal(written: list[object], tmp_path: Path) -> None:
     done = run("adapt", *written, "-o", tmp_path / "camera.npz")
     assert done.returncode == 0, done.stderr
