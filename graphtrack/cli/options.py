@@ -38,16 +38,16 @@ ModelName = Annotated[
     str,
     typer.Option(
         "--model",
-        help="position, separate, joint-body, joint, intentional, joint-intentional, full, joint-place, or a "
-        "model file (.toml).",
+        help="position, separate, joint-body, joint, intentional, joint-intentional, full, social, "
+        "joint-place, or a model file (.toml).",
     ),
 ]
 BestModelName = Annotated[
     str | None,
     typer.Option(
         "--model",
-        help="position, separate, joint-body, joint, intentional, joint-intentional, full, joint-place, or a "
-        "model file (.toml); by default full.",
+        help="position, separate, joint-body, joint, intentional, joint-intentional, full, social, "
+        "joint-place, or a model file (.toml); by default full.",
         show_default=False,
     ),
 ]

@@ -18,6 +18,7 @@ from graphtrack.inference.chain.engine import is_chain, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
+from graphtrack.inference.social import lacks_groups, solve_in_turn
 from graphtrack.inference.solution import (
     Failure,
     OfflineEngine,
@@ -118,6 +119,11 @@ def solve_tracks(
 ) -> list[Solution | Failure]:
     """`solve`, where the engine is the one that `engine_of` has chosen for the model."""
     options = SolverOptions() if options is None else options
+    if model.has_groups and lacks_groups(tracks):
+        again = partial(
+            solve_tracks, model=model, engine=engine, jobs=jobs, options=options, progress=progress
+        )
+        return solve_in_turn(tracks, again)
     make_ready(WHOLE, solver_rehearsal(model, engine, tracks.camera))
     if engine == "chain":
         found: list[Solution | Failure] = []

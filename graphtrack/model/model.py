@@ -22,6 +22,7 @@ from graphtrack.model.parameters import LikelihoodParameters, MotionParameters, 
 from graphtrack.model.term import Term
 from graphtrack.model.terms.anchor import Anchor
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.faces_group import FacesGroup
 from graphtrack.model.terms.gait import GaitOffsets
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.model.terms.intentional_motion import IntentionalMotion
@@ -45,11 +46,19 @@ presets: dict[str, tuple[type[Term], ...]] = {
     "joint-intentional": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody),
     "full": (IntentionalMotion, *_SEPARATE[1:], BodyFollowsMotion, HeadFollowsBody, GaitOffsets),
     "joint-place": (*_SEPARATE, BodyFollowsMotion, HeadFollowsBody, PlacePrior),
+    "social": (
+        IntentionalMotion,
+        *_SEPARATE[1:],
+        BodyFollowsMotion,
+        HeadFollowsBody,
+        GaitOffsets,
+        FacesGroup,
+    ),
 }
 """Name → the terms of the model: positions only; orientations too, each for itself; the body coupled to the
 motion, but not the head to the body (what 002 calls separate, κ₂ = 0); all coupled (002); positions and the
 head that steers them (000); all of these; `joint` whose couplings have modes; `joint` with a place that
-people are drawn to or kept from."""
+people are drawn to or kept from; `full` whose people face those whom they stand in conversation with."""
 
 
 def every_term() -> tuple[type[Term], ...]:
@@ -57,12 +66,11 @@ def every_term() -> tuple[type[Term], ...]:
     return (*dict.fromkeys(kind for terms in presets.values() for kind in terms), Anchor)
 
 
-preset_parameters: dict[str, Parameters] = {
-    "full": Parameters(
-        motion=MotionParameters(acceleration_density=0.1, head_rate=2.2),
-        likelihood=LikelihoodParameters(robust="huber"),
-    ),
-}
+_FULL = Parameters(
+    motion=MotionParameters(acceleration_density=0.1, head_rate=2.2),
+    likelihood=LikelihoodParameters(robust="huber"),
+)
+preset_parameters: dict[str, Parameters] = {"full": _FULL, "social": _FULL}
 """Default parameters of the presets for which those of `Parameters` are not the best."""
 
 
@@ -93,6 +101,7 @@ class Model:
     own_terms : the classes of your own
     has_body, has_head : whether some term acts on them; if so they are estimated
     has_modes : whether the couplings have modes
+    has_groups : whether people face those of their group, who are found where tracks do not say
     """
 
     def __init__(
@@ -112,6 +121,7 @@ class Model:
         used = frozenset().union(*(term.uses for term in self.terms))
         self.has_body, self.has_head = "body" in used, "head" in used
         self.has_modes = any(isinstance(term, GaitOffsets) for term in self.terms)
+        self.has_groups = any(isinstance(term, FacesGroup) for term in self.terms)
 
     def __repr__(self) -> str:
         parts = [repr(self.preset), *(kind.__name__ for kind in self.own_terms), *self._changed()]

@@ -214,6 +214,23 @@ class PlaceParameters(_Group):
 
 
 @dataclass(frozen=True)
+class SocialParameters(_Group):
+    """Members of a conversation face the others, in the presets that have groups.
+
+    Learned from SALSA's rows up to t = 1000 s: concentrations about the bearing of the true fellow members.
+
+    Attributes
+    ----------
+    body_kappa, head_kappa : von Mises concentration of bodies and of heads about the bearing of the others
+    outliers : share of members who face elsewhere; with groups that were found, those who are in none
+    """
+
+    body_kappa: float = _number(2.9, 0.0, 1e4)
+    head_kappa: float = _number(2.3, 0.0, 1e4)
+    outliers: float = _share(0.05, 0.999)
+
+
+@dataclass(frozen=True)
 class Parameters:
     """All parameters of the model."""
 
@@ -223,6 +240,7 @@ class Parameters:
     gait: GaitParameters = field(default_factory=GaitParameters)
     likelihood: LikelihoodParameters = field(default_factory=LikelihoodParameters)
     place: PlaceParameters = field(default_factory=PlaceParameters)
+    social: SocialParameters = field(default_factory=SocialParameters)
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], defaults: Parameters | None = None) -> Parameters:

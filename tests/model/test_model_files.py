@@ -126,6 +126,7 @@ def test_presets_estimate_the_orientations_that_they_name() -> None:
         "intentional": (False, True),
         "joint-intentional": (True, True),
         "full": (True, True),
+        "social": (True, True),
         "joint-place": (True, True),
         "joint-body": (True, True),
     }

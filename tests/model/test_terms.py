@@ -38,9 +38,10 @@ from graphtrack.model.kernels.layout import BODY, HEAD, PLACES
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.model import every_term
 from graphtrack.model.observation import chain
-from graphtrack.model.parameters import PlaceParameters
+from graphtrack.model.parameters import PlaceParameters, SocialParameters
 from graphtrack.model.terms.anchor import Anchor
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.faces_group import FacesGroup
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.model.terms.intentional_motion import IntentionalMotion
 from graphtrack.model.terms.motion import Motion
@@ -224,6 +225,8 @@ CASES = [
     Case("12 head classes", HeadLikelihood, density=class_density("head"), **MIXED_12),
     Case("drawn to a place", PlacePrior, place(strength=3.0)),
     Case("kept from a place", PlacePrior, place(strength=-3.0)),
+    Case("faces companions", FacesGroup),
+    Case("faces companions, sharp", FacesGroup, Parameters(social=SocialParameters(1e3, 1e3, 0.05))),
     Case("8 body classes, no outliers", BodyLikelihood, NO_CLASS_OUTLIERS, class_density("body"), **MIXED_8),
 ]
 
@@ -275,6 +278,7 @@ def situation(seed: int, n: int = 3) -> tuple[States, Track]:
         head=head + deviations[2],
         body_likelihood=classes[0],
         head_likelihood=classes[1],
+        inputs={"group": np.column_stack([rng.normal(0.0, 2.0, (n, 2)), rng.uniform(0.1, 1.0, n)])},
     )
     velocity = speeds[:, None] * np.column_stack([np.cos(directions), np.sin(directions)])
     return States(position, velocity, body, head), track

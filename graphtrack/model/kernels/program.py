@@ -12,7 +12,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled, inlined
-from graphtrack.model.kernels.layout import BODY, HEAD
+from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.anchor import add_anchor
 from graphtrack.model.terms.body_follows_motion import (
@@ -20,6 +20,7 @@ from graphtrack.model.terms.body_follows_motion import (
     add_motion_over,
     add_motion_quarters,
 )
+from graphtrack.model.terms.faces_group import add_faces_group_body, add_faces_group_head
 from graphtrack.model.terms.head_follows_body import add_head_follows_body
 from graphtrack.model.terms.intentional_motion import add_steered_motion
 from graphtrack.model.terms.motion import add_first_velocity, add_motion
@@ -77,6 +78,9 @@ FRAME = np.dtype(
         ("body_information", float),  # Fisher information of what was seen of the body, and of the head
         ("head_information", float),
         ("place_weight", float),  # |strength| with the frame's weight
+        ("group_weight", float),  # probability of the conversation with the frame's weight
+        ("group_cos", float),  # of the bearing of its other members
+        ("group_sin", float),
         ("body_anchor", float),  # concentration that holds a first orientation to its initial value
         ("head_anchor", float),
     ]
@@ -94,6 +98,9 @@ SHARED = np.dtype(
         ("place_y", float),
         ("place_radius", float),  # metres
         ("place_sign", float),  # 1: people are drawn to it, −1: kept from it
+        ("group_body_kappa", float),  # concentration of bodies about the bearing
+        ("group_head_kappa", float),  # of heads
+        ("group_outliers", float),  # share of members who face elsewhere
     ]
 )
 """What all frames of a job share."""
@@ -239,6 +246,32 @@ def add_own(
             shared.place_y,
             shared.place_radius,
             shared.place_sign,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.group_weight > 0.0:
+        cost += add_faces_group_body(
+            turns[k, 0],
+            turns[k, 1],
+            frame.group_weight,
+            frame.group_cos,
+            frame.group_sin,
+            shared.group_body_kappa,
+            shared.group_outliers,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.group_weight > 0.0:
+        cost += add_faces_group_head(
+            turns[k, 2],
+            turns[k, 3],
+            frame.group_weight,
+            frame.group_cos,
+            frame.group_sin,
+            shared.group_head_kappa,
+            shared.group_outliers,
             exact,
             gradient,
             hessian,
@@ -547,6 +580,32 @@ def add_frame(
             gradient,
             hessian,
         )
+    if frame.group_weight > 0.0:
+        cost += add_faces_group_body(
+            body_cos,
+            body_sin,
+            frame.group_weight,
+            frame.group_cos,
+            frame.group_sin,
+            shared.group_body_kappa,
+            shared.group_outliers,
+            exact,
+            gradient,
+            hessian,
+        )
+    if frame.group_weight > 0.0:
+        cost += add_faces_group_head(
+            head_cos,
+            head_sin,
+            frame.group_weight,
+            frame.group_cos,
+            frame.group_sin,
+            shared.group_head_kappa,
+            shared.group_outliers,
+            exact,
+            gradient,
+            hessian,
+        )
     if frame.body_anchor > 0.0:
         cost += add_anchor(body_cos, body_sin, BODY, start, frame.body_anchor, exact, gradient, hessian)
     if frame.head_anchor > 0.0:
@@ -579,6 +638,9 @@ def add_over(
     ``node`` (n,) is each frame's group; ``body`` and ``head`` are (groups, directions).
     """
     shared = problem.shared[0]
+    exact = False
+    gradient = np.zeros(N)
+    hessian = np.zeros((N, N))
     of_body_class_kappa = class_densities(cos, sin, problem.body_directions)
     of_head_class_kappa = class_densities(cos, sin, problem.head_directions)
     for k in range(len(states)):
@@ -610,6 +672,34 @@ def add_over(
             add_classes_over(problem.head_heights[place], of_head_class_kappa, head[g])
         if frame.motion_body_kappa > 0.0:
             add_motion_over(state, frame.motion_body_kappa, shared.speed_threshold, cos, sin, body[g])
+        if frame.group_weight > 0.0:
+            for i in range(len(cos)):
+                body[g, i] += add_faces_group_body(
+                    cos[i],
+                    sin[i],
+                    frame.group_weight,
+                    frame.group_cos,
+                    frame.group_sin,
+                    shared.group_body_kappa,
+                    shared.group_outliers,
+                    exact,
+                    gradient,
+                    hessian,
+                )
+        if frame.group_weight > 0.0:
+            for i in range(len(cos)):
+                head[g, i] += add_faces_group_head(
+                    cos[i],
+                    sin[i],
+                    frame.group_weight,
+                    frame.group_cos,
+                    frame.group_sin,
+                    shared.group_head_kappa,
+                    shared.group_outliers,
+                    exact,
+                    gradient,
+                    hessian,
+                )
 
 
 @compiled
@@ -621,6 +711,10 @@ def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: Flo
     """
     body, head = np.empty(4), np.empty(4)
     shared = problem.shared[0]
+    exact = False
+    gradient = np.zeros(N)
+    hessian = np.zeros((N, N))
+    turns = np.empty((4, 4))
     for k in range(len(states)):
         place, state = problem.offsets[track] + k, states[k]
         frame = problem.records[place]
@@ -628,6 +722,10 @@ def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: Flo
         head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
         body[:] = 0.0
         head[:] = 0.0
+        turns[0, 0], turns[0, 1], turns[0, 2], turns[0, 3] = body_cos, -body_sin, -body_cos, body_sin
+        turns[1, 0], turns[1, 1], turns[1, 2], turns[1, 3] = body_sin, body_cos, -body_sin, -body_cos
+        turns[2, 0], turns[2, 1], turns[2, 2], turns[2, 3] = head_cos, -head_sin, -head_cos, head_sin
+        turns[3, 0], turns[3, 1], turns[3, 2], turns[3, 3] = head_sin, head_cos, -head_sin, -head_cos
         if frame.body_kappa > 0.0:
             add_angle_quarters(
                 frame.seen_body_cos,
@@ -670,6 +768,34 @@ def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: Flo
             add_motion_quarters(
                 state, frame.motion_body_kappa, shared.speed_threshold, body_cos, body_sin, body
             )
+        if frame.group_weight > 0.0:
+            for i in range(4):
+                body[i] += add_faces_group_body(
+                    turns[0, i],
+                    turns[1, i],
+                    frame.group_weight,
+                    frame.group_cos,
+                    frame.group_sin,
+                    shared.group_body_kappa,
+                    shared.group_outliers,
+                    exact,
+                    gradient,
+                    hessian,
+                )
+        if frame.group_weight > 0.0:
+            for i in range(4):
+                head[i] += add_faces_group_head(
+                    turns[2, i],
+                    turns[3, i],
+                    frame.group_weight,
+                    frame.group_cos,
+                    frame.group_sin,
+                    shared.group_head_kappa,
+                    shared.group_outliers,
+                    exact,
+                    gradient,
+                    hessian,
+                )
         for q in range(4):
             quarters[k, q], quarters[k, 4 + q] = body[q], head[q]
         quarters[k, 8], quarters[k, 9] = body_cos, body_sin

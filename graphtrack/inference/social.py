@@ -1,0 +1,88 @@
+"""Groups and states in turn: who is in conversation, and how those stand who are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from graphtrack.behaviour.evidence import PairEvidence, pair_evidence
+from graphtrack.behaviour.groups import groups_of
+from graphtrack.behaviour.learned import DEFAULT
+from graphtrack.behaviour.people import People, people_of
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.solution import Failure, Solution
+from graphtrack.model.terms.faces_group import GROUP
+from graphtrack.tracks import Track, TrackSet
+
+ROUNDS = 4
+"""Times that groups and states are found at most."""
+
+
+def lacks_groups(tracks: TrackSet) -> bool:
+    """Whether groups have to be found: there are several people, and no track says whom it stands with."""
+    return len(tracks) > 1 and not any(GROUP in track.inputs for track in tracks)
+
+
+def solve_in_turn(
+    tracks: TrackSet, solve: Callable[[TrackSet], list[Solution | Failure]]
+) -> list[Solution | Failure]:
+    """Solve tracks with the groups of their estimates, until the groups stay as they are.
+
+    The groups of the first round are those of estimates without any.
+    """
+    nobody = tracks.map(lambda track: with_group(track, np.full((len(track), 3), np.nan)))
+    found = solve(nobody)
+    before: dict[int, set[frozenset[int]]] = {}
+    for _ in range(ROUNDS):
+        estimates = {one.track.track_id: one.track for one in found if isinstance(one, Solution)}
+        people = people_of(estimates.values())
+        evidence = pair_evidence(people, DEFAULT)
+        grouped = groups_of(people, DEFAULT, evidence)
+        now = {frame: set(members) for frame, members in grouped.members().items()}
+        if now == before:
+            break
+        before = now
+        found = solve(with_neighbours(tracks, people, evidence))
+    return [without_group(one) for one in found]
+
+
+def with_group(track: Track, group: FloatArray) -> Track:
+    """The track with the input `GROUP`."""
+    return replace(track, inputs={**track.inputs, GROUP: group})
+
+
+def without_group(found: Solution | Failure) -> Solution | Failure:
+    """What was found, its track without the input `GROUP`."""
+    if isinstance(found, Failure):
+        return found
+    left = {name: values for name, values in found.track.inputs.items() if name != GROUP}
+    return replace(found, track=replace(found.track, inputs=left))
+
+
+def with_neighbours(tracks: TrackSet, people: People, evidence: PairEvidence) -> TrackSet:
+    """The tracks, each with where its companions in conversation are, and how surely there are any.
+
+    Everybody near counts by the square of the probability of being of one group, so that somebody who may be
+    in either of two groups is not torn to one of them.
+    """
+    p = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds)) * (1.0 - evidence.walking)
+    one = np.concatenate([evidence.left, evidence.right])
+    other = np.concatenate([evidence.right, evidence.left])
+    weight = np.tile(p**2, 2)
+    total = np.bincount(one, weight, minlength=len(people))
+    surest = np.zeros(len(people))
+    np.maximum.at(surest, one, np.tile(p, 2))
+    sums = [np.bincount(one, weight * people.position[other, k], minlength=len(people)) for k in (0, 1)]
+    mean = np.column_stack(sums) / np.where(total > 1e-9, total, np.nan)[:, None]
+    values = np.column_stack([mean, np.where(total > 1e-9, surest, np.nan)])
+    frame, identity = people.frame[people.frame_of], people.ids[people.person]
+
+    def told(track: Track) -> Track:
+        group = np.full((len(track), 3), np.nan)
+        mine = identity == track.track_id
+        group[np.searchsorted(track.frame, frame[mine])] = values[mine]
+        return with_group(track, group)
+
+    return tracks.map(told)
