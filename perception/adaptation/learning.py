@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, difference
-from perception.adaptation.alignment import HeadSamples, crop_of, head_of_crop
+from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH, HeadSamples, crop_of, head_of_crop
 from perception.adaptation.labels import WalkingLabels
 from perception.adaptation.models import CameraModels
+from perception.adaptation.patches import ABOVE, COLUMNS, TALL, in_patch
 from perception.adaptation.teaching import BODY, CLASSES, HEAD, HeldOut, Taught, folds_of, taught
 from perception.images.pixels import Image, crop
 from perception.pose.classifier import Classifier
@@ -187,9 +188,6 @@ def _of_package(
     patches: Sequence[Image], heads: FloatArray, angle: FloatArray, package: PackageModels
 ) -> dict[str, float]:
     """Errors of the package's models on some of the boxes as they are given."""
-    from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH
-    from perception.adaptation.patches import ABOVE, COLUMNS, TALL, in_patch
-
     size = np.array([HEAD_WIDTH, HEAD_HEIGHT]) * TALL
     people = [patch[ABOVE : ABOVE + TALL, COLUMNS // 2 - 33 : COLUMNS // 2 + 33] for patch in patches]
     pictures = [

@@ -19,7 +19,6 @@ from perception.ground.view import RADIUS, RADIUS_STD, View, box_heights
 from perception.synthetic.cameras import Camera
 
 SIZE = (1280, 720)
-TOWN_CENTRE = Path("/work/shared/data/towncentre")
 
 
 def crowd(
@@ -218,13 +217,13 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(tmp_path: Path) -> N
     assert not (tmp_path / "camera.ci").exists()
 
 
-@pytest.mark.skipif(not TOWN_CENTRE.is_dir(), reason=f"the recording is not at {TOWN_CENTRE}")
-def test_town_centre_is_found_from_its_public_detections() -> None:
-    boxes = read_boxes(TOWN_CENTRE / "frames_001_150" / "det.txt")
+def test_town_centre_is_found_from_its_public_detections(data_dir: Path) -> None:
+    town_centre = data_dir / "towncentre"
+    boxes = read_boxes(town_centre / "frames_001_150" / "det.txt")
     found = found_view(boxes, (1920, 1080), np.random.default_rng(0))
     assert found.view.focal == pytest.approx(2696.36, rel=0.1)
     assert np.degrees(found.view.tilt) == pytest.approx(20.04, abs=3.0)
-    known = read_calibration(TOWN_CENTRE / "calibration.ci")
+    known = read_calibration(town_centre / "calibration.ci")
     feet = np.array([(b.box[0] + b.box[2] / 2, b.box[1] + b.box[3]) for b in boxes])
     first, second = np.random.default_rng(0).integers(len(feet), size=(2, 2000))
 

@@ -160,3 +160,9 @@ def _fill(picture: Image, edge: FloatArray, colour: Colour, opacity: float) -> N
     over = part.copy()
     cv2.fillPoly(over, [points(edge - (left, top))], colour, cv2.LINE_AA, FRACTION)
     cv2.addWeighted(over, opacity, part, 1.0 - opacity, 0.0, dst=part)
+
+
+def identity(picture: Image, track_id: int, box: FloatArray, colour: Colour, width: int) -> None:
+    """A person's id above their box (4,), both in pixels of the picture."""
+    left, top = box[:2].round().astype(int).tolist()
+    text(picture, str(track_id), (max(left, 2), max(top - 4, 14)), colour, 0.3 + 0.25 * width)

@@ -88,9 +88,7 @@ def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera
         marks.box(picture, person.head_box * factor, marks.LIGHT, width)
         marks.arrow(picture, on_ground, marks.peak(person.body, _BODY), colour, 2 * width)
         marks.arrow(picture, at_head, marks.peak(person.head, _HEAD), marks.LIGHT, width)
-        left, top = (person.box[:2] * factor).round().astype(int).tolist()
-        size = 0.3 + 0.25 * width
-        marks.text(picture, str(person.track_id), (max(left, 2), max(top - 4, 14)), colour, size)
+        marks.identity(picture, person.track_id, person.box * factor, colour, width)
     marks.text(picture, f"frame {number}", (8, 26), marks.LIGHT, 0.3 + 0.25 * width)
     return picture
 

@@ -53,9 +53,7 @@ def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera
             marks.arrow(picture, on_ground, person.body, colour, 2 * width)
         if np.isfinite(person.head):
             marks.arrow(picture, at_head, person.head, marks.LIGHT, width)
-        left, top = (person.box[:2] * factor).round().astype(int).tolist()
-        size = 0.3 + 0.25 * width
-        marks.text(picture, str(person.track_id), (max(left, 2), max(top - 4, 14)), colour, size)
+        marks.identity(picture, person.track_id, person.box * factor, colour, width)
     marks.text(picture, words, (8, round(16 + 12 * width)), marks.LIGHT, 0.3 + 0.25 * width)
     return picture
 
