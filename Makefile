@@ -2,6 +2,7 @@
 # make test   linter, type checker and tests      make test-all   the slow tests too
 # make bench  speed, against peers in the same run and against tests/benchmarks/baseline.json
 # make notebooks, make pictures   run them again and store what they show
+# make docs    the documentation site, into site/, strictly: a broken link or page is an error
 # make claims  measure what README and docs state, and compare
 PYTHON ?= python3
 VENV ?= .venv
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
-.PHONY: demo test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims clean
+.PHONY: demo docs test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims clean
 .DELETE_ON_ERROR:
 
 $(BIN)/python:
@@ -54,6 +55,9 @@ bench: $(VENV)/installed-test
 
 notebooks: $(VENV)/installed-test
 	$(BIN)/python notebooks/execute.py
+
+docs: $(VENV)/installed-test
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --site-dir site
 
 pictures: demo
 	mkdir -p docs/images

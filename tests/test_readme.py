@@ -8,9 +8,6 @@ from documents import ROOT, blocks, commands, run
 
 import graphtrack as gt
 from graphtrack.cli.main import app as graphtrack_app
-from graphtrack.inference.graph.batch import build_graph
-from graphtrack.inference.initial import initial_states
-from graphtrack.model.observation import chain
 from perception.cli.main import app as perception_app
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -44,24 +41,7 @@ def names(tmp_path_factory):
 def test_the_python_blocks_run_and_do_what_they_say(names):
     assert names["written"] == {"smoothed.csv", "model.toml"}
     assert names["model_file"].parameters == names["parameters"]
-    assert names["solution"].converged and names["solution"].engine == "gtsam"
     assert names["ahead"].covariance[0, 0] > names["estimate"].covariance[0, 0]
-
-
-def test_the_term_of_ones_own_has_factors_of_its_density(names):
-    track = names["noisy"][1]
-    with_term, without = names["model"], gt.Model("joint")
-    states = initial_states(track, without)
-
-    def graph_cost(model):
-        graph, values = build_graph(chain(track), model, states)
-        return graph.error(values)
-
-    _, kappa = with_term.terms[-1].pull(track.position)
-    assert kappa.any(), "nobody passes the window, so that nothing is tested"
-    density = with_term.cost(states, track) - without.cost(states, track)
-    assert density > 0.0
-    assert graph_cost(with_term) - graph_cost(without) == pytest.approx(density)
 
 
 def check_tracks(names):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = sorted(ROOT.glob("docs/*.md"))
+DOCUMENTS = sorted(ROOT.glob("docs/**/*.md"))
 PACKAGES = ("graphtrack", "perception")
 LONGEST = 400
 LONGER = {

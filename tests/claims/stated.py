@@ -165,7 +165,7 @@ def occlusion_offline(results: Results) -> Measured:
 
 
 def occlusion_said(results: Results) -> Measured:
-    """What the README says of it."""
+    """What docs/papers.md says of it."""
     data, head = WINDOWS[2]
     best = [
         results.row(ERROR, data=data, head=head, method=method)["reduction %"]
@@ -207,7 +207,7 @@ HEADS_SAID = (
 
 
 def chen_heads(results: Results) -> Measured:
-    """What the README says of heads."""
+    """What docs/papers.md says of heads."""
     columns, found = ("joint-body (°)", "joint (°)"), []
     for method in ("particle", "graph"):
         where = {"data": "mocap, walking", "angle": "head", "method": method}
@@ -254,17 +254,17 @@ def online_engines(results: Results) -> Measured:
 
 
 CLAIMS: Sequence[Claim] = (
-    Claim("README.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
-    Claim("README.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"),
+    Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
+    Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"),
     Claim("docs/baselines.md", "baxter-simulated", simulated_by_method, "| corpus | 100 %: MSE"),
     Claim("docs/baselines.md", "baxter-caviar", caviar_gains, "| CAVIAR | 100 %: MSE"),
     Claim("docs/baselines.md", "baxter-caviar", caviar_likelihoods, labels=(NATS_SAID,)),
     Claim("docs/baselines.md", "baxter-caviar", caviar_reasons, "| all detected | `printed`: MSE"),
     Claim("docs/baselines.md", "baxter-occlusion", occlusion_online, "| online | corpus, 3 s"),
     Claim("docs/baselines.md", "baxter-occlusion", occlusion_offline, "| offline | corpus,"),
-    Claim("README.md", "baxter-occlusion", occlusion_said, labels=(OCCLUSION_SAID,)),
-    Claim("README.md", "chen-joint", chen_joint, "| body | observed |"),
-    Claim("README.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
+    Claim("docs/papers.md", "baxter-occlusion", occlusion_said, labels=(OCCLUSION_SAID,)),
+    Claim("docs/papers.md", "chen-joint", chen_joint, "| body | observed |"),
+    Claim("docs/papers.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
     Claim("docs/engine.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
     Claim("README.md", "chen-classes", online_engines, "| engine | | body, head, online"),
     *PIXELS,

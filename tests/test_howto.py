@@ -1,0 +1,43 @@
+"""The guide's commands and Python run as printed, each page in an empty folder from top to bottom."""
+
+import pytest
+from documents import ROOT, blocks, run
+
+import graphtrack as gt
+from graphtrack.inference.graph.batch import build_graph
+from graphtrack.inference.initial import initial_states
+from graphtrack.model.observation import chain
+
+PAGES = ["docs/start.md", *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("docs/how-to/*.md"))]
+
+
+def test_there_is_a_page_for_each_task():
+    names = {page.rpartition("/")[2].removesuffix(".md") for page in PAGES}
+    tasks = {"smooth-tracks", "detections-to-tracks", "video", "live", "groups", "forecasts", "own-format"}
+    assert tasks | {"own-term", "own-method"} <= names
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if not page.endswith("own-term.md")])
+def test_a_page_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run(blocks(page), {}, slow=False)
+
+
+def test_the_term_of_ones_own_has_factors_of_its_density(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    run(blocks("docs/how-to/own-term.md"), names, slow=False)
+    assert names["solution"].converged and names["solution"].engine == "gtsam"
+    track = names["noisy"][1]
+    with_term, without = names["model"], gt.Model("joint")
+    states = initial_states(track, without)
+
+    def graph_cost(model):
+        graph, values = build_graph(chain(track), model, states)
+        return graph.error(values)
+
+    _, kappa = with_term.terms[-1].pull(track.position)
+    assert kappa.any(), "nobody passes the window, so that nothing is tested"
+    density = with_term.cost(states, track) - without.cost(states, track)
+    assert density > 0.0
+    assert graph_cost(with_term) - graph_cost(without) == pytest.approx(density)

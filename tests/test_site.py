@@ -1,0 +1,79 @@
+"""The documentation site is built strictly, and says something of every public name."""
+
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from documents import ROOT
+
+import graphtrack
+
+REFERENCE = (ROOT / "docs" / "reference" / "python.md").read_text(encoding="utf-8")
+
+
+def build(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(folder), *options]
+    quiet = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    return subprocess.run(command, cwd=ROOT, env=quiet, capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    done = build(folder)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return folder
+
+
+class Loaded(HTMLParser):
+    """Addresses that a browser loads by itself when it opens a page."""
+
+    def __init__(self):
+        super().__init__()
+        self.addresses = []
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        if tag in ("img", "script"):
+            self.addresses.append(given.get("src") or "")
+        if tag == "link" and "stylesheet" in (given.get("rel") or ""):
+            self.addresses.append(given["href"])
+
+
+def test_the_site_has_commands_functions_and_pictures(site):
+    commands = (site / "reference" / "commands" / "index.html").read_text(encoding="utf-8")
+    assert "graphtrack smooth" in commands and "--homography" in commands and "perception adapt" in commands
+    functions = (site / "reference" / "python" / "index.html").read_text(encoding="utf-8")
+    assert "several whose tracks are merged" in re.sub(r"\s+", " ", functions)
+    assert len(list((site / "gallery").glob("*.png"))) >= 10
+    assert (site / "notebooks" / "01-smoothing" / "index.html").exists()
+
+
+def test_pages_of_the_guide_load_nothing_from_elsewhere(site):
+    # Notebooks bring MathJax and their kind along; the guide and the reference do not.
+    pages = [site / "index.html", *site.glob("how-to/*/index.html"), *site.glob("reference/*/index.html")]
+    assert len(pages) > 10
+    for page in pages:
+        parser = Loaded()
+        parser.feed(page.read_text(encoding="utf-8"))
+        assert not [one for one in parser.addresses if "//" in one], page
+
+
+def test_every_public_name_has_an_entry():
+    assert set(re.findall(r"^::: graphtrack\.(\w+)$", REFERENCE, flags=re.M)) == set(graphtrack.__all__)
+
+
+def test_a_broken_link_fails(tmp_path):
+    page = tmp_path / "docs" / "index.md"
+    page.parent.mkdir()
+    page.write_text("[nowhere](nowhere.md)\n", encoding="utf-8")
+    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    validation = settings[settings.index("validation:") : settings.index("nav:")]
+    path = tmp_path / "mkdocs.yml"
+    path.write_text(f"site_name: small\nstrict: true\n{validation}", encoding="utf-8")
+    done = build(tmp_path / "site", "--config-file", str(path))
+    assert done.returncode and "nowhere.md" in done.stderr
