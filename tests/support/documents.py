@@ -24,6 +24,7 @@ NOT_RUN = ("make ", "pip ")
 SLOW = ("graphtrack reproduce ",)
 SHORTER = {
     "graphtrack simulate -o tracks.csv": "--steps 60",
+    "graphtrack simulate -o party.csv": "--steps 60",
     "graphtrack demo": "--seconds 12",
 }
 """Added to lines that begin so, unless what takes minutes is run too."""
@@ -41,7 +42,7 @@ class Block:
         """The command lines of a shell block as they would be typed, without comments."""
         joined = self.text.replace("\\\n", " ")
         lines = (shlex.join(shlex.split(line, comments=True)) for line in joined.splitlines())
-        return [line.replace(" '|' ", " | ") for line in lines if line]
+        return [line.replace(" '|' ", " | ").replace(" '>' ", " > ") for line in lines if line]
 
 
 def blocks(path: str) -> list[Block]:
@@ -100,7 +101,7 @@ def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, 
 def run_line(line: str) -> str:
     """Run a line: in this process, since imports take longer than most; in a shell where it needs one."""
     program, *arguments = shlex.split(line)
-    if program in PROGRAMS and "|" not in arguments:
+    if program in PROGRAMS and not {"|", ">"} & set(arguments):
         with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
             patch.setattr(sys, "argv", [program, *arguments])
             PROGRAMS[program]()
