@@ -1,6 +1,7 @@
 # make demo   the main job on the embedded default, with its report
 # make test   linter, type checker and tests      make test-all   the slow tests too
 # make bench  speed, against peers in the same run and against tests/benchmarks/baseline.json
+# make load    the service under load, on the loopback: latencies, lost rows, memory
 # make notebooks, make pictures   run them again and store what they show
 # make docs    the documentation site, into site/, strictly: a broken link or page is an error
 # make claims  measure what README and docs state, and compare
@@ -12,7 +13,7 @@ BIN := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
-.PHONY: demo docs test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims clean
+.PHONY: demo docs load test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims clean
 .DELETE_ON_ERROR:
 
 $(BIN)/python:
@@ -55,6 +56,9 @@ bench: $(VENV)/installed-test
 
 notebooks: $(VENV)/installed-test
 	$(BIN)/python notebooks/execute.py
+
+load: $(VENV)/installed-test
+	$(BIN)/python tests/load/load.py
 
 docs: $(VENV)/installed-test
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --site-dir site

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any
@@ -22,7 +23,7 @@ from graphtrack.cli.console import console, counted, progress_bar
 from graphtrack.cli.detections import Frame, Scenes
 from graphtrack.cli.saving import Answering, Saving, saved_setting, settings_of
 from graphtrack.cli.state_file import StateFile
-from graphtrack.cli.stream import LONGEST_LINE, People, text_of
+from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds, text_of
 from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
@@ -40,6 +41,32 @@ Restore = Callable[[Any], Any]
 """A member of those who answer, from its state."""
 
 
+def print_note(text: str) -> None:
+    """Say on standard error what was assumed or passed over."""
+    console.print(f"note: {text}", markup=False)
+
+
+def say_nothing(people: Answering) -> None:
+    """Nobody wants to know that a row was answered."""
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who is told what is no answer.
+
+    Attributes
+    ----------
+    note : of what was passed over, in a sentence
+    went_on : of the rows after which a saved stream goes on, the line of the last of them, and whether its
+        answer is given again; it comes before any answer
+    answered : each time that all answers to a row were given
+    """
+
+    note: Callable[[str], None] = print_note
+    went_on: Callable[[int, int, bool], None] | None = None
+    answered: Callable[[Answering], None] = say_nothing
+
+
 def track_stream(
     model: Model,
     *,
@@ -51,6 +78,8 @@ def track_stream(
     save_every: float,
     associate: Associate = "auto",
     horizon: tuple[float, float] | None = None,
+    listener: Listener = Listener(),
+    bounds: StreamBounds = StreamBounds(),
 ) -> tuple[int, int]:
     """Answer every row of standard input.
 
@@ -63,6 +92,8 @@ def track_stream(
     associate : whether rows are detections without identity: "always", forgetting those they have; "never";
         "auto": if the first one has none
     horizon : (seconds, step) of forecasts that are told; None: none are
+    listener : is told what is no answer
+    bounds : of people with identities
 
     Returns
     -------
@@ -78,30 +109,29 @@ def track_stream(
     chosen = online_engine(model, engine)
     options: dict[str, Any] = {"engine": engine, "lag": lag, "camera": camera}
 
-    def note(text: str) -> None:
-        console.print(f"note: {text}", markup=False)
-
     def answering(lines: Lines, are_detections: bool | None) -> tuple[Lines, Answering, Restore]:
         """Who answers; what the first row is decides where nobody has said it."""
         if are_detections is None:
             lines, are_detections = _first_is_detection(lines)
         if not are_detections:
             forecasts = None if horizon is None else FrameForecasts(times_ahead(*horizon))
-            people = People(lambda: OnlineSmoother(model, **options), fps, note, forecasts)
+            people = People(lambda: OnlineSmoother(model, **options), fps, listener.note, forecasts, bounds)
             return lines, people, lambda saved: OnlineSmoother.from_state(saved, model, **options)
 
         def restore(saved: Any) -> Frame:
             return Frame.restore(saved, OnlineTracker.from_state(saved["tracker"], model, **options))
 
         forget = associate == "always"
-        scenes = Scenes(lambda: OnlineTracker(model, **options), fps, note, forget=forget, horizon=horizon)
+        scenes = Scenes(
+            lambda: OnlineTracker(model, **options), fps, listener.note, forget=forget, horizon=horizon
+        )
         return lines, scenes, restore
 
     known = {"never": False, "always": True}.get(associate)
     warm_up(model, chosen)
     if state is None:
         lines, rows, _ = answering(lines_of(stream, 1), known)
-        return _answer(lines, rows, None)
+        return _answer(lines, rows, None, listener)
     with closing(StateFile(state, save_every)) as file:
         settings = settings_of(model, chosen, lag, fps, camera)
         lines = iter(())
@@ -115,11 +145,11 @@ def track_stream(
         settings |= {"detections": True} if isinstance(rows, Scenes) else {}
         saving = Saving(file, rows, settings, every)
         if file.entries:
-            _go_on(saving, rows, restore, state, len(file.entries))
+            _go_on(saving, rows, restore, state, len(file.entries), listener)
             lines = lines_of(stream, rows.line + 1)
         else:
             saving.begin()
-        answered = _answer(lines, rows, saving)
+        answered = _answer(lines, rows, saving, listener)
         saving.finish()
     return answered
 
@@ -139,10 +169,14 @@ def _first_is_detection(lines: Lines) -> tuple[Lines, bool]:
     return chain(read, lines), found
 
 
-def _go_on(saving: Saving, people: Answering, restore: Restore, state: Path, entries: int) -> None:
+def _go_on(
+    saving: Saving, people: Answering, restore: Restore, state: Path, entries: int, listener: Listener
+) -> None:
     """Bring people to where the last run ended, say where that is, and answer what it may not have."""
     with progress_bar(entries, "rows") as advance:
         again = saving.resume(restore, advance)
+    if listener.went_on is not None:
+        listener.went_on(people.rows, people.line, bool(again))
     lines = "" if people.line == people.rows else f" (the last is line {people.line})"
     last = f"; the answer to row {people.rows} is given again" if again else ""
     console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
@@ -150,7 +184,7 @@ def _go_on(saving: Saving, people: Answering, restore: Restore, state: Path, ent
         give(row)
 
 
-def _answer(lines: Lines, people: Answering, saving: Saving | None) -> tuple[int, int]:
+def _answer(lines: Lines, people: Answering, saving: Saving | None, listener: Listener) -> tuple[int, int]:
     before, wrong = people.rows, 0
     # What there is by now stays: the collector need not look at it again while rows wait.
     gc.collect()
@@ -163,6 +197,7 @@ def _answer(lines: Lines, people: Answering, saving: Saving | None) -> tuple[int
                 for row in people.answers(number, line):
                     wrong += "error" in row
                     give(row)
+                listener.answered(people)
                 if saving is not None:
                     saving.tend()
             for row in people.finish():

@@ -17,6 +17,7 @@ from graphtrack.cli import (
     info,
     reproduce,
     score,
+    serve,
     simulate,
     smooth,
     track,
@@ -57,6 +58,7 @@ def start(
 
 app.command("smooth")(expanded(smooth.smooth))
 app.command("track")(expanded(track.track))
+app.command("serve")(expanded(serve.serve))
 app.command("compare")(expanded(compare.compare))
 app.command("score")(expanded(score.score))
 app.command("groups")(expanded(groups.groups))

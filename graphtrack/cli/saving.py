@@ -186,7 +186,8 @@ class Saving:
 
     def _hand_over(self) -> None:
         self._left = None
-        self._file.replace([self._header, *(self._sealed[track_id] for track_id in self._members)])
+        self._sealed = {track_id: self._sealed[track_id] for track_id in self._members}
+        self._file.replace([self._header, *self._sealed.values()])
 
     def _before_change(self, track_id: Any) -> None:
         if self._left is not None and track_id in self._left:

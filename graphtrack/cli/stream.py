@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,20 @@ _NAMED = 100
 """Unknown keys that are told before it is enough."""
 
 
+@dataclass(frozen=True)
+class StreamBounds:
+    """How much a stream with identities may hold.
+
+    Attributes
+    ----------
+    people : at once; a row of one more is an error
+    forget_after : seconds without a row after which a person is forgotten, to be new when they come back
+    """
+
+    people: int | None = None
+    forget_after: float | None = None
+
+
 class People:
     """An online smoother for each person, made when the person first appears.
 
@@ -37,6 +52,7 @@ class People:
     fps : frames a second, for rows without a time
     note : is told of each unknown key, once
     forecasts : of people, where they are asked for
+    bounds : how many people there may be
 
     Attributes
     ----------
@@ -51,7 +67,9 @@ class People:
         fps: float | None,
         note: Callable[[str], None] = print,
         forecasts: FrameForecasts | None = None,
+        bounds: StreamBounds = StreamBounds(),
     ) -> None:
+        self._bounds, self._looked = bounds, -math.inf
         self._forecasts, self._before = forecasts, list[dict[str, Any]]()
         self._make, self._fps, self._told = make, fps, Told(note)
         self.members: dict[int, OnlineSmoother] = {}
@@ -68,7 +86,8 @@ class People:
             cells = read_cells(pairs)
             observation = observation_of(cells, self._fps)
             track_id = cells["track_id"]
-            smoother = self.members.get(track_id) or self._make()
+            self._forget(observation.t)
+            smoother = self.members.get(track_id) or self._new()
             self.before_change(track_id)
             estimate = smoother.update(observation)
             self.members[track_id] = smoother
@@ -77,6 +96,24 @@ class People:
         except InputError as error:
             return error_row(pairs, number, error)
         return estimate_row(track_id, estimate)
+
+    def _new(self) -> OnlineSmoother:
+        if self._bounds.people is not None and len(self.members) >= self._bounds.people:
+            raise InputError(f"one more than {self._bounds.people} people", "rows of those who are there")
+        return self._make()
+
+    def _forget(self, now: float) -> None:
+        """Drop who has not been heard of for long, looking once a second of the stream's own time."""
+        after = self._bounds.forget_after
+        if after is None or now < self._looked + 1.0:
+            return
+        self._looked = now
+        # Who was never placed has no estimate, and nothing is kept of them.
+        known = ((one, smoother.last) for one, smoother in self.members.items())
+        gone = [one for one, last in known if last is None or last.t < now - after]
+        for one in gone:
+            self.before_change(one)
+            del self.members[one]
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
         """What is to be said after a line of input: forecasts of the frame that it ends, and its `answer`."""

@@ -1,0 +1,12 @@
+# graphtrack serve on port 8765; streams are kept in the volume /streams.
+FROM python:3.12-slim
+RUN useradd --create-home graphtrack && mkdir /streams && chown graphtrack /streams
+COPY . /src
+RUN pip install --no-cache-dir --constraint /src/constraints.txt '/src[serve]' && rm -rf /src
+USER graphtrack
+# What the streams run is compiled once, here.
+RUN python -c "import graphtrack as gt; gt.warm_up('full')"
+VOLUME /streams
+EXPOSE 8765
+HEALTHCHECK CMD python -c "import urllib.request as r; r.urlopen('http://127.0.0.1:8765/health')"
+ENTRYPOINT ["graphtrack", "serve", "--host", "0.0.0.0", "--state", "/streams"]

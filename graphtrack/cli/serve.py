@@ -1,0 +1,115 @@
+"""`graphtrack serve`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import console
+
+TOKEN = "GRAPHTRACK_TOKEN"
+
+
+def serve(
+    host: Annotated[str, typer.Option("--host", help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option("--port", help="Port to listen on; 0: any that is free.", min=0, max=65535)
+    ] = 8765,
+    model: options.BestModelName = None,
+    engine: Annotated[
+        Literal["auto", "chain", "fixed-lag"], typer.Option("--engine", help="As of graphtrack track.")
+    ] = "auto",
+    lag: Annotated[float, typer.Option("--lag", metavar="SECONDS", help="History that is kept open.")] = 2.0,
+    fps: Annotated[
+        float | None, typer.Option("--fps", help="Frames a second, for rows without a time.")
+    ] = None,
+    homography: options.Homography = None,
+    forecast: Annotated[
+        float | None,
+        typer.Option(
+            "--forecast",
+            metavar="SECONDS",
+            help="Tell where people will be, every 0.4 s up to so many seconds ahead.",
+            show_default=False,
+        ),
+    ] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            "--state",
+            help="Folder in which streams are kept, to be gone on with; made if it is not there.",
+            file_okay=False,
+        ),
+    ] = None,
+    save_every: Annotated[
+        float,
+        typer.Option("--save-every", metavar="SECONDS", min=0.1, max=86400.0, help="As of graphtrack track."),
+    ] = 10.0,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--token-file",
+            help=f"File with the token that clients have to bear; else the variable {TOKEN}; else none.",
+            exists=True,
+            dir_okay=False,
+        ),
+    ] = None,
+    max_streams: Annotated[int, typer.Option("--max-streams", min=1, help="Open at once.")] = 64,
+    max_people: Annotated[
+        int, typer.Option("--max-people", min=1, help="With identities, at once in a stream.")
+    ] = 200,
+    max_rate: Annotated[
+        float,
+        typer.Option("--max-rate", min=1.0, help="Rows a second of a stream; who is faster is slowed down."),
+    ] = 5000.0,
+    max_line: Annotated[int, typer.Option("--max-line", min=256, max=1 << 20, help="Bytes of a message.")] = 1
+    << 16,
+    forget_after: Annotated[
+        float,
+        typer.Option("--forget-after", min=1.0, help="Seconds without a row until a person is forgotten."),
+    ] = 60.0,
+    patience: Annotated[
+        float,
+        typer.Option(
+            "--patience", min=1.0, help="Seconds that answers may stay unread, or a client silent to pings."
+        ),
+    ] = 30.0,
+) -> None:
+    """Serve streams of rows over WebSocket and HTTP, with health and metrics."""
+    from graphtrack.cli.stream_forecast import STEP
+    from graphtrack.errors import InputError
+    from graphtrack.geometry.camera import GroundCamera
+    from graphtrack.inference.online import check_lag, online_engine
+    from graphtrack.io.cameras import read_homography
+    from graphtrack.model import Model
+
+    try:
+        from graphtrack.service.run import run
+    except ModuleNotFoundError as error:
+        raise InputError(f"no {error.name}", "pip install 'graphtrack[serve]'") from error
+    from graphtrack.service.settings import Answers, Limits, Service
+
+    chosen = Model.named(model)
+    check_lag(lag, online_engine(chosen, engine))
+    if state is not None:
+        state.mkdir(parents=True, exist_ok=True)
+    answers = Answers(
+        chosen,
+        engine,
+        lag,
+        fps,
+        None if homography is None else GroundCamera.from_homography(read_homography(homography)),
+        horizon=None if forecast is None else (forecast, min(STEP, forecast)),
+        save_every=save_every,
+    )
+    limits = Limits(max_streams, max_people, forget_after, max_rate, max_line, patience)
+    token = os.environ.get(TOKEN) if token_file is None else token_file.read_text("utf-8").strip()
+    if token == "":
+        raise InputError("an empty token", "some characters, or none at all", path=token_file)
+    if token is None and host not in ("127.0.0.1", "::1", "localhost"):
+        console.print(f"note: no token: whoever reaches {host} may open streams", markup=False)
+    run(Service(answers, limits, state, token), host, port)

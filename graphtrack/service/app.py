@@ -1,0 +1,255 @@
+"""The service's addresses: streams over WebSocket and HTTP, health and metrics."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+
+from starlette.applications import Starlette
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from graphtrack.service.metrics import Metrics
+from graphtrack.service.settings import STREAM_NAME, Service
+from graphtrack.service.stream import Stream, open_stream, prepare
+
+_NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
+"""HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
+_BROKEN = 1011
+_UNREAD = 1008
+
+
+class Refused(Exception):
+    """A request that is not taken: a status, and why."""
+
+    def __init__(self, status: int, reason: str) -> None:
+        super().__init__(reason)
+        self.status, self.reason = status, reason
+
+
+class Streams:
+    """The streams of a service, by name: one connection each.
+
+    Parameters
+    ----------
+    service : what it was told
+    metrics : its counters
+    """
+
+    def __init__(self, service: Service, metrics: Metrics) -> None:
+        self.service, self.metrics = service, metrics
+        self._open: dict[str, Stream | None] = {}
+
+    def names(self) -> list[str]:
+        """Of those that are open."""
+        return sorted(self._open)
+
+    def check(self, request: HTTPConnection) -> None:
+        """Refuse who does not bear the token; browsers, which set no headers, may give it as ``?token=``."""
+        token = self.service.token
+        given = request.headers.get("authorization", "").removeprefix("Bearer ")
+        given = given or request.query_params.get("token", "")
+        if token is not None and not hmac.compare_digest(given.encode(), token.encode()):
+            raise Refused(401, "no valid token; expected 'Authorization: Bearer TOKEN'")
+
+    def checked_name(self, request: HTTPConnection) -> str:
+        """The stream that is asked for."""
+        self.check(request)
+        name = str(request.path_params["name"])
+        if not STREAM_NAME.fullmatch(name):
+            raise Refused(404, "no name of a stream; expected up to 64 letters, digits, '.', '_' and '-'")
+        return name
+
+    @asynccontextmanager
+    async def opened(self, name: str) -> AsyncIterator[Stream]:
+        """A stream for one connection; it ends, and what it knows is kept, when the connection is done."""
+        if name in self._open:
+            raise Refused(409, f"stream {name} has a connection; expected one at a time")
+        if len(self._open) >= self.service.limits.streams:
+            raise Refused(429, f"{len(self._open)} streams are open, as many as may be")
+        self._open[name] = None
+        self.metrics.streams.inc()
+        try:
+            stream = await open_stream(name, self.service, self.metrics)
+            try:
+                yield stream
+            finally:
+                await asyncio.shield(stream.end())
+        finally:
+            del self._open[name]
+            self.metrics.streams.dec()
+
+    def forget(self, name: str) -> None:
+        """Remove what is kept of a stream that nobody is connected to."""
+        if name in self._open:
+            raise Refused(409, f"stream {name} has a connection; expected none")
+        state = self.service.state_of(name)
+        if state is None or not state.exists():
+            raise Refused(404, f"nothing is kept of stream {name}")
+        state.unlink()
+
+
+def refusal(streams: Streams, refused: Refused) -> JSONResponse:
+    """The answer to a request that is not taken."""
+    streams.metrics.refused.labels(refused.status).inc()
+    return JSONResponse({"error": refused.reason}, refused.status)
+
+
+async def by_websocket(websocket: WebSocket) -> None:
+    """Rows in, a message for each or for several lines; an answer a message out. An empty message ends."""
+    streams: Streams = websocket.app.state.streams
+    try:
+        name = streams.checked_name(websocket)
+        async with streams.opened(name) as stream:
+            await websocket.accept()
+            code, reason = await _exchange(websocket, stream, streams.service.limits.patience)
+        with suppress(RuntimeError, WebSocketDisconnect):
+            await websocket.close(code, reason)
+    except Refused as refused:
+        streams.metrics.refused.labels(refused.status).inc()
+        await websocket.accept()
+        await websocket.close(_NOT_TAKEN[refused.status], refused.reason)
+
+
+async def _exchange(websocket: WebSocket, stream: Stream, patience: float) -> tuple[int, str]:
+    """Pass rows and answers on until either side is done; the code and reason to close with."""
+
+    async def rows() -> None:
+        with suppress(WebSocketDisconnect):
+            while True:
+                message = await websocket.receive()
+                if message["type"] == "websocket.disconnect":
+                    return
+                data = message.get("bytes") or (message.get("text") or "").encode()
+                if not data.strip():
+                    stream.no_more()
+                    return
+                for line in data.splitlines():
+                    if line.strip():
+                        await stream.take(line)
+
+    async def answers() -> tuple[int, str]:
+        async for message in stream.answers():
+            try:
+                await asyncio.wait_for(websocket.send_text(message.text), patience)
+            except TimeoutError:
+                return _UNREAD, f"answers were not read for {patience:g} s"
+            except (WebSocketDisconnect, RuntimeError):
+                return 1000, ""
+        return 1000, ""
+
+    incoming, outgoing = asyncio.create_task(rows()), asyncio.create_task(answers())
+    try:
+        done, _ = await asyncio.wait({incoming, outgoing}, return_when=asyncio.FIRST_COMPLETED)
+        if outgoing in done and not incoming.done():
+            status = await stream.status()
+            if status:
+                return _BROKEN, f"the stream's process ended with status {status}; connect again"
+        stream.no_more()
+        return await outgoing
+    finally:
+        for task in (incoming, outgoing):
+            task.cancel()
+            with suppress(asyncio.CancelledError, OSError):
+                await task
+
+
+async def by_http(request: Request) -> Response:
+    """A whole stream, or its next piece where states are kept: NDJSON in the body, NDJSON back as it goes."""
+    streams: Streams = request.app.state.streams
+    try:
+        name = streams.checked_name(request)
+        opened = streams.opened(name)
+        stream = await opened.__aenter__()
+    except Refused as refused:
+        return refusal(streams, refused)
+
+    async def rows() -> None:
+        left, longest = b"", streams.service.limits.line_bytes
+        async for chunk in request.stream():
+            *lines, left = (left + chunk).split(b"\n")
+            for line in lines:
+                if line.strip():
+                    await stream.take(line)
+            if len(left) > longest:
+                break  # the row is answered by an error, and what follows is not read
+        if left.strip():
+            await stream.take(left)
+        stream.no_more()
+
+    async def answers() -> AsyncIterator[bytes]:
+        feeding = asyncio.create_task(rows())
+        try:
+            async for message in stream.answers():
+                yield message.text.encode() + b"\n"
+            await feeding
+        finally:
+            feeding.cancel()
+            with suppress(asyncio.CancelledError, OSError):
+                await feeding
+            await opened.__aexit__(None, None, None)
+
+    return StreamingResponse(answers(), media_type="application/x-ndjson")
+
+
+async def listed(request: Request) -> Response:
+    """The streams that are open."""
+    streams: Streams = request.app.state.streams
+    try:
+        streams.check(request)
+    except Refused as refused:
+        return refusal(streams, refused)
+    return JSONResponse({"streams": streams.names()})
+
+
+async def forgotten(request: Request) -> Response:
+    """Forget what is kept of a stream."""
+    streams: Streams = request.app.state.streams
+    try:
+        streams.forget(streams.checked_name(request))
+    except Refused as refused:
+        return refusal(streams, refused)
+    return Response(status_code=204)
+
+
+async def health(request: Request) -> Response:
+    """Whether new streams are taken; needs no token."""
+    streams: Streams = request.app.state.streams
+    return JSONResponse({"status": "ok", "streams": len(streams.names())})
+
+
+async def metrics(request: Request) -> Response:
+    """Counters in Prometheus' text format."""
+    streams: Streams = request.app.state.streams
+    try:
+        streams.check(request)
+    except Refused as refused:
+        return refusal(streams, refused)
+    return Response(streams.metrics.text(), media_type="text/plain; version=0.0.4")
+
+
+def application(service: Service, ready: Callable[[], None]) -> Starlette:
+    """The service as an ASGI application, which says when it takes streams."""
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        await asyncio.to_thread(prepare, service)
+        ready()
+        yield
+
+    one = "/v1/streams/{name}"
+    routes = [
+        Route("/health", health),
+        Route("/metrics", metrics),
+        Route("/v1/streams", listed),
+        Route(one, by_http, methods=["POST"]),
+        Route(one, forgotten, methods=["DELETE"]),
+        WebSocketRoute(one, by_websocket),
+    ]
+    app = Starlette(routes=routes, lifespan=lifespan)
+    app.state.streams = Streams(service, Metrics())
+    return app

@@ -1,0 +1,55 @@
+"""The service on a port, until it is told to stop."""
+
+from __future__ import annotations
+
+import socket
+
+import uvicorn
+
+from graphtrack.cli.console import console
+from graphtrack.errors import InputError
+from graphtrack.service.app import application
+from graphtrack.service.settings import Service
+
+_GRACE = 20
+"""Seconds that streams have, when the service stops, to say and keep what they know."""
+
+
+def run(service: Service, host: str, port: int) -> None:
+    """Serve until SIGTERM or SIGINT.
+
+    Raises
+    ------
+    InputError
+        If the port cannot be listened on.
+    """
+    listening = _listen(host, port)
+    address, bound = listening.getsockname()[:2]
+    shown = f"[{address}]" if ":" in address else address
+    console.print(
+        f"serving ws://{shown}:{bound}/v1/streams/NAME, http://{shown}:{bound}/health", markup=False
+    )
+    config = uvicorn.Config(
+        application(service),
+        log_level="warning",
+        access_log=False,
+        ws="websockets-sansio",
+        ws_max_size=service.limits.line_bytes,
+        ws_ping_interval=service.limits.patience / 2.0,
+        ws_ping_timeout=service.limits.patience / 2.0,
+        timeout_graceful_shutdown=_GRACE,
+        lifespan="on",
+    )
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(family, kind, protocol)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(address)
+    except OSError as error:
+        found = f"--host {host} --port {port}: {error.strerror or error}"
+        raise InputError(found, "an address of this machine and a free port") from error
+    return listening

@@ -1,0 +1,212 @@
+"""Load a service on the loopback: ``python tests/load/load.py [--seconds S] [--streams N] [--people N]``.
+
+Twenty streams of twenty people at 25 Hz by default, each a client that sends frames in time whatever comes
+back, beside clients that misbehave. It prints latencies from the sending of a row to its answer, rows that were
+lost, and the memory of all processes early and at the end, without and with kept states; it fails if a row was
+lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import math
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
+
+
+@dataclass
+class Told:
+    """What the clients saw: seconds from each row to its answer, rows sent, and answers that were errors."""
+
+    seconds: list[float] = field(default_factory=list)
+    sent: int = 0
+    errors: int = 0
+
+
+def row(person: int, frame: int, rate: float) -> str:
+    """Somebody who walks in a circle, a little noisy."""
+    t, angle = frame / rate, person + 0.3 * frame / rate
+    noise = 0.02 * math.sin(7.0 * frame + 3.0 * person)
+    return json.dumps(
+        {
+            "track_id": person,
+            "frame": frame,
+            "t": t,
+            "x": 4.0 * math.cos(angle) + noise,
+            "y": 4.0 * math.sin(angle) - noise,
+            "body_deg": math.degrees(angle) + 90.0 + 300.0 * noise,
+            "head_deg": math.degrees(angle) + 90.0 - 300.0 * noise,
+        }
+    )
+
+
+async def well_behaved(
+    address: str, people: int, rate: float, begin: float, seconds: float, told: Told
+) -> None:
+    """Send frames in time and read the answers as they come; the first second only warms up."""
+    frames = int(seconds * rate)
+    sent: dict[tuple[int, int], float] = {}
+    async with connect(address) as socket:
+
+        async def send() -> None:
+            for frame in range(frames):
+                await asyncio.sleep(max(0.0, begin + frame / rate - time.monotonic()))
+                for person in range(people):
+                    sent[person, frame] = time.monotonic()
+                    await socket.send(row(person, frame, rate))
+            await socket.send("")
+
+        sending = asyncio.create_task(send())
+        with suppress(ConnectionClosed):
+            async for message in socket:
+                answer = json.loads(message)
+                told.errors += "error" in answer
+                since = time.monotonic() - sent.pop((answer["track_id"], answer["frame"]))
+                if answer["frame"] >= rate:
+                    told.seconds.append(since)
+        await sending
+    told.sent += frames * people
+    told.errors += len(sent)
+
+
+async def malformed(address: str, end: float) -> None:
+    """Send what is no row, again and again."""
+    async with connect(address) as socket:
+        while time.monotonic() < end:
+            await socket.send('{"track_id": 1, "frame": "x"}')
+            await socket.recv()
+            await asyncio.sleep(0.05)
+
+
+async def oversized(address: str, end: float) -> None:
+    """Send more than a message may hold, and come back."""
+    while time.monotonic() < end:
+        with suppress(ConnectionClosed, OSError):
+            async with connect(address) as socket:
+                await socket.send("x" * (1 << 18))
+                await socket.recv()
+        await asyncio.sleep(0.5)
+
+
+async def slow(address: str, rate: float, end: float) -> None:
+    """Send and never read."""
+    with suppress(ConnectionClosed, TimeoutError):
+        async with connect(address, max_queue=1) as socket:
+            for frame in range(1 << 30):
+                await asyncio.wait_for(socket.send(row(0, frame, rate)), max(0.01, end - time.monotonic()))
+
+
+async def half_open(port: int, end: float) -> None:
+    """Begin to ask, and say no more."""
+    _, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(b"GET /v1/streams/half HTTP/1.1\r\nHost: here\r\nUpgr")
+    await asyncio.sleep(max(0.0, end - time.monotonic()))
+    writer.close()
+
+
+def memory(process: int) -> float:
+    """MiB that a process and all below it hold alone or in part (proportional set size)."""
+    total, left = 0.0, [process]
+    while left:
+        one = left.pop()
+        with suppress(OSError):
+            text = Path(f"/proc/{one}/smaps_rollup").read_text()
+            total += int(re.search(r"Pss:\s+(\d+)", text)[1]) / 1024.0  # type: ignore[index]
+            for task in Path(f"/proc/{one}/task").iterdir():
+                left += map(int, (task / "children").read_text().split())
+    return total
+
+
+@asynccontextmanager
+async def service(options: list[str]) -> AsyncIterator[tuple[int, int]]:
+    """A service's port and process."""
+    command = [sys.executable, "-m", "graphtrack", "serve", "--port", "0", *options]
+    process = await asyncio.create_subprocess_exec(*command, stderr=subprocess.PIPE)
+    assert process.stderr is not None
+    port = None
+    while port is None:
+        line = (await process.stderr.readline()).decode()
+        if not line:
+            raise SystemExit("the service did not begin")
+        found = re.search(r"ws://127\.0\.0\.1:(\d+)/", line)
+        port = int(found[1]) if found else None
+    try:
+        yield port, process.pid
+    finally:
+        process.terminate()
+        await process.communicate()
+
+
+async def measure(options: list[str], given: argparse.Namespace) -> bool:
+    """Load one service and print what came of it; whether nothing was lost."""
+    told, memories = Told(), []
+    async with service([*options, "--model", given.model, "--max-streams", str(given.streams + 8)]) as (
+        port,
+        pid,
+    ):
+        address = f"ws://127.0.0.1:{port}/v1/streams/"
+        begin = time.monotonic() + 3.0
+        end = begin + given.seconds
+        good = [
+            well_behaved(
+                f"{address}good{k}",
+                given.people,
+                given.rate,
+                begin + k / (given.rate * given.streams),
+                given.seconds,
+                told,
+            )
+            for k in range(given.streams)
+        ]
+        bad = [
+            malformed(f"{address}bad", end),
+            oversized(f"{address}big", end),
+            slow(f"{address}slow", given.rate, end),
+            half_open(port, end),
+        ]
+
+        async def watch() -> None:
+            await asyncio.sleep(begin + 0.2 * given.seconds - time.monotonic())
+            while time.monotonic() < end:
+                memories.append(memory(pid))
+                await asyncio.sleep(max(1.0, given.seconds / 20.0))
+
+        await asyncio.gather(*good, *bad, watch())
+    quantiles = np.quantile(told.seconds, [0.5, 0.9, 0.99, 1.0]) * 1e3
+    print(
+        f"{' '.join(options) or 'no state'}: {told.sent} rows, {told.errors} lost or refused; latency ms: "
+        f"median {quantiles[0]:.1f}, 90 % {quantiles[1]:.1f}, 99 % {quantiles[2]:.1f}, most {quantiles[3]:.1f}; "
+        f"memory MiB: {memories[0]:.0f} at a fifth, {memories[-1]:.0f} at the end"
+    )
+    return told.errors == 0
+
+
+def main() -> None:
+    """Without states, then with them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--streams", type=int, default=20)
+    parser.add_argument("--people", type=int, default=20)
+    parser.add_argument("--rate", type=float, default=25.0)
+    parser.add_argument("--model", default="joint")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        kept = [asyncio.run(measure(options, given)) for options in ([], ["--state", folder])]
+    sys.exit(0 if all(kept) else 1)
+
+
+if __name__ == "__main__":
+    main()

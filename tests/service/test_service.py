@@ -1,0 +1,280 @@
+"""`graphtrack serve` as clients see it: answers of `track -`, nothing lost, and nobody hurt by others."""
+
+import http.client
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+OPTIONS = ("--model", "position", "--port", "0")
+
+
+class Service:
+    """A running service."""
+
+    def __init__(self, *options, **environment):
+        command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, *options]
+        self.process = subprocess.Popen(
+            command, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment}
+        )
+        said = []
+        for line in self.process.stderr:
+            said.append(line)
+            if found := re.search(r"ws://127\.0\.0\.1:(\d+)/", line):
+                self.port = int(found[1])
+                return
+        raise AssertionError("".join(said))
+
+    def connect(self, name, **more):
+        return connect(f"ws://127.0.0.1:{self.port}/v1/streams/{name}", **more)
+
+    def request(self, method, path, body=None, **headers):
+        asking = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        asking.request(method, path, body, headers)
+        answer = asking.getresponse()
+        return answer.status, answer.read().decode()
+
+    def stop(self, how=signal.SIGTERM):
+        self.process.send_signal(how)
+        status = self.process.wait(timeout=60)
+        self.process.stderr.close()
+        return status
+
+
+@contextmanager
+def serving(*options, **environment):
+    service = Service(*options, **environment)
+    try:
+        yield service
+    finally:
+        if service.process.poll() is None:
+            service.stop()
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    with serving("--state", str(tmp_path_factory.mktemp("states")), "--max-streams", "3") as running:
+        yield running
+
+
+def rows(n, people=2, first=0):
+    return [
+        json.dumps({"track_id": one, "frame": k, "t": k / 10, "x": 0.13 * k + one, "y": 0.1 * (k % 3)})
+        for k in range(first, first + n)
+        for one in range(people)
+    ]
+
+
+def answers(connection, n):
+    return [connection.recv(timeout=60) for _ in range(n)]
+
+
+def everything(connection):
+    """All messages until the service closes."""
+    found = []
+    with pytest.raises(ConnectionClosed) as closed:
+        while True:
+            found.append(connection.recv(timeout=60))
+    return found, closed.value.rcvd
+
+
+def of_track(lines, *options):
+    """What ``graphtrack track -`` says to the same rows."""
+    command = [sys.executable, "-m", "graphtrack", "track", "-", "--model", "position", *options]
+    text = "".join(f"{line}\n" for line in lines)
+    done = subprocess.run(command, input=text, capture_output=True, text=True)
+    return done.stdout.splitlines()
+
+
+def test_answers_are_those_of_track(service):
+    sent = [*rows(20), '{"track_id": 0, "frame": 3}', "no row", *rows(2, first=20)]
+    with service.connect("same") as connection:
+        for line in sent:
+            connection.send(line)
+        connection.send("")
+        found, closed = everything(connection)
+    assert closed.code == 1000
+    assert found == of_track(sent)
+
+
+def test_several_rows_in_a_message_and_a_body(service):
+    sent = rows(5)
+    with service.connect("together") as connection:
+        connection.send("\n".join(sent))
+        found = answers(connection, len(sent))
+    status, body = service.request("POST", "/v1/streams/body", "\n".join(sent))
+    assert (status, body.splitlines()) == (200, found)
+
+
+def test_a_stream_goes_on_where_its_connection_ended(service):
+    sent = rows(30)
+    whole = of_track(sent)
+    with service.connect("kept") as connection:
+        for line in sent[:40]:
+            connection.send(line)
+        found = answers(connection, 40)
+    with service.connect("kept") as connection:
+        there = json.loads(connection.recv(timeout=60))
+        assert there == {"rows": 40, "line": 40, "given_again": False}
+        for line in sent[40:]:
+            connection.send(line)
+        found += answers(connection, 20)
+    assert found == whole
+    assert service.request("DELETE", "/v1/streams/kept")[0] == 204
+    with service.connect("kept") as connection:  # and begins anew
+        connection.send(sent[0])
+        assert connection.recv(timeout=60) == whole[0]
+
+
+def test_a_killed_service_goes_on(tmp_path):
+    sent, found = rows(30), []
+    with serving("--state", str(tmp_path)) as first, first.connect("lasting") as connection:
+        for line in sent[:33]:
+            connection.send(line)
+        found = answers(connection, 33)
+        first.stop(signal.SIGKILL)
+    with serving("--state", str(tmp_path)) as second:
+        with second.connect("lasting") as connection:
+            there = json.loads(connection.recv(timeout=60))
+            found = found[: there["rows"] - there["given_again"]]
+            for line in sent[there["rows"] :]:
+                connection.send(line)
+            connection.send("")
+            found += everything(connection)[0]
+        assert found == of_track(sent)
+        # Told to stop, it keeps what open streams know and ends well.
+        with second.connect("open") as connection:
+            connection.send(sent[0])
+            connection.recv(timeout=60)
+            assert second.stop() == 0
+    assert (tmp_path / "open.state").exists()
+
+
+def test_one_connection_a_stream_and_so_many_streams(service):
+    with service.connect("one") as connection:
+        connection.send(rows(1)[0])
+        connection.recv(timeout=60)
+        with service.connect("one") as again:
+            assert everything(again)[1].code == 4409
+        assert service.request("POST", "/v1/streams/one", "")[0] == 409
+        assert service.request("DELETE", "/v1/streams/one")[0] == 409
+        with service.connect("two"), service.connect("three"), service.connect("four") as fourth:
+            closed = everything(fourth)[1]
+            assert closed.code == 4429 and "3 streams are open" in closed.reason
+        connection.send(rows(1, first=1)[0])
+        assert json.loads(connection.recv(timeout=60))["frame"] == 1
+    assert service.request("POST", "/v1/streams/..%2Fetc", "")[0] == 404
+
+
+def test_those_who_misbehave_hurt_nobody_else(service):
+    with service.connect("good") as good:
+        with service.connect("oversized") as bad:
+            bad.send("x" * (1 << 17))
+            assert everything(bad)[1].code == 1009
+        # One who never reads: rows wait in the sockets between, and no longer in anybody's memory.
+        slow = service.connect("slow", max_queue=1)
+        text = "\n".join(rows(200))
+        with slow, half_open(service.port):
+            slow.socket.settimeout(5.0)
+            with suppress(TimeoutError, ConnectionClosed):
+                for _ in range(3):
+                    slow.send(text)
+            for line in rows(10):
+                good.send(line)
+            assert len(answers(good, 20)) == 20
+
+
+@contextmanager
+def half_open(port):
+    """A client that begins to ask and says no more."""
+    with socket.create_connection(("127.0.0.1", port)) as begun:
+        begun.sendall(b"GET /v1/streams/half HTTP/1.1\r\nHost: here\r\nUpgr")
+        yield
+
+
+def test_a_process_that_dies_is_told_and_comes_back(service):
+    with service.connect("dying") as connection:
+        for line in rows(5):
+            connection.send(line)
+        found = answers(connection, 10)
+        for process in processes_of(service):
+            os.kill(process, signal.SIGKILL)
+        closed = everything(connection)[1]
+        assert closed.code == 1011 and "connect again" in closed.reason
+    with service.connect("dying") as connection:
+        there = json.loads(connection.recv(timeout=60))
+        kept = found[: there["rows"] - there["given_again"]]
+        connection.send("")
+        assert [*kept, *everything(connection)[0]] == found
+
+
+def processes_of(service):
+    """Of the streams: what the parent of processes has begun."""
+    parents = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended in between
+            parents[int(stat.parent.name)] = int(stat.read_text().rpartition(")")[2].split()[1])
+    children = {one for one, parent in parents.items() if parent == service.process.pid}
+    return [one for one, parent in parents.items() if parent in children]
+
+
+def test_counts(service):
+    status, text = service.request("GET", "/metrics")
+    counted = dict(line.rsplit(" ", 1) for line in text.splitlines() if not line.startswith("#"))
+    assert status == 200 and float(counted["graphtrack_rows_total"]) > 50
+    below = [float(n) for name, n in counted.items() if name.startswith("graphtrack_latency_seconds_bucket")]
+    assert all(a <= b for a, b in pairwise(below)) and below[-1] == float(counted["graphtrack_rows_total"])
+    for name in ("waiting", "people", "streams"):
+        key = "graphtrack_rows_waiting" if name == "waiting" else f"graphtrack_{name}"
+        wait_until(lambda key=key: f"\n{key} 0.0\n" in service.request("GET", "/metrics")[1])
+    assert json.loads(service.request("GET", "/health")[1]) == {"status": "ok", "streams": 0}
+
+
+def wait_until(holds):
+    for _ in range(300):
+        if holds():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it never held")
+
+
+def test_a_token_is_asked_for_and_people_are_bounded():
+    with serving("--max-people", "2", "--forget-after", "1", GRAPHTRACK_TOKEN="secret") as service:
+        assert service.request("GET", "/health")[0] == 200
+        for path in ("/metrics", "/v1/streams"):
+            assert service.request("GET", path)[0] == 401
+            assert service.request("GET", path, Authorization="Bearer secret")[0] == 200
+        with service.connect("x") as connection:
+            assert everything(connection)[1].code == 4401
+        with service.connect("x?token=secret") as connection:
+            for line in (*rows(1, people=3), *rows(1, first=30, people=1), *rows(1, first=31, people=3)[2:]):
+                connection.send(line)
+            found = [json.loads(one) for one in answers(connection, 5)]
+    assert "one more than 2 people" in found[2]["error"]
+    assert found[4]["track_id"] == 2 and found[4]["status"] == "new"  # for by then another was forgotten
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--host", "203.0.113.7"), "an address of this machine"),
+        (("--lag", "-1"), "lag"),
+        (("--token-file", "empty"), "an empty token"),
+    ],
+)
+def test_what_cannot_be_served_is_told(options, said, tmp_path):
+    (tmp_path / "empty").touch()
+    command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, *options]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr
