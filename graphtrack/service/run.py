@@ -26,11 +26,9 @@ def run(service: Service, host: str, port: int) -> None:
     listening = _listen(host, port)
     address, bound = listening.getsockname()[:2]
     shown = f"[{address}]" if ":" in address else address
-    console.print(
-        f"serving ws://{shown}:{bound}/v1/streams/NAME, http://{shown}:{bound}/health", markup=False
-    )
+    said = f"serving ws://{shown}:{bound}/v1/streams/NAME, http://{shown}:{bound}/health"
     config = uvicorn.Config(
-        application(service),
+        application(service, lambda: console.print(said, markup=False, soft_wrap=True)),
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",
@@ -49,6 +47,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listening = socket.socket(family, kind, protocol)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind(address)
+        listening.listen()  # who comes early waits
     except OSError as error:
         found = f"--host {host} --port {port}: {error.strerror or error}"
         raise InputError(found, "an address of this machine and a free port") from error
