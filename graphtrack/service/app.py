@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from contextlib import aclosing, asynccontextmanager, suppress
 
 from starlette.applications import Starlette
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from graphtrack.service.metrics import Metrics
@@ -21,6 +22,8 @@ _NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
 """HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
 _BROKEN = 1011
 _UNREAD = 1008
+_NOTICED = 2.0
+"""Seconds within which it is noticed that a client went."""
 
 
 class Refused(Exception):
@@ -42,7 +45,8 @@ class Streams:
 
     def __init__(self, service: Service, metrics: Metrics) -> None:
         self.service, self.metrics = service, metrics
-        self._open: dict[str, Stream | None] = {}
+        self._open: dict[str, asyncio.Event] = {}
+        self._ending: dict[str, asyncio.Event] = {}
 
     def names(self) -> list[str]:
         """Of those that are open."""
@@ -67,24 +71,48 @@ class Streams:
     @asynccontextmanager
     async def opened(self, name: str) -> AsyncIterator[Stream]:
         """A stream for one connection; it ends, and what it knows is kept, when the connection is done."""
+        await self._left(name)
         if name in self._open:
             raise Refused(409, f"stream {name} has a connection; expected one at a time")
         if len(self._open) >= self.service.limits.streams:
             raise Refused(429, f"{len(self._open)} streams are open, as many as may be")
-        self._open[name] = None
+        self._open[name] = asyncio.Event()
         self.metrics.streams.inc()
         try:
             stream = await open_stream(name, self.service, self.metrics)
             try:
                 yield stream
             finally:
-                await asyncio.shield(stream.end())
+                await asyncio.shield(self._ended(stream))
         finally:
-            del self._open[name]
+            self._close(name)
+
+    async def _ended(self, stream: Stream) -> None:
+        """End a stream; until that is done, who asks for it again waits."""
+        name = stream.name
+        self._ending[name] = asyncio.Event()
+        self._close(name)
+        try:
+            await stream.end()
+        finally:
+            self._ending.pop(name).set()
+
+    def _close(self, name: str) -> None:
+        if name in self._open:
+            self._open.pop(name).set()
             self.metrics.streams.dec()
 
-    def forget(self, name: str) -> None:
+    async def _left(self, name: str) -> None:
+        """Wait for who is going: the next may be here before it is noticed that they went."""
+        if name in self._open:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._open[name].wait(), _NOTICED)
+        while name in self._ending:
+            await self._ending[name].wait()
+
+    async def forget(self, name: str) -> None:
         """Remove what is kept of a stream that nobody is connected to."""
+        await self._left(name)
         if name in self._open:
             raise Refused(409, f"stream {name} has a connection; expected none")
         state = self.service.state_of(name)
@@ -118,19 +146,18 @@ async def by_websocket(websocket: WebSocket) -> None:
 async def _exchange(websocket: WebSocket, stream: Stream, patience: float) -> tuple[int, str]:
     """Pass rows and answers on until either side is done; the code and reason to close with."""
 
-    async def rows() -> None:
-        with suppress(WebSocketDisconnect):
-            while True:
-                message = await websocket.receive()
-                if message["type"] == "websocket.disconnect":
-                    return
-                data = message.get("bytes") or (message.get("text") or "").encode()
-                if not data.strip():
-                    stream.no_more()
-                    return
-                for line in data.splitlines():
-                    if line.strip():
-                        await stream.take(line)
+    async def rows() -> bool:
+        """Whether the client is there to hear the rest."""
+        while True:
+            message = await websocket.receive()
+            if message["type"] == "websocket.disconnect":
+                return False
+            data = message.get("bytes") or (message.get("text") or "").encode()
+            if not data.strip():
+                return True
+            for line in data.splitlines():
+                if line.strip():
+                    await stream.take(line)
 
     async def answers() -> tuple[int, str]:
         async for message in stream.answers():
@@ -145,17 +172,39 @@ async def _exchange(websocket: WebSocket, stream: Stream, patience: float) -> tu
     incoming, outgoing = asyncio.create_task(rows()), asyncio.create_task(answers())
     try:
         done, _ = await asyncio.wait({incoming, outgoing}, return_when=asyncio.FIRST_COMPLETED)
-        if outgoing in done and not incoming.done():
-            status = await stream.status()
+        if incoming not in done:
+            status = await stream.status() if not outgoing.result()[1] else 0
             if status:
                 return _BROKEN, f"the stream's process ended with status {status}; connect again"
+            return await outgoing
+        if not incoming.result():
+            return 1000, ""
         stream.no_more()
         return await outgoing
     finally:
         for task in (incoming, outgoing):
             task.cancel()
-            with suppress(asyncio.CancelledError, OSError):
+            with suppress(asyncio.CancelledError, OSError, WebSocketDisconnect):
                 await task
+
+
+class Answered(Response):
+    """Lines as they come. Starlette's own streams look for a disconnection where the body still comes in."""
+
+    media_type = "application/x-ndjson"
+
+    def __init__(self, lines: AsyncGenerator[bytes, None]) -> None:
+        super().__init__()
+        del self.headers["content-length"]
+        self._lines = lines
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send head and lines."""
+        async with aclosing(self._lines) as lines:
+            await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
+            async for line in lines:
+                await send({"type": "http.response.body", "body": line, "more_body": True})
+            await send({"type": "http.response.body"})
 
 
 async def by_http(request: Request) -> Response:
@@ -181,7 +230,7 @@ async def by_http(request: Request) -> Response:
             await stream.take(left)
         stream.no_more()
 
-    async def answers() -> AsyncIterator[bytes]:
+    async def answers() -> AsyncGenerator[bytes, None]:
         feeding = asyncio.create_task(rows())
         try:
             async for message in stream.answers():
@@ -193,7 +242,7 @@ async def by_http(request: Request) -> Response:
                 await feeding
             await opened.__aexit__(None, None, None)
 
-    return StreamingResponse(answers(), media_type="application/x-ndjson")
+    return Answered(answers())
 
 
 async def listed(request: Request) -> Response:
@@ -210,7 +259,7 @@ async def forgotten(request: Request) -> Response:
     """Forget what is kept of a stream."""
     streams: Streams = request.app.state.streams
     try:
-        streams.forget(streams.checked_name(request))
+        await streams.forget(streams.checked_name(request))
     except Refused as refused:
         return refusal(streams, refused)
     return Response(status_code=204)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import uvicorn
 
@@ -13,6 +16,20 @@ from graphtrack.service.settings import Service
 
 _GRACE = 20
 """Seconds that streams have, when the service stops, to say and keep what they know."""
+
+
+class Server(uvicorn.Server):
+    """A server for which it is no failure to be told to stop."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Stop at SIGTERM and SIGINT; uvicorn would raise them once more in the end."""
+        before = {one: signal.signal(one, self.handle_exit) for one in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            yield
+        finally:
+            for one, handler in before.items():
+                signal.signal(one, handler)
 
 
 def run(service: Service, host: str, port: int) -> None:
@@ -38,7 +55,7 @@ def run(service: Service, host: str, port: int) -> None:
         timeout_graceful_shutdown=_GRACE,
         lifespan="on",
     )
-    uvicorn.Server(config).run(sockets=[listening])
+    Server(config).run(sockets=[listening])
 
 
 def _listen(host: str, port: int) -> socket.socket:

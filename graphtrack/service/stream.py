@@ -60,6 +60,7 @@ class Stream:
         """Hand a row on; waits while the process, or the client's right to rows, is behind."""
         await self._keep_to_rate()
         self._arrived.append(time.monotonic())
+        self._metrics.waiting.inc()
         self._writer.write(line.rstrip(b"\r\n") + b"\n")
         await self._writer.drain()
 
@@ -116,7 +117,6 @@ class Stream:
         self._budget = min(rate, self._budget + rate * (now - self._counted))
         self._counted = now
         self._budget -= 1.0
-        self._metrics.waiting.inc()
         if self._budget < 0.0:
             behind = -self._budget / rate
             self._metrics.slowed.inc(behind)

@@ -1,9 +1,9 @@
 """Load a service on the loopback: ``python tests/load/load.py [--seconds S] [--streams N] [--people N]``.
 
 Twenty streams of twenty people at 25 Hz by default, each a client that sends frames in time whatever comes
-back, beside clients that misbehave. It prints latencies from the sending of a row to its answer, rows that were
-lost, and the memory of all processes early and at the end, without and with kept states; it fails if a row was
-lost.
+back, beside clients that misbehave. It prints latencies from the sending of a row to its answer, rows that
+were lost, and the memory of all processes early and at the end, without and with kept states; it fails if a
+row was lost.
 """
 
 from __future__ import annotations
@@ -185,10 +185,10 @@ async def measure(options: list[str], given: argparse.Namespace) -> bool:
                 await asyncio.sleep(max(1.0, given.seconds / 20.0))
 
         await asyncio.gather(*good, *bad, watch())
-    quantiles = np.quantile(told.seconds, [0.5, 0.9, 0.99, 1.0]) * 1e3
+    median, most_of, nearly_all, most = np.quantile(told.seconds, [0.5, 0.9, 0.99, 1.0]) * 1e3
     print(
         f"{' '.join(options) or 'no state'}: {told.sent} rows, {told.errors} lost or refused; latency ms: "
-        f"median {quantiles[0]:.1f}, 90 % {quantiles[1]:.1f}, 99 % {quantiles[2]:.1f}, most {quantiles[3]:.1f}; "
+        f"median {median:.1f}, 90 % {most_of:.1f}, 99 % {nearly_all:.1f}, most {most:.1f}; "
         f"memory MiB: {memories[0]:.0f} at a fifth, {memories[-1]:.0f} at the end"
     )
     return told.errors == 0
