@@ -13,6 +13,8 @@ from graphtrack.model.kernels.compiled import compiled
 
 _BEGINNING = 0.5
 """Seconds that the first frame counts for where nobody knows when the next one will come."""
+FORGOTTEN = 5.0
+"""Times of averaging after which, where the past alone counts, two who meet again meet for the first time."""
 
 
 def averaged(
@@ -39,6 +41,19 @@ def averaged(
 
 
 @compiled
+def since(gap: float, seconds: float) -> tuple[float, float]:
+    """How many seconds a frame counts for where the past alone does, and the share of the past that stays.
+
+    Parameters
+    ----------
+    gap : seconds from the frame before; infinite for the first
+    """
+    if gap > FORGOTTEN * seconds:
+        return min(_BEGINNING, seconds), 0.0
+    return min(gap, seconds), math.exp(-gap / seconds)
+
+
+@compiled
 def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, both: bool) -> FloatArray:
     n = len(pair)
     before = np.empty((n, 2))
@@ -46,14 +61,15 @@ def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float,
     for k in range(n):
         low = t[k] - t[k - 1] if k > 0 and pair[k - 1] == pair[k] else math.inf
         high = t[k + 1] - t[k] if k + 1 < n and pair[k + 1] == pair[k] else math.inf
-        if not both:  # the future is unknown
-            high = low if low < math.inf else _BEGINNING
-        if low == math.inf or high == math.inf:
-            about = min(low, high, seconds)
+        if not both:
+            about, fade = since(low, seconds)
         else:
-            about = 0.5 * (min(low, seconds) + min(high, seconds))
+            if low == math.inf or high == math.inf:
+                about = min(low, high, seconds)
+            else:
+                about = 0.5 * (min(low, seconds) + min(high, seconds))
+            fade = math.exp(-low / seconds)
         weight[k] = about
-        fade = math.exp(-low / seconds)
         before[k, 0], before[k, 1] = about * values[k], about
         if fade > 0.0:
             before[k, 0] += fade * before[k - 1, 0]
