@@ -18,6 +18,8 @@ SHOULDERS = 0.25
 """Metres, half the width of a person who is looked at or stands in between."""
 LOOK_STD, NOTHING, DISTANCE, FELLOWS, SWITCHING, CORRELATION = range(6)
 """Places in an array of `AttentionParameters`."""
+_NARROW = 0.26
+"""Radians, a little more than half the angle under which somebody a metre away is seen."""
 _NOISY_SECONDS = 1.5
 _UNIFORM = 1.0 / (2.0 * math.pi)
 
@@ -75,19 +77,51 @@ def concentration(variance: FloatArray) -> FloatArray:
 
 
 @compiled
+def _covered(apart: float, half: float, of_target: float) -> float:
+    """The angle that somebody covers of a target, or less than 0."""
+    return min(apart + half, of_target) - max(apart - half, -of_target)
+
+
+@compiled
 def _share_in_sight(
-    j: int, bearing: FloatArray, half: FloatArray, far: FloatArray, nearest: IntArray
+    bearing: float, half: float, far: float, around: FloatArray, wide: FloatArray
 ) -> float:
-    """Share of the angle of a target that nobody nearer covers."""
-    found = 1.0
-    for k in nearest:
-        if not far[k] < far[j]:
-            break
-        apart = abs(turn(bearing[k] - bearing[j]))
-        if apart < half[k] + half[j] and k != j and half[j] > 0.0:
-            low, high = max(apart - half[k], -half[j]), min(apart + half[k], half[j])
-            found = min(found, 1.0 - (high - low) / (2.0 * half[j]))
-    return found
+    """Share of the angle of a target that nobody nearer covers.
+
+    Parameters
+    ----------
+    around, wide : (3, k) bearing, half the angle and distance of people: of all by their bearing, three times
+        round, and of those who cover more than `_NARROW` to either side
+    """
+    covered = 0.0
+    for k in range(wide.shape[1]):
+        if wide[2, k] < far:
+            covered = max(covered, _covered(abs(turn(wide[0, k] - bearing)), wide[1, k], half))
+    middle = turn(bearing)
+    k = np.searchsorted(around[0], middle - half - _NARROW)
+    while k < around.shape[1] and around[0, k] < middle + half + _NARROW:
+        if around[2, k] < far:
+            covered = max(covered, _covered(abs(around[0, k] - middle), around[1, k], half))
+        k += 1
+    return 1.0 - covered / (2.0 * half) if half > 0.0 else 1.0
+
+
+@compiled
+def _in_the_way(bearing: FloatArray, half: FloatArray, far: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """People as `_share_in_sight` looks through them."""
+    near = np.flatnonzero(far < REACH)
+    near = near[np.argsort(bearing[near])]
+    count = len(near)
+    around, wide = np.empty((3, 3 * count)), np.empty((3, count))
+    size = 0
+    for place, k in enumerate(near):
+        for round in range(3):
+            around[0, place + round * count] = bearing[k] + 2.0 * math.pi * (round - 1)
+            around[1, place + round * count], around[2, place + round * count] = half[k], far[k]
+        if half[k] > _NARROW:
+            wide[0, size], wide[1, size], wide[2, size] = bearing[k], half[k], far[k]
+            size += 1
+    return around, wide[:, :size]
 
 
 @compiled
@@ -109,14 +143,13 @@ def prior_of_looks(
     fellow : (people,) whether they are in one group with whom looks
     people : how many targets are people
     """
-    near = np.flatnonzero(far[:people] < REACH)
-    nearest = near[np.argsort(far[near])]
+    around, wide = _in_the_way(bearing[:people], half[:people], far[:people])
     total = 0.0
     for j in range(len(bearing)):
         prior[j] = 0.0
         if not far[j] < (REACH if j < people else math.inf):
             continue
-        weight = _share_in_sight(j, bearing, half, far, nearest)
+        weight = _share_in_sight(bearing[j], half[j], far[j], around, wide)
         weight /= 1.0 + (far[j] / parameters[DISTANCE]) ** 2
         if j < people and fellow[j]:
             weight *= parameters[FELLOWS]
