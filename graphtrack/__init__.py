@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from graphtrack.behaviour.forecast.parameters import ForecastParameters
     from graphtrack.behaviour.forecast.recorded import Forecasts, forecast
     from graphtrack.behaviour.groups import Groups, groups
+    from graphtrack.behaviour.online_attention import Looks, OnlineAttention
+    from graphtrack.behaviour.online_groups import OnlineGroups
     from graphtrack.behaviour.parameters import GroupParameters
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
@@ -49,8 +51,11 @@ __all__ = [
     "Groups",
     "InputError",
     "InputWarning",
+    "Looks",
     "Model",
     "Observation",
+    "OnlineAttention",
+    "OnlineGroups",
     "OnlineSmoother",
     "OnlineTracker",
     "Parameters",
@@ -90,6 +95,8 @@ _HOMES = {
     "behaviour.forecast.parameters": ("ForecastParameters",),
     "behaviour.forecast.recorded": ("Forecasts", "forecast"),
     "behaviour.groups": ("Groups", "groups"),
+    "behaviour.online_attention": ("Looks", "OnlineAttention"),
+    "behaviour.online_groups": ("OnlineGroups",),
     "behaviour.parameters": ("GroupParameters",),
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),

@@ -123,9 +123,9 @@ def _of_one(
         bearing[:, k], half[:, k], far[:, k] = place.seen_from(one.position)
     gap = one.dt.copy()
     gap[:1] = np.inf
-    mixture = (np.ascontiguousarray(part) for part in head_mixture(one))
+    weights, means, kappas = (np.ascontiguousarray(part) for part in head_mixture(one))
     scene = (one.position, where, fellow, bearing, half, far)
-    probability = looks_over_time(*scene, *mixture, gap, not online, parameters.to_array())
+    probability = looks_over_time(*scene, weights, means, kappas, gap, not online, parameters.to_array())
     probability[~np.isfinite(one.position).all(axis=1)] = np.nan
     return Attention(
         one.track_id,

@@ -72,7 +72,7 @@ def _of_frame(
             if far > REACH:
                 continue
             # Each k is nearer than the other one by a logistic function of distances, which is a ratio. The
-            # other one itself counts for a half, and is taken off; whoever looks has no distance to themselves.
+            # other one counts for a half, which is taken off, and somebody is not near to themselves.
             both, before_one, before_other = 0.0, -0.5, -0.5
             here = near[i, j]
             for k in range(people):
@@ -103,7 +103,7 @@ def _near_pairs(position: FloatArray, first: IntArray) -> int:
 
 
 @compiled
-def _of_frames(
+def of_frames(
     position: FloatArray,
     body: FloatArray,
     head: FloatArray,
@@ -113,6 +113,7 @@ def _of_frames(
     right: IntArray,
     found: FloatArray,
 ) -> int:
+    """Write the pairs of all frames, as `pair_features` gives them; how many there are."""
     at = 0
     for k in range(len(first) - 1):
         rows = slice(first[k], first[k + 1])
@@ -139,5 +140,5 @@ def pair_features(people: People, stride: float) -> tuple[IntArray, IntArray, Fl
     left, right = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     found = np.empty((count, len(FEATURES)))
     arrays = (people.position, people.body, people.head, people.first)
-    end = _of_frames(*arrays, stride, left, right, found)
+    end = of_frames(*arrays, stride, left, right, found)
     return left[:end], right[:end], found[:end]

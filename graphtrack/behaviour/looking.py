@@ -40,9 +40,7 @@ def half_angle(radius: float, far: FloatArray) -> FloatArray:
 
 
 @compiled
-def see(
-    own: FloatArray, others: FloatArray, bearing: FloatArray, half: FloatArray, far: FloatArray
-) -> None:
+def see(own: FloatArray, others: FloatArray, bearing: FloatArray, half: FloatArray, far: FloatArray) -> None:
     """Fill how somebody sees others from where they are.
 
     Parameters
@@ -83,9 +81,7 @@ def _covered(apart: float, half: float, of_target: float) -> float:
 
 
 @compiled
-def _share_in_sight(
-    bearing: float, half: float, far: float, around: FloatArray, wide: FloatArray
-) -> float:
+def _share_in_sight(bearing: float, half: float, far: float, around: FloatArray, wide: FloatArray) -> float:
     """Share of the angle of a target that nobody nearer covers.
 
     Parameters
@@ -98,11 +94,11 @@ def _share_in_sight(
         if wide[2, k] < far:
             covered = max(covered, _covered(abs(turn(wide[0, k] - bearing)), wide[1, k], half))
     middle = turn(bearing)
-    k = np.searchsorted(around[0], middle - half - _NARROW)
-    while k < around.shape[1] and around[0, k] < middle + half + _NARROW:
+    for k in range(np.searchsorted(around[0], middle - half - _NARROW), around.shape[1]):
+        if around[0, k] > middle + half + _NARROW:
+            break
         if around[2, k] < far:
             covered = max(covered, _covered(abs(around[0, k] - middle), around[1, k], half))
-        k += 1
     return 1.0 - covered / (2.0 * half) if half > 0.0 else 1.0
 
 
@@ -114,10 +110,12 @@ def _in_the_way(bearing: FloatArray, half: FloatArray, far: FloatArray) -> tuple
     count = len(near)
     around, wide = np.empty((3, 3 * count)), np.empty((3, count))
     size = 0
-    for place, k in enumerate(near):
-        for round in range(3):
-            around[0, place + round * count] = bearing[k] + 2.0 * math.pi * (round - 1)
-            around[1, place + round * count], around[2, place + round * count] = half[k], far[k]
+    for place in range(count):
+        k = near[place]
+        for lap in range(3):
+            at = place + lap * count
+            around[0, at] = bearing[k] + 2.0 * math.pi * (lap - 1)
+            around[1, at], around[2, at] = half[k], far[k]
         if half[k] > _NARROW:
             wide[0, size], wide[1, size], wide[2, size] = bearing[k], half[k], far[k]
             size += 1
@@ -304,9 +302,7 @@ def looks_over_time(
     for f in range(n):
         see(own[f], others[f], bearing[f, :people], half[f, :people], far[f, :people])
         prior_of_looks(bearing[f], half[f], far[f], fellow[f], people, parameters, prior[f])
-        densities(
-            bearing[f], half[f], weights[f], means[f], kappas[f], parameters[LOOK_STD], anew[f]
-        )
+        densities(bearing[f], half[f], weights[f], means[f], kappas[f], parameters[LOOK_STD], anew[f])
         head[f, 0] = means[f, 0]
         known = weights.shape[1] == 1 and not math.isnan(weights[f, 0])
         head[f, 1] = noise_of(kappas[f, 0]) if known else math.inf

@@ -64,7 +64,7 @@ class Numbering:
         """Go on where `state` was taken."""
         self._following = state["following"]
         self._last = {number: (t, frozenset(who)) for number, t, who in state["groups"]}
-        self._number_of = {one: number for one, number in state["of"]}
+        self._number_of = dict(state["of"])
 
     def _forget(self, t: float) -> None:
         for number in [number for number, (then, _) in self._last.items() if t - then > self._memory]:

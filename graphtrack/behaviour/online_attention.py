@@ -11,18 +11,8 @@ import numpy as np
 
 from graphtrack.behaviour.attention import AttentionParameters
 from graphtrack.behaviour.groups import Groups
-from graphtrack.behaviour.looking import (
-    LOOK_STD,
-    REACH,
-    SWITCHING,
-    carry,
-    concentration,
-    densities,
-    go_on,
-    noise_of,
-    prior_of_looks,
-    see,
-)
+from graphtrack.behaviour.looking import SWITCHING, concentration
+from graphtrack.behaviour.looking_on import looks_of_frame
 from graphtrack.behaviour.looks import LEAST
 from graphtrack.behaviour.people import IntArray, People
 from graphtrack.behaviour.places import Place
@@ -30,7 +20,6 @@ from graphtrack.behaviour.told import Told, people_told
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.inference.state import DAMAGES, damaged, from_text, to_text
-from graphtrack.model.kernels.compiled import compiled
 
 _FORGOTTEN = 40.0
 """Looks that end on average, after which nothing is left of what somebody looked at."""
@@ -205,19 +194,28 @@ class OnlineAttention:
         angle = direction(people.head)
         seen = np.array([place.seen_from(people.position) for place in self.places]).reshape(-1, 3, len(ids))
         bearing, half, far = np.ascontiguousarray(seen.transpose(1, 2, 0))
-        before = (known.t, known.head, known.first, known.target, known.bearing, known.person)
-        head, *found = _looks_of_frame(
-            *(t, ids, people.position, angle, kappa, length > 0.0, groups.group),
-            *(bearing, half, far, was, *before, known.place_bearing, known.place, parameters),
+        seen_places, now = (bearing, half, far), (people.position, angle, kappa, length > 0.0, groups.group)
+        head, first, target, bearing_now, person, place = looks_of_frame(
+            t,
+            ids,
+            *now,
+            *seen_places,
+            was,
+            known.t,
+            known.head,
+            known.first,
+            known.target,
+            known.bearing,
+            known.person,
+            known.place_bearing,
+            known.place,
+            parameters,
         )
-        first, target, bearing_now, person, place = found
-        now = _Known(
-            ids, np.full(len(ids), t), head, first, target, bearing_now, person, bearing, place
-        )
+        kept = _Known(ids, np.full(len(ids), t), head, first, target, bearing_now, person, bearing, place)
         gone = np.ones(len(known.track_id), dtype=bool)
         gone[was[was >= 0]] = False
         away = np.flatnonzero(gone & (parameters[SWITCHING] * (t - known.t) <= _FORGOTTEN))
-        self._known = now.beside(known.of(away)) if len(away) else now
+        self._known = kept.beside(known.of(away)) if len(away) else kept
         self.t = t
         return Looks(int(people.frame[0]), t, ids, first, target, person, names, place)
 
@@ -256,111 +254,3 @@ class OnlineAttention:
         except DAMAGES as error:
             raise damaged(error) from error
         return found
-
-
-@compiled
-def _near(position: FloatArray, i: int, j: int) -> bool:
-    x, y = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
-    return i != j and x * x + y * y < REACH * REACH
-
-
-@compiled
-def _looks_of_frame(
-    t: float,
-    ids: IntArray,
-    position: FloatArray,
-    angle: FloatArray,
-    kappa: FloatArray,
-    seen: np.ndarray,
-    group: IntArray,
-    place_bearing: FloatArray,
-    place_half: FloatArray,
-    place_far: FloatArray,
-    was: IntArray,
-    t_before: FloatArray,
-    head_before: FloatArray,
-    first_before: IntArray,
-    target_before: IntArray,
-    bearing_before: FloatArray,
-    person_before: FloatArray,
-    place_bearing_before: FloatArray,
-    place_before: FloatArray,
-    parameters: FloatArray,
-) -> tuple[FloatArray, IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
-    """A step of everybody's chain: head, first, target, bearing, person and place, as in `_Known`.
-
-    Parameters
-    ----------
-    ids, position, angle, kappa, seen, group : (n,) who, where, and how heads point, if they were seen
-    place_bearing, place_half, place_far : (n, places) how places are seen
-    was : (n,) place of each among those known before, −1: unknown; what follows is theirs
-    """
-    n, places = place_bearing.shape
-    first, head = np.zeros(n + 1, dtype=np.int64), np.empty((n, 2))
-    for i in range(n):
-        near = 0
-        for j in range(n):
-            near += _near(position, i, j)
-        first[i + 1] = first[i] + near
-    target, all_bearing, person = np.empty(first[-1], dtype=np.int64), np.empty(first[-1]), np.empty(first[-1])
-    place = np.empty((n, places + 1))
-    room = n + places + 1
-    bearing, half, far = np.empty(room), np.empty(room), np.empty(room)
-    others, fellow = np.empty((n, 2)), np.empty(n, dtype=np.bool_)
-    prior, anew, held, found = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
-    then, then_bearing = np.empty(room), np.empty(room)
-    weight = np.ones(1)
-    for i in range(n):
-        at, people = first[i], first[i + 1] - first[i]
-        k = 0
-        for j in range(n):
-            if _near(position, i, j):
-                target[at + k], others[k] = ids[j], position[j]
-                fellow[k] = group[i] >= 0 and group[i] == group[j]
-                k += 1
-        count = people + places
-        see(position[i], others[:people], bearing[:people], half[:people], far[:people])
-        bearing[people:count], half[people:count] = place_bearing[i], place_half[i]
-        far[people:count] = place_far[i]
-        prior_of_looks(
-            bearing[:count], half[:count], far[:count], fellow[:people], people, parameters, prior[: count + 1]
-        )
-        weight[0] = 1.0 if seen[i] else math.nan
-        densities(
-            bearing[:count],
-            half[:count],
-            weight,
-            angle[i : i + 1],
-            kappa[i : i + 1],
-            parameters[LOOK_STD],
-            anew[: count + 1],
-        )
-        head[i, 0], head[i, 1] = angle[i], noise_of(kappa[i]) if seen[i] else math.inf
-        p = was[i]
-        gap = t - t_before[p] if p >= 0 else math.inf
-        then[: count + 1], then_bearing[:count] = 0.0, math.nan
-        if p >= 0:
-            b, end = first_before[p], first_before[p + 1]
-            for k in range(people):
-                while b < end and target_before[b] < target[at + k]:
-                    b += 1
-                if b < end and target_before[b] == target[at + k]:
-                    then[k], then_bearing[k] = person_before[b], bearing_before[b]
-            then[people : count + 1], then_bearing[people:count] = place_before[p], place_bearing_before[p]
-        carry(
-            gap,
-            head[i],
-            head_before[p] if p >= 0 else head[i],
-            bearing[:count],
-            then_bearing[:count],
-            parameters,
-            anew[: count + 1],
-            held[: count + 1],
-        )
-        stay = math.exp(-parameters[SWITCHING] * gap) if p >= 0 else 0.0
-        go_on(
-            prior[: count + 1], anew[: count + 1], held[: count + 1], stay, then[: count + 1], found[: count + 1]
-        )
-        person[at : at + people], all_bearing[at : at + people] = found[:people], bearing[:people]
-        place[i] = found[people : count + 1]
-    return head, first, target, all_bearing, person, place

@@ -13,13 +13,12 @@ from graphtrack.behaviour.groups import Groups, groups_of
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.numbering import Numbering
 from graphtrack.behaviour.parameters import GroupParameters
-from graphtrack.behaviour.people import IntArray, People
-from graphtrack.behaviour.smoothing import FORGOTTEN, since
+from graphtrack.behaviour.people import People
+from graphtrack.behaviour.smoothing import merged
 from graphtrack.behaviour.told import Told, people_told
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.state import DAMAGES, damaged, from_text, to_text
-from graphtrack.model.kernels.compiled import compiled
 
 _PARTS = (2, 1, 2)
 """How many values of a pair are averaged over each of the three times; see `PairValues`."""
@@ -30,8 +29,8 @@ _COLUMNS = sum(_PARTS) + len(_PARTS)
 class OnlineGroups:
     """Who is in a group with whom, frame by frame: what `groups` finds with ``online=True``.
 
-    Evidence of pairs is averaged over the past, each pair's by itself. What is kept is bounded: the pairs that
-    were within 4 m of each other in the last minutes (five times the longest time of averaging).
+    Evidence of pairs is averaged over the past, each pair's by itself. What is kept is bounded: the pairs
+    that were within 4 m of each other in the last minutes (five times the longest time of averaging).
 
     Parameters
     ----------
@@ -96,9 +95,7 @@ class OnlineGroups:
         }
 
     @classmethod
-    def from_state(
-        cls, state: Mapping[str, Any], parameters: GroupParameters | None = None
-    ) -> OnlineGroups:
+    def from_state(cls, state: Mapping[str, Any], parameters: GroupParameters | None = None) -> OnlineGroups:
         """Groups that go on where `state` was taken, to the last bit, given the same parameters.
 
         Raises
@@ -130,68 +127,7 @@ class OnlineGroups:
         if not len(people):
             return now
         pairs = np.column_stack([people.ids[values.left], people.ids[values.right]])
-        self._pairs, self._last, self._sums, means = _merged(
+        self._pairs, self._last, self._sums, means = merged(
             self._pairs, self._last, self._sums, pairs, now, np.repeat(np.arange(3), _PARTS), seconds, t
         )
         return means
-
-
-@compiled
-def _merged(
-    known: IntArray,
-    last: FloatArray,
-    sums: FloatArray,
-    pairs: IntArray,
-    values: FloatArray,
-    of: IntArray,
-    seconds: FloatArray,
-    t: float,
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Take in a frame's pairs: all that are still known, when last seen, their sums; the averages of these.
-
-    Parameters
-    ----------
-    known, pairs : (k, 2), (n, 2) ids, both ascending by the second, then by the first
-    last : (k,) seconds
-    sums : (k, 8) as `_COLUMNS` says
-    values : (n, 5)
-    of : (5,) which of the times of averaging each value has
-    seconds : (3,)
-    """
-    size, count = values.shape[1], len(pairs)
-    room = len(known) + count
-    all_pairs, all_last = np.empty((room, 2), dtype=np.int64), np.empty(room)
-    all_sums, means = np.empty((room, sums.shape[1])), np.empty((count, size))
-    at, k, n = 0, 0, 0
-    while k < len(known) or n < count:
-        before = n == count or (
-            k < len(known)
-            and (known[k, 1] < pairs[n, 1] or (known[k, 1] == pairs[n, 1] and known[k, 0] < pairs[n, 0]))
-        )
-        if before:
-            if t - last[k] <= FORGOTTEN * seconds.max():
-                all_pairs[at], all_last[at], all_sums[at] = known[k], last[k], sums[k]
-                at += 1
-            k += 1
-            continue
-        met = k < len(known) and known[k, 0] == pairs[n, 0] and known[k, 1] == pairs[n, 1]
-        gap = t - last[k] if met else math.inf
-        all_pairs[at], all_last[at] = pairs[n], t
-        for part in range(len(seconds)):
-            about, fade = since(gap, seconds[part])
-            weight = about
-            if fade > 0.0:
-                weight += fade * sums[k, size + part]
-            all_sums[at, size + part] = weight
-            for j in range(size):
-                if of[j] != part:
-                    continue
-                total = about * values[n, j]
-                if fade > 0.0:
-                    total += fade * sums[k, j]
-                all_sums[at, j] = total
-                means[n, j] = total / weight if seconds[part] > 0.0 else values[n, j]
-        at += 1
-        k += met
-        n += 1
-    return all_pairs[:at].copy(), all_last[:at].copy(), all_sums[:at].copy(), means

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.behaviour.people import IntArray, People, expected_unit
+from graphtrack.behaviour.people import People, expected_unit
 from graphtrack.errors import InputError
 from graphtrack.inference.state import Estimate
 from graphtrack.tracks import STATE
@@ -19,7 +19,17 @@ if TYPE_CHECKING:
 Told = Mapping[int, Estimate] | Iterable["PersonEstimate"]
 """Estimates by track id, or those of a tracker, which know whose they are."""
 
+Numbers = tuple[float, ...]
+"""x, y, vx, vy, body, head, and the variances of these two: metres, seconds and radians."""
+
 _BODY, _HEAD = STATE.index("body"), STATE.index("head")
+
+
+def numbers_of(estimate: Estimate) -> Numbers:
+    """What groups and attention take of an estimate."""
+    spread = estimate.covariance
+    angles = (estimate.body, estimate.head, float(spread[_BODY, _BODY]), float(spread[_HEAD, _HEAD]))
+    return (*estimate.position.tolist(), *estimate.velocity.tolist(), *angles)
 
 
 def people_told(t: float, told: Told) -> People:
@@ -32,30 +42,28 @@ def people_told(t: float, told: Told) -> People:
     """
     if not math.isfinite(t):
         raise InputError(f"t = {t:g}", "a time in seconds")
-    if isinstance(told, Mapping):
-        pairs: list[tuple[int, Any]] = list(told.items())
-    else:
-        pairs = [(one.track_id, one) for one in told]
-    pairs = sorted((pair for pair in pairs if pair[1].status != "waiting"), key=lambda pair: pair[0])
-    ids: IntArray = np.array([one for one, _ in pairs], dtype=np.int64)
-    if len(ids) and (ids[1:] == ids[:-1]).any():
-        raise InputError(f"track {ids[1:][ids[1:] == ids[:-1]][0]} twice", "each person once in a frame")
-    found = [one for _, one in pairs]
-    count = len(found)
-    angle = np.array([(one.body, one.head) for one in found], float).reshape(-1, 2)
-    variance = [(one.covariance[_BODY, _BODY], one.covariance[_HEAD, _HEAD]) for one in found]
-    body, head = (
-        expected_unit(angle[:, k], np.array(variance, float).reshape(-1, 2)[:, k]) for k in (0, 1)
-    )
-    frame = max((one.frame for one in found), default=0)
+    numbers: dict[int, Numbers] = {}
+    frame = 0
+    for one, estimate in told.items() if isinstance(told, Mapping) else ((p.track_id, p) for p in told):
+        if one in numbers:
+            raise InputError(f"track {one} twice", "each person once in a frame")
+        if estimate.status != "waiting":
+            numbers[one], frame = numbers_of(estimate), estimate.frame
+    return people_at(t, frame, numbers)
+
+
+def people_at(t: float, frame: int, numbers: Mapping[int, Numbers]) -> People:
+    """The people of a frame from their numbers by track id."""
+    ids = sorted(numbers)
+    count, table = len(ids), np.array([numbers[one] for one in ids], float).reshape(-1, 8)
     return People(
-        ids,
+        np.array(ids, dtype=np.int64),
         np.full(min(count, 1), frame, dtype=np.int64),
         np.full(min(count, 1), float(t)),
         np.array([0, count] if count else [0], dtype=np.int64),
         np.arange(count),
-        np.array([one.position for one in found], float).reshape(-1, 2),
-        np.nan_to_num(np.array([one.velocity for one in found], float).reshape(-1, 2)),
-        body,
-        head,
+        table[:, :2].copy(),
+        np.nan_to_num(table[:, 2:4]),
+        expected_unit(table[:, 4], table[:, 6]),
+        expected_unit(table[:, 5], table[:, 7]),
     )

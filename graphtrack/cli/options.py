@@ -139,6 +139,14 @@ Select = Annotated[
     ),
 ]
 Json = Annotated[Path | None, typer.Option("--json", help="Write the numbers as JSON too.")]
+Places = Annotated[
+    Path | None,
+    typer.Option(
+        "--places",
+        help="CSV of what else may be looked at: name and x, y, radius, or name and polygon (x y x y …).",
+        show_default=False,
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.bounds import APPEARANCE, INPUT
+from graphtrack.cli.stream_behaviour import BEHAVIOUR, FrameBehaviour, merged
 from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
@@ -37,10 +38,11 @@ class People:
     fps : frames a second, for rows without a time
     note : is told of each unknown key, once
     forecasts : of people, where they are asked for
+    behaviour : of the people of each frame, where it is asked for
 
     Attributes
     ----------
-    members : track id → smoother
+    members : track id → smoother, and the behaviour
     rows, line : rows answered, and the line of the last of them, from 1
     before_change : is called with a track id before its smoother takes something in
     """
@@ -51,12 +53,13 @@ class People:
         fps: float | None,
         note: Callable[[str], None] = print,
         forecasts: FrameForecasts | None = None,
+        behaviour: FrameBehaviour | None = None,
     ) -> None:
         self._forecasts, self._before = forecasts, list[dict[str, Any]]()
         self._make, self._fps, self._told = make, fps, Told(note)
-        self.members: dict[int, OnlineSmoother] = {}
+        self.members: dict[Any, Any] = {} if behaviour is None else {BEHAVIOUR: behaviour}
         self.rows = self.line = 0
-        self.before_change: Callable[[int], None] = lambda track_id: None
+        self.before_change: Callable[[Any], None] = lambda track_id: None
 
     def answer(self, number: int, line: bytes) -> dict[str, Any]:
         """The estimate after a line of input, or what is wrong with it under ``error``."""
@@ -68,25 +71,33 @@ class People:
             cells = read_cells(pairs)
             observation = observation_of(cells, self._fps)
             track_id = cells["track_id"]
-            smoother = self.members.get(track_id) or self._make()
+            smoother: OnlineSmoother = self.members.get(track_id) or self._make()
             self.before_change(track_id)
             estimate = smoother.update(observation)
             self.members[track_id] = smoother
             if self._forecasts is not None:
                 self._before = self._forecasts.take(track_id, observation, estimate)
+            if BEHAVIOUR in self.members:
+                self.before_change(BEHAVIOUR)
+                behaviour = self.members[BEHAVIOUR].take(track_id, observation, estimate)
+                self._before = merged(behaviour, self._before)
         except InputError as error:
             return error_row(pairs, number, error)
         return estimate_row(track_id, estimate)
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """What is to be said after a line of input: forecasts of the frame that it ends, and its `answer`."""
+        """What is to be said after a line of input: of a frame that it ends, and its `answer`."""
         answer, before = self.answer(number, line), self._before
         self._before = []
         return [*before, answer]
 
     def finish(self) -> list[dict[str, Any]]:
-        """What is to be said when no more rows come: of the last frame the forecasts."""
-        return [] if self._forecasts is None else self._forecasts.finish()
+        """What is to be said when no more rows come: what is told of the last frame."""
+        rows = [] if self._forecasts is None else self._forecasts.finish()
+        if BEHAVIOUR in self.members:
+            self.before_change(BEHAVIOUR)
+            rows = merged(self.members[BEHAVIOUR].finish(), rows)
+        return rows
 
 
 class Told:
