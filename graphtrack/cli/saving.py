@@ -163,8 +163,8 @@ class Saving:
     def _begin(self) -> None:
         people = self._people
         self._last = self._clock()
-        changed = self._changed | set(self._left or ())
-        self._left = {track_id: None for track_id in people.members if track_id in changed}
+        due = self._changed | set(self._left or ()) | (set(people.members) - set(self._sealed))
+        self._left = {track_id: None for track_id in people.members if track_id in due}
         self._changed.clear()
         self._members = list(people.members)
         self._header = seal(

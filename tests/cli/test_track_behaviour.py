@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +36,9 @@ def rows(frames: int = 8, people: int = 3) -> list[dict[str, Any]]:
     ]
 
 
-def people_of(asked: Asked | None = ALL) -> People:
+def people_of(asked: Asked | None = ALL, *, ahead: bool = True) -> People:
     behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
-    forecasts = FrameForecasts(times_ahead(0.8, 0.4))
+    forecasts = FrameForecasts(times_ahead(0.8, 0.4)) if ahead else None
     return People(lambda: OnlineSmoother("position"), None, lambda note: None, forecasts, behaviour)
 
 
@@ -75,7 +77,7 @@ def test_answers_with_identities_are_those_of_a_table_of_estimates(tmp_path: Pat
 
 
 def test_late_rows_and_rows_of_a_frame_that_was_told_change_no_frame() -> None:
-    people, given = people_of(Asked(groups=True)), rows(5, people=2)
+    people, given = people_of(Asked(groups=True), ahead=False), rows(5, people=2)
     moved = [*given[:4], *given[5:], given[4]]  # one comes two frames late
     told = [row for row in answers(people, moved) + people.finish() if "group" in row]
     assert [row["frame"] for row in told] == sorted(row["frame"] for row in told)
@@ -130,8 +132,32 @@ def test_rows_about_one_person_become_one() -> None:
     assert merged(a, b) == [a[0] | b[0], a[1]]
 
 
-def graphtrack(line: str, **given: Any) -> Done:
-    return run(*line.split(), program="graphtrack", **given)
+def graphtrack(line: str) -> Done:
+    return run(*line.split(), program="graphtrack")
+
+
+def test_a_stream_goes_on_from_its_state_file_with_the_same_options_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "places.csv").write_text("name,x,y,radius\nbar,1,3,0.5\n")
+
+    def track(given: list[dict[str, Any]], options: str) -> Done:
+        lines = "".join(json.dumps(row) + "\n" for row in given).encode()
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
+        return graphtrack(f"track - --model position {options}")
+
+    given = rows(8)
+    for seen in (given, detections(given)):
+        options = "--groups --attention --places places.csv"
+        whole = track(seen, options)
+        assert whole.returncode == 0, whole.stderr
+        kept = f"{options} --state state{'' if 'track_id' in seen[0] else '-of-detections'}"
+        first, second = track(seen[:12], kept), track(seen[12:], kept)
+        assert first.stdout + second.stdout == whole.stdout
+        for other in ("--groups", "--groups --attention"):
+            refused = track(seen[12:], kept.replace(options, other))
+            assert refused.returncode == 2 and "attention = [[" in refused.stderr
 
 
 @pytest.mark.parametrize(
