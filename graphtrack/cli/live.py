@@ -90,10 +90,13 @@ def track_stream(
         if are_detections is None:
             lines, are_detections = _first_is_detection(lines)
         if not are_detections:
-            forecasts = None if horizon is None else FrameForecasts(times_ahead(*horizon))
+            ahead = None if horizon is None else times_ahead(*horizon)
+            forecasts = None if ahead is None else FrameForecasts(ahead)
             behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
 
-            def restore_one(saved: Any) -> OnlineSmoother | FrameBehaviour:
+            def restore_one(saved: Any) -> OnlineSmoother | FrameForecasts | FrameBehaviour:
+                if ahead is not None and "forecaster" in saved:
+                    return FrameForecasts.from_state(ahead, saved)
                 if asked is not None and BEHAVIOUR in saved:
                     return FrameBehaviour.restore(saved, asked)
                 return OnlineSmoother.from_state(saved, model, **options)
@@ -125,6 +128,7 @@ def track_stream(
         # GTSAM does not give away what iSAM2 knows: it has to see every row again.
         every = None if chosen == "isam2" else save_every
         settings |= {"detections": True} if isinstance(rows, Scenes) else {}
+        settings |= {} if horizon is None else {"forecast": list(horizon)}
         settings |= {} if asked is None else asked.settings()
         saving = Saving(file, rows, settings, every)
         if file.entries:

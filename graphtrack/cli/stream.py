@@ -10,7 +10,7 @@ import numpy as np
 
 from graphtrack.bounds import APPEARANCE, INPUT
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, FrameBehaviour, merged
-from graphtrack.cli.stream_forecast import FrameForecasts
+from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.inference.online import Estimate, OnlineSmoother
@@ -42,7 +42,7 @@ class People:
 
     Attributes
     ----------
-    members : track id → smoother, and the behaviour
+    members : track id → smoother, and the forecasts and the behaviour
     rows, line : rows answered, and the line of the last of them, from 1
     before_change : is called with a track id before its smoother takes something in
     """
@@ -76,7 +76,7 @@ class People:
             estimate = smoother.update(observation)
             self.members[track_id] = smoother
             if self._forecasts is not None:
-                self._before = self._forecasts.take(track_id, observation, estimate)
+                self._before = self._changing_forecasts().take(track_id, observation, estimate)
             if BEHAVIOUR in self.members:
                 self.before_change(BEHAVIOUR)
                 behaviour = self.members[BEHAVIOUR].take(track_id, observation, estimate)
@@ -93,11 +93,17 @@ class People:
 
     def finish(self) -> list[dict[str, Any]]:
         """What is to be said when no more rows come: what is told of the last frame."""
-        rows = [] if self._forecasts is None else self._forecasts.finish()
+        rows = [] if self._forecasts is None else self._changing_forecasts().finish()
         if BEHAVIOUR in self.members:
             self.before_change(BEHAVIOUR)
             rows = merged(self.members[BEHAVIOUR].finish(), rows)
         return rows
+
+    def _changing_forecasts(self) -> FrameForecasts:
+        """The forecasts, those of a state that is gone on with first, about to change."""
+        self.before_change(FORECASTS)
+        found: FrameForecasts = self.members.setdefault(FORECASTS, self._forecasts)
+        return found
 
 
 class Told:
