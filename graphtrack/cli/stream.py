@@ -102,7 +102,9 @@ class People:
     def _changing_forecasts(self) -> FrameForecasts:
         """The forecasts, those of a state that is gone on with first, about to change."""
         self.before_change(FORECASTS)
-        found: FrameForecasts = self.members.setdefault(FORECASTS, self._forecasts)
+        if FORECASTS not in self.members:
+            self.members[FORECASTS] = self._forecasts
+        found: FrameForecasts = self.members[FORECASTS]
         return found
 
 
