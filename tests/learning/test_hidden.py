@@ -19,6 +19,7 @@ from graphtrack.learning.hidden import FOLDS, blurred, told
 from graphtrack.learning.objective import Objective
 from graphtrack.learning.solving import Solver
 from graphtrack.model import CouplingParameters, GaitParameters, Model
+from graphtrack.model.parameters import scale_of, steady
 from graphtrack.simulation.degrade import add_noise
 from graphtrack.tracks import Track, TrackSet
 
@@ -72,7 +73,7 @@ def test_hidden_positions_are_foretold_as_by_the_smoother_of_linear_models() -> 
         for k in np.flatnonzero(np.isnan(part.position[:, 0])):
             spread = states.covariance[k][:2, :2] + TRUE.likelihood.position_std**2 * np.eye(2)
             expected += float(stats.multivariate_normal.logpdf(track.position[k], states.mean[k][:2], spread))
-    model = Model("position", TRUE)
+    model = Model("position", steady(TRUE))
     assert Objective([track], model, None, "prediction")(model)[0] == pytest.approx(expected, rel=1e-4)
 
 
