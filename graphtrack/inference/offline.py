@@ -24,8 +24,9 @@ from graphtrack.inference.solution import (
     OfflineEngine,
     Solution,
     SolverOptions,
-    bounded,
     estimated_track,
+    seconds_to_ends,
+    stated,
 )
 from graphtrack.inference.warm import WHOLE, solver_rehearsal
 from graphtrack.io.given import tracks_of
@@ -266,7 +267,8 @@ def _solve_chains(
     finite = np.logical_and.reduceat(np.isfinite(found.states[:, :4]).all(axis=1), begins)
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
-    covariance = bounded(found.covariance)
+    ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
+    covariance = stated(found.covariance, model.parameters, ends)
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         a, b = packed.offsets[m], packed.offsets[m + 1]

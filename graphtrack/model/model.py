@@ -67,7 +67,7 @@ def every_term() -> tuple[type[Term], ...]:
 
 
 _FULL = Parameters(
-    motion=MotionParameters(acceleration_density=0.1, head_rate=2.2),
+    motion=MotionParameters(acceleration_density=0.1, head_rate=2.2, sway_std=0.0125, lasting_std=0.4),
     likelihood=LikelihoodParameters(robust="huber"),
 )
 preset_parameters: dict[str, Parameters] = {"full": _FULL, "social": _FULL}

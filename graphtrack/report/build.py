@@ -12,7 +12,7 @@ from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.report.content import AngleChart, Card, DataTable, Note, Picture, Report, Section
 from graphtrack.report.lives import identities_section, identity_cards, is_associated, life_of
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
-from graphtrack.report.plots import plot_errors, plot_nees
+from graphtrack.report.plots import plot_errors, plot_nees, plot_reliability
 from graphtrack.report.plots.orientation import plot_angles_of
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import replay_data
@@ -41,6 +41,7 @@ def tracking_report(
     subtitle: str = "",
     comparison: Records | None = None,
     consistency: Records | None = None,
+    calibration: Records | None = None,
     cards: tuple[Card, ...] = (),
     sections: tuple[Section, ...] = (),
     interactive: bool = True,
@@ -55,6 +56,7 @@ def tracking_report(
     title, subtitle : str
     comparison : methods against each other, as for `graphtrack.report.plots.plot_errors`
     consistency : NEES of the methods, as for `graphtrack.report.plots.plot_nees`
+    calibration : how often their intervals hold, as for `graphtrack.report.plots.plot_reliability`
     cards : further numbers for the top of the page
     sections : further sections, put at the end
     interactive : a chart of angles that follows the replay, of whomever the reader chooses, instead of still
@@ -92,8 +94,8 @@ def tracking_report(
         Section("People", (people_table(pairs, errors),)),
         Section("From above", (picture,)),
     ]
-    if comparison is not None or consistency is not None:
-        parts.append(_methods_section(comparison, consistency))
+    if any(table is not None for table in (comparison, consistency, calibration)):
+        parts.append(_methods_section(comparison, consistency, calibration))
     summary = (estimates if observations is None else observations).summary
     if summary.rows_read or summary.notes:
         parts.append(Section("What was read", reading_items(summary)))
@@ -186,7 +188,9 @@ def _left_out(count: int, limit: int) -> tuple[Note, ...]:
     return (Note(f"The first {limit} of {count} people are shown."),) if count > limit else ()
 
 
-def _methods_section(comparison: Records | None, consistency: Records | None) -> Section:
+def _methods_section(
+    comparison: Records | None, consistency: Records | None, calibration: Records | None
+) -> Section:
     items: list[DataTable | Picture] = []
     if comparison is not None:
         words = "Error of each method: the median, and its spread over the tracks"
@@ -195,6 +199,9 @@ def _methods_section(comparison: Records | None, consistency: Records | None) ->
     if consistency is not None:
         words = "Consistency: the mean NEES of each method, and the 95 % band it should lie in"
         items += [Picture(words, plot_nees(consistency)), DataTable.from_records("Consistency", consistency)]
+    if calibration is not None:
+        words = "Reliability: how often the truth lies inside an interval, against the probability it states"
+        items.append(Picture(words, plot_reliability(calibration)))
     return Section("Methods", tuple(items))
 
 

@@ -17,6 +17,7 @@ from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track, track_online
 from graphtrack.inference.graph.batch import anchors, build_graph, variable_keys
+from graphtrack.inference.solution import stated
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
@@ -78,7 +79,7 @@ def gauss_newton_covariance(smoothed: Track, track: Track, model: Model) -> np.n
     graph, values = build_graph(steps, model, states)
     keys = [key for step in steps for key in variable_keys(step, model)]
     information = graph.linearize(values).hessian(gtsam.Ordering(keys))[0]
-    return np.linalg.inv(information)[-6:, -6:]
+    return stated(np.linalg.inv(information)[-6:, -6:].copy(), model.parameters)
 
 
 # Against independent solutions.
