@@ -153,6 +153,10 @@ class Model:
         """The same terms and parameters, and what is known of another scene."""
         return Model(self.preset, self.parameters, self.own_terms, scene)
 
+    def has_term(self, kind: type[Term]) -> bool:
+        """Whether a term of the model is of that kind."""
+        return any(isinstance(term, kind) for term in self.terms)
+
     @property
     def compiled_terms(self) -> tuple[Term, ...]:
         """What the chain engine packs: the terms that it knows, and what holds first orientations."""
