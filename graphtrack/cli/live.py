@@ -86,9 +86,16 @@ def track_stream(
         if are_detections is None:
             lines, are_detections = _first_is_detection(lines)
         if not are_detections:
-            forecasts = None if horizon is None else FrameForecasts(times_ahead(*horizon))
+            ahead = None if horizon is None else times_ahead(*horizon)
+            forecasts = None if ahead is None else FrameForecasts(ahead)
+
+            def restore_one(saved: Any) -> OnlineSmoother | FrameForecasts:
+                if ahead is not None and "forecaster" in saved:
+                    return FrameForecasts.from_state(ahead, saved)
+                return OnlineSmoother.from_state(saved, model, **options)
+
             people = People(lambda: OnlineSmoother(model, **options), fps, note, forecasts)
-            return lines, people, lambda saved: OnlineSmoother.from_state(saved, model, **options)
+            return lines, people, restore_one
 
         def restore(saved: Any) -> Frame:
             return Frame.restore(saved, OnlineTracker.from_state(saved["tracker"], model, **options))
@@ -113,6 +120,7 @@ def track_stream(
         # GTSAM does not give away what iSAM2 knows: it has to see every row again.
         every = None if chosen == "isam2" else save_every
         settings |= {"detections": True} if isinstance(rows, Scenes) else {}
+        settings |= {} if horizon is None else {"forecast": list(horizon)}
         saving = Saving(file, rows, settings, every)
         if file.entries:
             _go_on(saving, rows, restore, state, len(file.entries))

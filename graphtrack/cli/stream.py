@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.bounds import APPEARANCE, INPUT
-from graphtrack.cli.stream_forecast import FrameForecasts
+from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.inference.online import Estimate, OnlineSmoother
@@ -40,7 +40,7 @@ class People:
 
     Attributes
     ----------
-    members : track id → smoother
+    members : track id → smoother, and the forecasts
     rows, line : rows answered, and the line of the last of them, from 1
     before_change : is called with a track id before its smoother takes something in
     """
@@ -54,9 +54,9 @@ class People:
     ) -> None:
         self._forecasts, self._before = forecasts, list[dict[str, Any]]()
         self._make, self._fps, self._told = make, fps, Told(note)
-        self.members: dict[int, OnlineSmoother] = {}
+        self.members: dict[Any, Any] = {}
         self.rows = self.line = 0
-        self.before_change: Callable[[int], None] = lambda track_id: None
+        self.before_change: Callable[[Any], None] = lambda track_id: None
 
     def answer(self, number: int, line: bytes) -> dict[str, Any]:
         """The estimate after a line of input, or what is wrong with it under ``error``."""
@@ -68,12 +68,12 @@ class People:
             cells = read_cells(pairs)
             observation = observation_of(cells, self._fps)
             track_id = cells["track_id"]
-            smoother = self.members.get(track_id) or self._make()
+            smoother: OnlineSmoother = self.members.get(track_id) or self._make()
             self.before_change(track_id)
             estimate = smoother.update(observation)
             self.members[track_id] = smoother
             if self._forecasts is not None:
-                self._before = self._forecasts.take(track_id, observation, estimate)
+                self._before = self._changing_forecasts().take(track_id, observation, estimate)
         except InputError as error:
             return error_row(pairs, number, error)
         return estimate_row(track_id, estimate)
@@ -86,7 +86,13 @@ class People:
 
     def finish(self) -> list[dict[str, Any]]:
         """What is to be said when no more rows come: of the last frame the forecasts."""
-        return [] if self._forecasts is None else self._forecasts.finish()
+        return [] if self._forecasts is None else self._changing_forecasts().finish()
+
+    def _changing_forecasts(self) -> FrameForecasts:
+        """The forecasts, those of a state that is gone on with first, about to change."""
+        self.before_change(FORECASTS)
+        found: FrameForecasts = self.members.setdefault(FORECASTS, self._forecasts)
+        return found
 
 
 class Told:

@@ -99,7 +99,7 @@ def track(
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
         _refuse_with_stream({"output": output} | reading.given())
-        _track_stream(chosen, engine, kept, reading, state, save_every, _horizon(forecast, state))
+        _track_stream(chosen, engine, kept, reading, state, save_every, _horizon(forecast))
         return
     if forecast is not None:
         raise InputError("--forecast with a file", "graphtrack forecast, which writes a table")
@@ -179,15 +179,13 @@ def _seconds(lag: str) -> float | None:
         raise InputError(f"--lag {lag}", "a number of seconds, or none") from None
 
 
-def _horizon(forecast: float | None, state: Path | None) -> tuple[float, float] | None:
+def _horizon(forecast: float | None) -> tuple[float, float] | None:
     """The horizon and step of forecasts; InputError for what is none."""
     if forecast is None:
         return None
     from graphtrack.behaviour.forecast.forecaster import times_ahead
     from graphtrack.cli.stream_forecast import STEP
 
-    if state is not None:
-        raise InputError("--forecast with --state", "one of them: what forecasts learn is not kept")
     step = min(STEP, forecast)
     times_ahead(forecast, step)
     return forecast, step
