@@ -91,6 +91,7 @@ class People:
     def _changing_forecasts(self) -> FrameForecasts:
         """The forecasts, those of a state that is gone on with first, about to change."""
         self.before_change(FORECASTS)
+        assert self._forecasts is not None
         found: FrameForecasts = self.members.setdefault(FORECASTS, self._forecasts)
         return found
 
