@@ -2,10 +2,10 @@
 
 Four parts, each from what it decides: standing, company and places by the mean errors of forecasts, the
 head's lead by the errors a second ahead of people whose head is seen, the spread by the density of where
-people were, and how soon a scene's own errors are trusted by the quantile loss of the circles. Recordings
-with heads teach the lead of the head alone, if there are others: they are of laboratories, where nobody goes
-anywhere. Scenes count equally, whatever their size. The search begins at `START` and in the middle of its
-lists, so that nothing depends on what was learned before.
+people were, and how soon a scene's own errors are trusted by what circles hold in it. Recordings with heads
+teach the lead of the head alone, if there are others: they are of laboratories, where nobody goes anywhere.
+Scenes count equally, whatever their size. The search begins at `START` and in the middle of its lists, so
+that nothing depends on what was learned before.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.behaviour.forecast.expected import Expected, lead, mean_turn, spreads
+from graphtrack.behaviour.forecast.forecaster import JUDGED
 from graphtrack.behaviour.forecast.motion import ComplexArray
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.behaviour.forecast.places import EVERY, LAGS
@@ -144,19 +145,19 @@ def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
     return _some(Outcomes(joined, error, straight), chosen)
 
 
-def quantile_loss(of: Recording, parameters: ForecastParameters) -> float:
-    """Mean quantile loss of the logarithms of the circles' radii: least where they hold their shares.
+def calibration_error(of: Recording, parameters: ForecastParameters) -> float:
+    """Mean difference, over times ahead, between what circles hold and what they should.
 
-    The logarithm has small and large errors count alike (Koenker and Bassett, Econometrica 46(1), 1978).
+    Of people seen for as long as those whose outcomes correct the circles: see `Calibration`.
     """
     parts = []
-    for forecaster, people, actual, _ in forecasts(of, parameters):
+    for forecaster, people, actual, _ in forecasts(of, parameters, JUDGED + EVERY):
         told = forecaster.forecast(LAGS, people)
         error = np.abs(actual - told.position[..., 0] - 1j * told.position[..., 1])
-        for level, size in zip(LEVELS, (told.radius_50, told.radius_90), strict=True):
-            over = np.log(np.maximum(error, 1e-3)) - np.log(size)
-            parts.append(np.where(over > 0.0, level * over, (level - 1.0) * over).ravel())
-    return float(np.nanmean(np.concatenate(parts)))
+        held = np.stack([error <= told.radius_50, error <= told.radius_90], axis=2)
+        parts.append(np.where(np.isfinite(error)[..., None], held, np.nan))
+    shares = np.nanmean(np.concatenate(parts), axis=0)
+    return float(np.nanmean(np.abs(shares - LEVELS)))
 
 
 def _some(of: Outcomes, chosen: np.ndarray[Any, Any]) -> Outcomes:
@@ -291,7 +292,7 @@ def _fit_scene_prior(
 
     def cost(tried: ForecastParameters) -> float:
         elsewhere = {name: replace(one, scene_prior=tried.scene_prior) for name, one in others.items()}
-        return float(np.mean([quantile_loss(of, elsewhere[name]) for name, of in recordings.items()]))
+        return float(np.mean([calibration_error(of, elsewhere[name]) for name, of in recordings.items()]))
 
     return _search(start, SCENE_STEPS, cost, progress)
 

@@ -28,7 +28,7 @@ _FORGOTTEN = 10.0
 """Seconds after which people who were not seen again are forgotten."""
 _HEAD_SECONDS = 0.3
 """Time constant over which directions of the head are averaged."""
-_JUDGED = 2.8
+JUDGED = 2.8
 """Seconds that somebody must have been seen for, for the outcome of a forecast to tell about others."""
 _OF_A_PLACE = (
     *("_id", "_number", "_first", "_last", "_anchored", "_count", "_position", "_head"),
@@ -330,7 +330,7 @@ class Forecaster:
         position, velocity, _ = self._going(at)
         deviation = expected.mean - position[:, None] - LAGS * velocity[:, None]
         spread = np.sqrt((along**2 + across**2) / 2)
-        spread[t - self._first[at] < _JUDGED] = np.nan
+        spread[t - self._first[at] < JUDGED] = np.nan
         self._places.add(t, self._number[at], position, velocity, deviation, spread)
 
     def _going(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
