@@ -26,6 +26,8 @@ _PRIOR_STD = np.array([3.0, 2.0, 1.5])
 
 _STEP, _FAR = 0.1, 1.0
 _WIDEST = 10.0
+_LIMITS = np.array([np.log(50.0), 10.0, 10.0])
+"""Of what is tried, on the same scales: the noise of observations without any has no other."""
 _COARSE = [np.log(10.0) * np.linspace(-1.0, 1.0, 9), np.linspace(-4.0, 4.0, 5)]
 
 
@@ -66,7 +68,7 @@ def multiplier_of(pieces: Pieces, density: Density) -> Multiplier | None:
         slope = (costs[1:4] - costs[4:7]) / (2.0 * _STEP)
         hessian = _hessian(costs)
         step = np.clip(-np.linalg.solve(hessian, slope), -_FAR, _FAR)
-        best = best + step
+        best = np.clip(best + step, -_LIMITS, _LIMITS)
         if np.abs(step).max() < 0.02:
             break
     slopes = _by_track((found[1:4] - found[4:7]).T / (2.0 * _STEP), pieces.track)
