@@ -29,10 +29,7 @@ class GaussianStates:
 
 def position_std(track: Track, parameters: Parameters) -> FloatArray:
     """1-σ (n,) of each axis of the observed positions, metres."""
-    default = np.full(len(track), parameters.likelihood.position_std)
-    if track.position_std is None:
-        return default
-    return np.where(np.isfinite(track.position_std), track.position_std, default)
+    return parameters.likelihood.position_stds(track.position_std, len(track))
 
 
 def _first_position(track: Track) -> int:

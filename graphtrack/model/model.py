@@ -68,7 +68,7 @@ def every_term() -> tuple[type[Term], ...]:
 
 _FULL = Parameters(
     motion=MotionParameters(acceleration_density=0.1, head_rate=2.2, sway_std=0.0125, lasting_std=0.4),
-    likelihood=LikelihoodParameters(robust="huber"),
+    likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=5.0, outlier_probability=0.05),
 )
 preset_parameters: dict[str, Parameters] = {"full": _FULL, "social": _FULL}
 """Default parameters of the presets for which those of `Parameters` are not the best."""

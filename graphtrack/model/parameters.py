@@ -192,6 +192,8 @@ class LikelihoodParameters(_Group):
     robust : "none", "huber" or "cauchy" position likelihood
     robust_threshold : standard deviations beyond which a position counts less
     body_kappa, head_kappa : von Mises concentration of observed angles where the data do not say
+    position_scale, body_scale, head_scale : multiples of the 1-σ where the data do say; of an angle κ is
+        divided by their square
     outlier_probability : ε of an observed angle
     class_outlier_probability : ε of class likelihoods
     """
@@ -203,6 +205,9 @@ class LikelihoodParameters(_Group):
     robust_threshold: float = _number(3.0, 0.01, 1e3, "standard deviations")
     body_kappa: float = _number(4.0, 0.0, 1e6)
     head_kappa: float = _number(4.0, 0.0, 1e6)
+    position_scale: float = _number(1.0, 0.01, 100.0)
+    body_scale: float = _number(1.0, 0.01, 100.0)
+    head_scale: float = _number(1.0, 0.01, 100.0)
     outlier_probability: float = _share(0.0, 0.999)
     class_outlier_probability: float = _share(0.05, 0.999)
 
@@ -212,6 +217,17 @@ class LikelihoodParameters(_Group):
             raise InputError(f"robust = {self.robust!r}", "'none', 'huber' or 'cauchy'")
         if not isinstance(self.image_frame, bool):
             raise InputError(f"image_frame = {self.image_frame!r}", "true or false")
+
+    def position_stds(self, given: FloatArray | float | None, n: int) -> FloatArray:
+        """1-σ (n,) in metres of positions; ``given``: what the data say, NaN or None where they do not."""
+        stated = np.full(n, np.nan if given is None else given, dtype=float)
+        return np.where(np.isfinite(stated), self.position_scale * stated, self.position_std)
+
+    def kappas(self, name: Literal["body", "head"], given: FloatArray | float | None, n: int) -> FloatArray:
+        """Concentrations (n,) of observed angles, in the same way."""
+        stated = np.full(n, np.nan if given is None else given, dtype=float)
+        default, scale = getattr(self, f"{name}_kappa"), getattr(self, f"{name}_scale")
+        return np.where(np.isfinite(stated), stated / scale**2, default)
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ def judge_body(
     row[:] = 0.0
     for k in range(len(states)):
         frame = problem.records[offset + k]
-        # What holds an aligned body to the motion, without the weight of what other frames say again.
+        # What holds an aligned body to the motion in this frame; κ₁ contains the weight w here.
         coupling = frame.body_aligned_kappa * squared_excess(states[k, VX], states[k, VY], threshold)
         if coupling == 0.0 or not is_seen(frame):
             continue
