@@ -51,7 +51,8 @@ def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Att
     extent = np.concatenate([np.nanquantile(track.position, [0.0, 1.0], axis=0) for track in tracks])
     span = np.maximum(np.ptp(extent, axis=0), 1.0)
     height = float(np.clip(6.0 * span[1] / span[0], 3.2, 7.5))
-    figure = new_figure(float(np.clip(height * span[0] / span[1], 3.5, 9.0)) + 1.8, height + 0.9)
+    width = float(np.clip(height * span[0] / span[1], 3.5, 9.0))
+    figure = new_figure(width + 1.8, height + 0.9, layout="compressed")
     axes = figure.add_subplot()
     for track in tracks:
         _, x, y = open_holes(track.t, *track.position.T)
@@ -190,4 +191,13 @@ def _draw_place(axes: Axes, place: Place) -> None:
     patch = disc if place.radius > 0.0 else Polygon(place.outline)
     patch.set(fill=False, edgecolor=NEUTRAL_COLOUR, linestyle=":", zorder=3)
     axes.add_patch(patch)
-    axes.annotate(place.name, tuple(place.centre), ha="center", fontsize=8, zorder=4)
+    above = place.outline[:, 1].max() + place.radius
+    axes.annotate(
+        place.name,
+        (place.centre[0], above),
+        xytext=(0, 2),
+        textcoords="offset points",
+        ha="center",
+        fontsize=8,
+        zorder=4,
+    )
