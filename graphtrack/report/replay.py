@@ -23,12 +23,15 @@ if TYPE_CHECKING:
 MAX_SAMPLES: Final = 200_000
 """Person-frames in a page. Packed, noisy ones with every channel take up to 33 bytes each: 7 MB of a page."""
 
+MAX_DOING: Final = MAX_SAMPLES // 2
+"""The same where groups, looks or forecasts are shown: they take 10 bytes each, and pictures of their own."""
+
 
 def replay_data(
     pairs: Sequence[Pair],
     *,
     max_rate: float = 30.0,
-    max_samples: int = MAX_SAMPLES,
+    max_samples: int | None = None,
     lives: Sequence[Life] | None = None,
     events: Sequence[IdentityEvent] = (),
     behaviour: Behaviour | None = None,
@@ -44,7 +47,8 @@ def replay_data(
     ----------
     pairs : the people to show; those without a finite position are left out
     max_rate : frames a second that are kept
-    max_samples : samples that are kept of all people together; of every n frames one is kept to stay below
+    max_samples : samples that are kept of all people together; of every n frames one is kept to stay below.
+        By default `MAX_SAMPLES`, or `MAX_DOING` with a ``behaviour``
     lives : of each of the people, if births, deaths, gaps and joins are to be shown
     events : switches and fragmentations, where the truth is known
     behaviour : groups, looks and forecasts of the people
@@ -61,6 +65,8 @@ def replay_data(
     placed = [(i, pair) for i, pair in enumerate(pairs) if np.isfinite(pair.estimate.position).any()]
     times = [pair.estimate.t for _, pair in placed]
     frame = frame_interval(times)
+    if max_samples is None:
+        max_samples = MAX_SAMPLES if behaviour is None else MAX_DOING
     every, kept = _thinned(times, frame, max_rate, max_samples)
     people = [
         _person(i, pair, at) | ({} if lives is None else _life(pair, lives[i], at))

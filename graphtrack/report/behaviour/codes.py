@@ -26,7 +26,7 @@ SHOWN_LOOKS: Final = 2
 LEAST_LOOK: Final = 0.15
 """Probability below which a look is not drawn: it would hardly be seen."""
 
-MAX_FANS: Final = 20_000
+MAX_FANS: Final = 8_000
 """Forecasts in a page; of more, those made at every second, third … time are kept."""
 
 FAN_STEPS: Final = 6
