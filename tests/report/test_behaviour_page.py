@@ -354,6 +354,20 @@ def test_of_many_forecasts_some_are_shown_and_the_page_says_so(tracks, monkeypat
     assert "One forecast in 3 is shown." in render_report(report)
 
 
+def test_one_person_and_one_without_a_place_have_a_page():
+    alone = standing(people=1)
+    lost = replace(alone[1], track_id=2, position=np.full_like(alone[1].position, np.nan))
+    nobody = [replace(one, people=(), probability=np.ones((20, 1))) for one in looking(standing(people=2))]
+    for tracks in (alone, TrackSet((alone[1], lost))):
+        groups = grouped(tracks)
+        groups = replace(groups, group=np.full(len(groups), -1))
+        looks = nobody[: len(tracks)]
+        given = behaviour_of(tracks, groups=groups, attention=looks, forecast=forecast(alone))
+        report = tracking_report(tracks, behaviour=given)
+        assert "Nobody was in a group." in render_report(report)
+        assert in_page(report, "return doingInWords(behaviour, people, 0, 1.0);").startswith("alone")
+
+
 def test_names_of_places_are_text(tracks):
     name = "</script><b>"
     place = replace(BAR, name=name)

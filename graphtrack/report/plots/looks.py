@@ -16,6 +16,7 @@ from graphtrack.behaviour.looks import LookSummary, frame_seconds
 from graphtrack.behaviour.places import Place
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path
+from graphtrack.report.pairing import finite_rows
 from graphtrack.report.shapes import finite_runs, open_holes
 from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, person_colour, tidy
 from graphtrack.tracks import TrackSet
@@ -48,8 +49,8 @@ def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Att
     """Draw where people and places are that are looked at, weighted by the seconds that they probably are."""
     drawn = [place for place in places if any(place.name in one.places for one in found)]
     points, weights = _aims(tracks, drawn, found)
-    extent = np.concatenate([np.nanquantile(track.position, [0.0, 1.0], axis=0) for track in tracks])
-    span = np.maximum(np.ptp(extent, axis=0), 1.0)
+    known = np.concatenate([np.zeros((0, 2)), *(t.position[finite_rows(t.position)] for t in tracks)])
+    span = np.maximum(np.ptp(known, axis=0), 1.0) if len(known) else np.ones(2)
     height = float(np.clip(6.0 * span[1] / span[0], 3.2, 7.5))
     width = float(np.clip(height * span[0] / span[1], 3.5, 9.0))
     figure = new_figure(width + 1.8, height + 0.9, layout="compressed")
