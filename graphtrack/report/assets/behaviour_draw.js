@@ -1,5 +1,6 @@
 // Drawing groups, places, looks and forecasts of a moment on the replay's canvas.
 
+const CROWD = 40;  // people at a time beyond which dashes and areas of forecasts are left out: browsers take too long over them
 const FEW = 3;  // people of whom all circles of a forecast are drawn; of more, only those chosen or pointed at have them
 
 function traceOutline(ctx, view, outline) {
@@ -29,18 +30,18 @@ function drawPlaceNames(ctx, view, places, theme) {
 }
 
 // Those who walk together have a dashed edge and no o-space; what is less probable is fainter.
-function drawGroups(ctx, view, groups) {
+function drawGroups(ctx, view, groups, crowded) {
   groups.forEach(({ group, kind, p, members, centre, radius }) => {
     const sure = Number.isFinite(p) ? 0.35 + 0.65 * p : 1;
     traceOutline(ctx, view, hullOf(members));
     ctx.fillStyle = ctx.strokeStyle = group.colour;
     ctx.globalAlpha = 0.2 * sure; ctx.fill();
-    ctx.globalAlpha = 0.9 * sure; ctx.lineWidth = 1.4; ctx.setLineDash(kind === 2 ? [7, 4] : []); ctx.stroke();
+    ctx.globalAlpha = 0.9 * sure; ctx.lineWidth = 1.4; ctx.setLineDash(kind === 2 && !crowded ? [7, 4] : []); ctx.stroke();
     ctx.setLineDash([]);
     if (kind !== 2 && Number.isFinite(centre[0]) && members.length > 1) {
       ctx.beginPath(); ctx.arc(...toScreen(view, ...centre), radius * view.scale, 0, TURN);
       ctx.globalAlpha = 0.25 * sure; ctx.fill();
-      ctx.globalAlpha = 0.9 * sure; ctx.setLineDash([2, 2]); ctx.stroke(); ctx.setLineDash([]);
+      ctx.globalAlpha = 0.9 * sure; ctx.setLineDash(crowded ? [] : [2, 2]); ctx.stroke(); ctx.setLineDash([]);
     }
     ctx.globalAlpha = 1;
   });
@@ -70,6 +71,13 @@ function drawFan(ctx, view, person, state, fan, plain) {
   ctx.globalAlpha = 1;
 }
 
+// The path ahead alone.
+function drawCourse(ctx, view, person, state, fan) {
+  ctx.strokeStyle = person.colour; ctx.lineWidth = 1; ctx.beginPath(); ctx.moveTo(...toScreen(view, state.x, state.y));
+  fan.steps.forEach((step) => ctx.lineTo(...toScreen(view, step.x, step.y)));
+  ctx.stroke();
+}
+
 // From the one who looks to what is looked at: as opaque as it is probable.
 function drawLooks(ctx, view, looks, state, theme, strong) {
   const here = toScreen(view, state.x, state.y);
@@ -91,10 +99,12 @@ function drawBehaviour(ctx, view, scene, present) {
   if (layers.fans) {
     present.forEach(({ person, state, strong }) => {
       const fan = fanAt(behaviour, person, time);
-      if (fan) drawFan(ctx, view, person, state, fan, strong || present.length <= FEW);
+      if (!fan) return;
+      if (strong || present.length <= CROWD) drawFan(ctx, view, person, state, fan, strong || present.length <= FEW);
+      else drawCourse(ctx, view, person, state, fan);
     });
   }
-  if (layers.groups) drawGroups(ctx, view, groupsAt(behaviour, present, time));
+  if (layers.groups) drawGroups(ctx, view, groupsAt(behaviour, present, time), present.length > CROWD);
   if (layers.looks) present.forEach(({ person, state, strong }) => drawLooks(ctx, view, looksOf(behaviour, people, person, state, time), state, theme, strong));
   if (layers.places) drawPlaceNames(ctx, view, behaviour.places, theme);
 }
