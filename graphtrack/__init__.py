@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     )
     from graphtrack.io import ReadOptions, read, write
     from graphtrack.model import Model, Observation, Parameters, Term, presets
+    from graphtrack.report.page import write_report
     from graphtrack.scene import SceneParameters
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
@@ -85,6 +86,7 @@ __all__ = [
     "track_online",
     "warm_up",
     "write",
+    "write_report",
 ]
 
 _HOMES = {
@@ -115,6 +117,7 @@ _HOMES = {
     ),
     "io": ("ReadOptions", "read", "write"),
     "model": ("Model", "Observation", "Parameters", "Term", "presets"),
+    "report.page": ("write_report",),
     "simulation.sampling": ("simulate",),
     "tracks": ("ReadSummary", "Track", "TrackSet"),
 }

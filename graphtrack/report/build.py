@@ -22,6 +22,7 @@ from graphtrack.tracks import ReadSummary, Track, TrackSet
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.tracking.events import IdentityEvent
+    from graphtrack.report.behaviour.given import Behaviour
 
 PersonErrors = dict[str, float | None]
 """Column of the table of people → error of one of them."""
@@ -46,6 +47,7 @@ def tracking_report(
     sections: tuple[Section, ...] = (),
     interactive: bool = True,
     events: Sequence[IdentityEvent] | None = None,
+    behaviour: Behaviour | None = None,
 ) -> Report:
     """Put together what a reader of a tracking run wants to see.
 
@@ -63,6 +65,7 @@ def tracking_report(
         pictures of the first few people
     events : where identities went wrong, as `graphtrack.evaluation.tracking.events.judge_events` finds it;
         with it, or with tracks that were associated, there is a timeline of identities
+    behaviour : groups, looks and forecasts, as `graphtrack.report.behaviour.given.behaviour_of` gives them
 
     Returns
     -------
@@ -77,10 +80,11 @@ def tracking_report(
     estimates, observations, origin = _from_zero(estimates, observations)
     if origin:
         subtitle = f"{subtitle} Times count from {origin:.0f} s.".strip()
+    behaviour = None if behaviour is None else behaviour.in_times_of(estimates)
     pairs = pair_tracks(estimates, observations)
     errors = tuple(person_errors(pair) for pair in pairs)
     lives = [life_of(pair) for pair in pairs] if events is not None or is_associated(pairs) else None
-    replay = replay_data(pairs, lives=lives, events=events or ())
+    replay = replay_data(pairs, lives=lives, events=events or (), behaviour=behaviour)
     words = (
         "The time that people spent where, under everybody's path, and the paths by the way they went; "
         "a dot is where one ends"
@@ -89,6 +93,13 @@ def tracking_report(
     )
     picture = Picture(words, plot_pairs(pairs), f"Bird's-eye view of the paths of {len(pairs)} people.")
     parts = [] if lives is None else [identities_section(pairs, lives, events or (), bool(replay["people"]))]
+    extra: tuple[Card, ...] = ()
+    if behaviour is not None:
+        # Here, for a page of tracks alone needs none of it.
+        from graphtrack.report.behaviour.sections import behaviour_cards, behaviour_sections
+
+        parts += behaviour_sections(behaviour, estimates, pairs)
+        extra = behaviour_cards(behaviour)
     parts += [
         _angles_section(pairs, interactive),
         Section("People", (people_table(pairs, errors),)),
@@ -102,7 +113,7 @@ def tracking_report(
     return Report(
         title=title,
         subtitle=subtitle,
-        cards=(*_cards(pairs, errors), *identity_cards(lives or ()), *cards),
+        cards=(*_cards(pairs, errors), *identity_cards(lives or ()), *extra, *cards),
         replay=replay,
         sections=(*parts, *sections),
     )
