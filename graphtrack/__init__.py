@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from graphtrack.behaviour.forecast.parameters import ForecastParameters
     from graphtrack.behaviour.forecast.recorded import Forecasts, forecast
     from graphtrack.behaviour.groups import Groups, groups
+    from graphtrack.behaviour.online_attention import Looks, OnlineAttention
+    from graphtrack.behaviour.online_groups import OnlineGroups
     from graphtrack.behaviour.parameters import GroupParameters
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     )
     from graphtrack.io import ReadOptions, read, write
     from graphtrack.model import Model, Observation, Parameters, Term, presets
+    from graphtrack.report.page import write_report
     from graphtrack.scene import SceneParameters
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
@@ -49,8 +52,11 @@ __all__ = [
     "Groups",
     "InputError",
     "InputWarning",
+    "Looks",
     "Model",
     "Observation",
+    "OnlineAttention",
+    "OnlineGroups",
     "OnlineSmoother",
     "OnlineTracker",
     "Parameters",
@@ -80,6 +86,7 @@ __all__ = [
     "track_online",
     "warm_up",
     "write",
+    "write_report",
 ]
 
 _HOMES = {
@@ -90,6 +97,8 @@ _HOMES = {
     "behaviour.forecast.parameters": ("ForecastParameters",),
     "behaviour.forecast.recorded": ("Forecasts", "forecast"),
     "behaviour.groups": ("Groups", "groups"),
+    "behaviour.online_attention": ("Looks", "OnlineAttention"),
+    "behaviour.online_groups": ("OnlineGroups",),
     "behaviour.parameters": ("GroupParameters",),
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
@@ -108,6 +117,7 @@ _HOMES = {
     ),
     "io": ("ReadOptions", "read", "write"),
     "model": ("Model", "Observation", "Parameters", "Term", "presets"),
+    "report.page": ("write_report",),
     "simulation.sampling": ("simulate",),
     "tracks": ("ReadSummary", "Track", "TrackSet"),
 }

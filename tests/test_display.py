@@ -98,7 +98,7 @@ SHORT: dict[str, tuple[Callable[[], object], str]] = {
         lambda: online(0).update(gt.Observation(0.0, head=1.0)),
         "Estimate(t=0 s, frame 0, 'waiting')",
     ),
-    "score": (score, "TrackingScore(HOTA 0.941, IDF1 1.000, MOTA 1.000; 1 sequence, within 1 m)"),
+    "score": (score, "TrackingScore(HOTA 0.948, IDF1 1.000, MOTA 1.000; 1 sequence, within 1 m)"),
     "comparison": (comparison, "Comparison(kf, rts; 3 tracks, 0 failed, 0 left out)"),
 }
 

@@ -13,14 +13,39 @@ from graphtrack.inference.state import from_text, to_text
 
 def packed(values: NDArray[Any]) -> list[Any]:
     """An array as JSON-able data: its shape, its kind and its numbers."""
-    return [list(values.shape), values.dtype.kind, to_text(values)]
+    kind = values.dtype.kind
+    numbers = np.ascontiguousarray(values, complex).view(float) if kind == "c" else values
+    return [list(values.shape), kind, to_text(numbers)]
 
 
 def unpacked(saved: list[Any]) -> NDArray[Any]:
     """The inverse of `packed`."""
     shape, kind, text = saved
+    numbers: NDArray[Any] = from_text(text)
+    if kind == "c":
+        return numbers.view(complex).reshape(shape)
     # Whole numbers as large as these are doubles of their own.
-    return from_text(text).reshape(shape).astype(np.int64 if kind == "i" else float)
+    return numbers.reshape(shape).astype(np.int64 if kind == "i" else float)
+
+
+def pack_tree(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays in dictionaries, which hold no lists, as JSON-able data."""
+    found = {}
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            value = packed(value)
+        found[name] = pack_tree(value) if isinstance(value, Mapping) else value
+    return found
+
+
+def unpack_tree(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """The inverse of `pack_tree`."""
+    found = {}
+    for name, value in saved.items():
+        if isinstance(value, list):
+            value = unpacked(value)
+        found[name] = unpack_tree(value) if isinstance(value, Mapping) else value
+    return found
 
 
 def pack_records(records: NDArray[np.void]) -> dict[str, list[Any]]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.association.online import Decision, OnlineAssociation, Revision
+from graphtrack.association.packing import pack_tree, unpack_tree
 from graphtrack.association.shown import descriptors_of, facing_of, scores_of, to_smooth
 from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.errors import InputError
@@ -166,7 +167,7 @@ class OnlineTracker:
         """Where everybody will be whom the last update told of and who has been seen twice.
 
         The first call looks back at the last frames, 1,500 at most; from then on each update is taken in.
-        `state` does not keep what forecasts know: whoever goes on with it begins to learn the place anew.
+        `state` keeps what forecasts know from that call on.
 
         Parameters
         ----------
@@ -211,7 +212,10 @@ class OnlineTracker:
             for track_id, person in self._people.items()
         ]
         seen = [[*key, pack_observation(one)] for key, one in self._seen.items()]
-        return {"association": self._association.state(), "people": people, "seen": seen}
+        found: dict[str, Any] = {"association": self._association.state(), "people": people, "seen": seen}
+        if self._forecaster is not None:
+            found |= {"forecaster": pack_tree(self._forecaster.state()), "present": self._present}
+        return found
 
     @classmethod
     def from_state(
@@ -232,6 +236,9 @@ class OnlineTracker:
                 smoother = OnlineSmoother.from_state(saved["smoother"], tracker.model, **tracker._options)
                 keys = [(k, place) for k, place in saved["keys"]]
                 tracker._people[saved["track_id"]] = _Person(smoother, smoother.last, keys)
+            if "forecaster" in state:
+                tracker._forecaster = Forecaster.from_state(unpack_tree(state["forecaster"]))
+                tracker._present = state["present"]
         except DAMAGES as error:
             raise damaged(error) from error
         return tracker

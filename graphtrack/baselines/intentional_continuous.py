@@ -104,6 +104,7 @@ def intentional_states(track: Track, parameters: Parameters, rate: float = HEAD_
 
 def intentional_tracker(track: Track, parameters: Parameters | None = None, rate: float = HEAD_RATE) -> Track:
     """Online estimates of position and velocity from positions and the head, each from the past alone."""
-    states = intentional_states(track, Parameters() if parameters is None else parameters, rate)
+    parameters = Parameters() if parameters is None else parameters
+    states = intentional_states(track, parameters, rate)
     covariance = full_covariance(states.spread[0])
-    return as_track(track, GaussianStates(states.mean[0], covariance))
+    return as_track(track, GaussianStates(states.mean[0], covariance), parameters.motion)

@@ -11,7 +11,8 @@ import numpy as np
 
 from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.parameters import Parameters
+from graphtrack.model.parameters import MotionParameters, Parameters
+from graphtrack.model.sway import swaying
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks import Track
 
@@ -28,10 +29,7 @@ class GaussianStates:
 
 def position_std(track: Track, parameters: Parameters) -> FloatArray:
     """1-σ (n,) of each axis of the observed positions, metres."""
-    default = np.full(len(track), parameters.likelihood.position_std)
-    if track.position_std is None:
-        return default
-    return np.where(np.isfinite(track.position_std), track.position_std, default)
+    return parameters.likelihood.position_stds(track.position_std, len(track))
 
 
 def _first_position(track: Track) -> int:
@@ -106,10 +104,15 @@ def smooth_states(track: Track, parameters: Parameters) -> GaussianStates:
     return GaussianStates(mean, covariance)
 
 
-def as_track(track: Track, states: GaussianStates) -> Track:
-    """The track with these estimates; its orientations are left out, for they were not estimated."""
+def as_track(track: Track, states: GaussianStates, motion: MotionParameters | None = None) -> Track:
+    """The track with these estimates; its orientations are left out, for they were not estimated.
+
+    With ``motion`` the covariances have the sway of hips in them, as those of the graph do.
+    """
     covariance = np.full((len(track), 6, 6), np.nan)
     covariance[:, :4, :4] = states.covariance
+    if motion is not None:
+        swaying(covariance, motion)
     return track.with_estimates(
         position=states.mean[:, :2], velocity=states.mean[:, 2:], body=None, head=None, covariance=covariance
     )
@@ -118,10 +121,10 @@ def as_track(track: Track, states: GaussianStates) -> Track:
 def kalman_filter(track: Track, parameters: Parameters | None = None) -> Track:
     """Online estimates: each uses only what came before."""
     parameters = Parameters() if parameters is None else parameters
-    return as_track(track, filter_states(track, parameters)[0])
+    return as_track(track, filter_states(track, parameters)[0], parameters.motion)
 
 
 def rauch_tung_striebel(track: Track, parameters: Parameters | None = None) -> Track:
     """Offline estimates of the linear model: its exact posterior."""
     parameters = Parameters() if parameters is None else parameters
-    return as_track(track, smooth_states(track, parameters))
+    return as_track(track, smooth_states(track, parameters), parameters.motion)

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from graphtrack.behaviour.groups import Groups
 from graphtrack.behaviour.groups import groups as find_groups
-from graphtrack.behaviour.places import Place, half_angle
+from graphtrack.behaviour.looking import REACH, concentration, looks_over_time
+from graphtrack.behaviour.places import Place
 from graphtrack.bounds import HEAD_CLASSES, check_numbers, number
-from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa, difference, direction
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.tracks import STATE, Track
 
 IntArray = np.ndarray
 
-SHOULDERS = 0.25
-"""Metres, half the width of a person who is looked at or stands in between."""
-REACH = 15.0
-"""Metres: people further away are not looked at; places are, from anywhere."""
-_NOISY_SECONDS = 1.5
 _EXACT = 200.0
 """Concentration of a head that comes with none."""
 
@@ -49,6 +44,10 @@ class AttentionParameters:
 
     def __post_init__(self) -> None:
         check_numbers(self)
+
+    def to_array(self) -> FloatArray:
+        """(6,) in the order that `looking` reads them."""
+        return np.array(astuple(self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,33 +117,15 @@ def _of_one(
     online: bool,
 ) -> Attention:
     others, where, fellow = _others(one, everybody, number)
-    n, people, count = len(one), len(others), len(others) + len(places)
-    bearing, half, far = (np.zeros((n, count)) for _ in range(3))
-    away = where - one.position[:, None]
-    bearing[:, :people], far[:, :people] = direction(away), np.linalg.norm(away, axis=2)
-    half[:, :people] = half_angle(SHOULDERS, far[:, :people])
-    for k, place in enumerate(places):
-        bearing[:, people + k], half[:, people + k], far[:, people + k] = place.seen_from(one.position)
-    visible = _visible(bearing, half, far, people)
-    near = np.where(np.arange(count) < people, far < REACH, True)
-    weight = visible / (1.0 + (far / parameters.distance) ** 2)
-    weight[:, :people] *= np.where(fellow, parameters.fellows, 1.0)
-    weight = np.where(near & np.isfinite(far), weight, 0.0)
-    total = weight.sum(axis=1, keepdims=True)
-    prior = np.empty((n, count + 1))
-    # Where nobody is in sight, all looks are at nothing.
-    some = total > 1e-12
-    prior[:, :-1] = (1.0 - parameters.nothing) * np.divide(
-        weight, total, out=np.zeros_like(weight), where=some
-    )
-    prior[:, -1:] = np.where(some, parameters.nothing, 1.0)
-    density = np.full((n, count + 1), 1.0 / (2.0 * np.pi))
-    density[:, :-1] = _meeting(one, bearing, np.minimum(half, np.pi), parameters.look_std)
+    n, people = len(one), len(others)
+    bearing, half, far = (np.empty((n, people + len(places))) for _ in range(3))
+    for k, place in enumerate(places, people):
+        bearing[:, k], half[:, k], far[:, k] = place.seen_from(one.position)
     gap = one.dt.copy()
-    gap[0] = np.inf
-    anew = np.nan_to_num(density, nan=1.0 / (2.0 * np.pi))
-    anew, held = _evidence(one, bearing, anew, gap, parameters)
-    probability = _looks(prior, anew, held, np.exp(-parameters.switching * gap), not online)
+    gap[:1] = np.inf
+    weights, means, kappas = (np.ascontiguousarray(part) for part in head_mixture(one))
+    scene = (one.position, where, fellow, bearing, half, far)
+    probability = looks_over_time(*scene, weights, means, kappas, gap, not online, parameters.to_array())
     probability[~np.isfinite(one.position).all(axis=1)] = np.nan
     return Attention(
         one.track_id,
@@ -203,126 +184,3 @@ def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
         kappa = np.where(np.isnan(track.head_kappa), _EXACT, track.head_kappa)
     known = np.where(np.isfinite(track.head) & np.isfinite(kappa), 1.0, np.nan)
     return known[:, None], np.nan_to_num(track.head)[:, None], np.nan_to_num(kappa, nan=0.0)[:, None]
-
-
-def concentration(variance: FloatArray) -> FloatArray:
-    """The von Mises κ of the mean resultant length e^(−variance/2); Fisher (1993), eq. 4.40."""
-    r = np.exp(-0.5 * np.maximum(variance, 1e-6))
-    low = 2.0 * r + r**3 + 5.0 * r**5 / 6.0
-    middle = -0.4 + 1.39 * r + 0.43 / (1.0 - r)
-    high = 1.0 / (r**3 - 4.0 * r**2 + 3.0 * r)
-    return np.where(r < 0.53, low, np.where(r < 0.85, middle, high))
-
-
-def _meeting(track: Track, bearing: FloatArray, half: FloatArray, look_std: float) -> FloatArray:
-    """(n, targets) density at which a head, as it is known, looks at each: two von Mises, integrated."""
-    from scipy.special import i0e
-
-    weights, means, kappas = head_mixture(track)
-    # A disc or a polygon is seen over an interval, whose variance adds up with that of looks.
-    of_target = concentration(look_std**2 + half**2 / 3.0)
-    found = np.zeros_like(bearing)
-    for weight, mean, kappa in zip(weights.T, means.T, kappas.T, strict=True):
-        kappa = kappa[:, None]
-        both = np.sqrt(
-            np.maximum(
-                kappa**2
-                + of_target**2
-                + 2.0 * kappa * of_target * np.cos(difference(mean[:, None], bearing)),
-                0.0,
-            )
-        )
-        log = both - kappa - of_target
-        found += weight[:, None] * np.exp(log) * i0e(both) / (2.0 * np.pi * i0e(kappa) * i0e(of_target))
-    return found
-
-
-@compiled
-def _visible(bearing: FloatArray, half: FloatArray, far: FloatArray, people: int) -> FloatArray:
-    """(n, targets) share of the angle of each target that nobody nearer covers."""
-    n, count = bearing.shape
-    found = np.ones((n, count))
-    for f in range(n):
-        for j in range(count):
-            if not far[f, j] < np.inf:
-                found[f, j] = 0.0
-                continue
-            for k in range(people):
-                if k == j or not far[f, k] < far[f, j]:
-                    continue
-                turn = bearing[f, k] - bearing[f, j]
-                turn = abs(turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi)))
-                low = max(turn - half[f, k], -half[f, j])
-                high = min(turn + half[f, k], half[f, j])
-                if high > low and half[f, j] > 0.0:
-                    found[f, j] = min(found[f, j], 1.0 - (high - low) / (2.0 * half[f, j]))
-    return found
-
-
-def _evidence(
-    one: Track, bearing: FloatArray, anew: FloatArray, gap: FloatArray, parameters: AttentionParameters
-) -> tuple[FloatArray, FloatArray]:
-    """(n, targets + 1) of where the head points: in a new look, and in one that goes on, given where it was.
-
-    The deviation from a target is autoregressive. A look at nothing goes somewhere, too, and stays there:
-    what is known of it is where the head was. Where heads have several modes or are known less surely than
-    that, frames closer than `_NOISY_SECONDS` carry the same evidence again.
-    """
-    weights, means, kappas = head_mixture(one)
-    memory = np.exp(-gap / parameters.correlation_time) if parameters.correlation_time > 0.0 else 0.0 * gap
-    again = anew ** np.minimum(1.0, gap / _NOISY_SECONDS)[:, None]
-    if weights.shape[1] > 1:
-        return again, again
-    angle, known = means[:, 0], np.isfinite(weights[:, 0])
-    noise = np.minimum(1.0 / np.maximum(kappas[:, 0], 1e-6), np.pi**2 / 3.0)
-    spread = parameters.look_std**2
-    away = np.zeros_like(anew)
-    away[:, :-1] = difference(angle[:, None], bearing)
-    noise_before = np.roll(noise, 1)
-    step = np.nan_to_num(difference(away, memory[:, None] * np.roll(away, 1, axis=0)))
-    step[:, -1] = difference(angle, np.roll(angle, 1))
-    variance = np.empty_like(anew)
-    variance[:, :-1] = (spread * (1.0 - memory**2) + noise + memory**2 * noise_before)[:, None]
-    variance[:, -1] = 2.0 * spread * (1.0 - memory) + noise + noise_before
-    density = np.exp(-0.5 * step**2 / variance) / np.sqrt(2.0 * np.pi * variance)
-    sure = known & np.roll(known, 1) & (np.maximum(noise, noise_before) < spread * (1.0 - memory**2))
-    sure[:1] = False
-    return np.where(sure[:, None], anew, again), np.where(sure[:, None], np.maximum(density, 1e-12), again)
-
-
-@compiled
-def _looks(prior: FloatArray, anew: FloatArray, held: FloatArray, stay: FloatArray, both: bool) -> FloatArray:
-    """Forward and backward over a chain whose state stays, or is drawn anew from the frame's prior."""
-    n, count = prior.shape
-    found = np.empty((n, count))
-    for f in range(n):
-        total = 0.0
-        for j in range(count):
-            value = (1.0 - stay[f]) * prior[f, j] * anew[f, j]
-            if f == 0:
-                value = prior[f, j] * anew[f, j]
-            elif prior[f, j] > 0.0:
-                value += stay[f] * found[f - 1, j] * held[f, j]
-            found[f, j] = value
-            total += value
-        for j in range(count):
-            found[f, j] = found[f, j] / total if total > 0.0 else prior[f, j]
-    if not both:
-        return found
-    back = np.ones(count)
-    for f in range(n - 2, -1, -1):
-        drawn = 0.0
-        for j in range(count):
-            drawn += prior[f + 1, j] * anew[f + 1, j] * back[j]
-        total, most = 0.0, 0.0
-        for j in range(count):
-            goes_on = held[f + 1, j] * back[j] if prior[f + 1, j] > 0.0 else 0.0
-            back[j] = stay[f + 1] * goes_on + (1.0 - stay[f + 1]) * drawn
-            most = max(most, back[j])
-        for j in range(count):
-            back[j] = back[j] / most if most > 0.0 else 1.0
-            found[f, j] *= back[j]
-            total += found[f, j]
-        for j in range(count):
-            found[f, j] = found[f, j] / total if total > 0.0 else prior[f, j]
-    return found

@@ -98,13 +98,35 @@ def walks(people: People, parameters: GroupParameters) -> FloatArray:
     return share
 
 
-def pair_evidence(people: People, parameters: GroupParameters, *, both_sides: bool = True) -> PairEvidence:
-    """The evidence of all pairs.
+@dataclass(frozen=True, eq=False)
+class PairValues:
+    """What each frame says by itself of pairs of people near each other.
 
-    Parameters
+    Attributes
     ----------
-    both_sides : whether the future counts, or the past alone
+    left, right : (n,) rows in `People`, the left one first
+    place : (n, 2) log odds by places and bodies, and the caution; averaged over ``place_seconds``
+    look : (n, 1) log odds by looks and the crowd; averaged over ``look_seconds``
+    walking : (n, 2) log odds by walking, and how much both walk; averaged over ``walking_seconds``
     """
+
+    left: IntArray
+    right: IntArray
+    place: FloatArray
+    look: FloatArray
+    walking: FloatArray
+
+    def evidence(
+        self, people: People, place: FloatArray, look: FloatArray, walking: FloatArray
+    ) -> PairEvidence:
+        """The evidence, given the averages of the three."""
+        start = np.searchsorted(people.frame_of[self.left], np.arange(len(people.frame) + 1))
+        odds = place[:, 0] + look[:, 0] + walking[:, 0]
+        return PairEvidence(self.left, self.right, start, odds, place[:, 1], walking[:, 1])
+
+
+def pair_values(people: People, parameters: GroupParameters) -> PairValues:
+    """What each frame says of all pairs."""
     people = with_bodies(people, parameters.head_spread)
     left, right, features = pair_features(people, parameters.stride)
     shares = known_shares(people, left, right)
@@ -112,18 +134,35 @@ def pair_evidence(people: People, parameters: GroupParameters, *, both_sides: bo
     caution = shares @ np.array([one.caution for one in parameters.conversations])
     walk = walks(people, parameters)
     walking, standing = walk[left] * walk[right], (1.0 - walk[left]) * (1.0 - walk[right])
-    pair = people.person[left] * len(people.ids) + people.person[right]
-    frame = people.frame_of[left]
-    t = people.t[frame]
+    quick = standing * quick + (1.0 - standing - walking) * parameters.apart
+    together = walking * walking_odds(people, left, right, parameters)
+    return PairValues(
+        left,
+        right,
+        np.column_stack([quick, standing * caution]),
+        (standing * slow)[:, None],
+        np.column_stack([together, walking]),
+    )
 
-    def mean(values: FloatArray, seconds: float) -> FloatArray:
-        return averaged(pair, t, values, seconds, both_sides=both_sides)
 
-    odds = mean(standing * quick + (1.0 - standing - walking) * parameters.apart, parameters.place_seconds)
-    odds = odds + mean(standing * slow, parameters.look_seconds)
-    if walking.any():
-        together = walking_odds(people, left, right, parameters)
-        odds = odds + mean(walking * together, parameters.walking_seconds)
-    start = np.searchsorted(frame, np.arange(len(people.frame) + 1))
-    caution = mean(standing * caution, parameters.place_seconds)
-    return PairEvidence(left, right, start, odds, caution, mean(walking, parameters.walking_seconds))
+def pair_evidence(people: People, parameters: GroupParameters, *, both_sides: bool = True) -> PairEvidence:
+    """The evidence of all pairs.
+
+    Parameters
+    ----------
+    both_sides : whether the future counts, or the past alone
+    """
+    values = pair_values(people, parameters)
+    pair = people.person[values.left] * len(people.ids) + people.person[values.right]
+    t = people.t[people.frame_of[values.left]]
+
+    def mean(columns: FloatArray, seconds: float) -> FloatArray:
+        found = [averaged(pair, t, column, seconds, both_sides=both_sides) for column in columns.T]
+        return np.column_stack(found)
+
+    return values.evidence(
+        people,
+        mean(values.place, parameters.place_seconds),
+        mean(values.look, parameters.look_seconds),
+        mean(values.walking, parameters.walking_seconds),
+    )

@@ -43,7 +43,7 @@ def _of_frame(
     """Write the pairs of one frame within reach from place ``at`` on; return the place after them."""
     people = len(position)
     apart, shared = np.zeros((people, people)), np.zeros((people, people))
-    look = np.zeros((people, people))
+    look, near = np.zeros((people, people)), np.zeros((people, people))
     space = position + stride * body
     crowd, seen = np.ones(people), np.full(people, _NOTHING)
     for i in range(people):
@@ -57,6 +57,7 @@ def _of_frame(
             if apart[i, j] > 3.0 * REACH:
                 continue
             crowd[i] += math.exp(-0.5 * square / (_CROWD * _CROWD))
+            near[i, j] = math.exp(-apart[i, j] / _SOFT)
             dx, dy = space[j, 0] - space[i, 0], space[j, 1] - space[i, 1]
             shared[i, j] = math.exp(-0.5 * (dx * dx + dy * dy) / (_SHARED * _SHARED))
             length = math.hypot(head[i, 0], head[i, 1])
@@ -70,12 +71,14 @@ def _of_frame(
             far = apart[i, j]
             if far > REACH:
                 continue
-            both, before_one, before_other = 0.0, 0.0, 0.0
+            # Each k is nearer than the other one by a logistic function of distances, which is a ratio. The
+            # other one counts for a half, which is taken off, and somebody is not near to themselves.
+            both, before_one, before_other = 0.0, -0.5, -0.5
+            here = near[i, j]
             for k in range(people):
                 both += shared[i, k] * shared[j, k]
-                if k != i and k != j:
-                    before_one += 1.0 / (1.0 + math.exp(min((apart[i, k] - far) / _SOFT, 50.0)))
-                    before_other += 1.0 / (1.0 + math.exp(min((apart[j, k] - far) / _SOFT, 50.0)))
+                before_one += near[i, k] / (near[i, k] + here)
+                before_other += near[j, k] / (near[j, k] + here)
             ahead = math.hypot(space[i, 0] - position[j, 0], space[i, 1] - position[j, 1])
             other = math.hypot(space[j, 0] - position[i, 0], space[j, 1] - position[i, 1])
             found[at, 0] = math.log1p(both)
@@ -100,7 +103,7 @@ def _near_pairs(position: FloatArray, first: IntArray) -> int:
 
 
 @compiled
-def _of_frames(
+def of_frames(
     position: FloatArray,
     body: FloatArray,
     head: FloatArray,
@@ -110,6 +113,7 @@ def _of_frames(
     right: IntArray,
     found: FloatArray,
 ) -> int:
+    """Write the pairs of all frames, as `pair_features` gives them; how many there are."""
     at = 0
     for k in range(len(first) - 1):
         rows = slice(first[k], first[k + 1])
@@ -136,5 +140,5 @@ def pair_features(people: People, stride: float) -> tuple[IntArray, IntArray, Fl
     left, right = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     found = np.empty((count, len(FEATURES)))
     arrays = (people.position, people.body, people.head, people.first)
-    end = _of_frames(*arrays, stride, left, right, found)
+    end = of_frames(*arrays, stride, left, right, found)
     return left[:end], right[:end], found[:end]

@@ -10,7 +10,7 @@ import numpy as np
 
 from graphtrack.behaviour.evidence import PairEvidence, pair_evidence, with_bodies
 from graphtrack.behaviour.learned import DEFAULT
-from graphtrack.behaviour.numbering import numbered
+from graphtrack.behaviour.numbering import Numbering, numbered
 from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.behaviour.partition import partitions
 from graphtrack.behaviour.people import IntArray, People, people_of
@@ -98,8 +98,15 @@ def groups(
     return groups_of(people, chosen, pair_evidence(people, chosen, both_sides=not online))
 
 
-def groups_of(people: People, parameters: GroupParameters, evidence: PairEvidence) -> Groups:
-    """The partition of every frame under the evidence of pairs."""
+def groups_of(
+    people: People, parameters: GroupParameters, evidence: PairEvidence, numbering: Numbering | None = None
+) -> Groups:
+    """The partition of every frame under the evidence of pairs.
+
+    Parameters
+    ----------
+    numbering : that knows the frames before; None: there are none
+    """
     odds = evidence.odds - evidence.caution
     label = partitions(people.first, evidence.start, evidence.left, evidence.right, odds, parameters.apart)
     size = np.bincount(label, minlength=len(people))[label]
@@ -112,7 +119,7 @@ def groups_of(people: People, parameters: GroupParameters, evidence: PairEvidenc
         people.frame[frame_of],
         people.t[frame_of],
         people.ids[people.person],
-        numbered(people, label, size, parameters.look_seconds),
+        numbered(people, label, size, numbering or Numbering(parameters.look_seconds)),
         kind,
         _probability(people, evidence, within, size, parameters.apart),
         _centres(with_bodies(people, parameters.head_spread), label, size, kind, parameters.stride),

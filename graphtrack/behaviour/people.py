@@ -88,6 +88,12 @@ def _rows(track: Track, online: bool) -> tuple[np.ndarray, ...]:
     )
 
 
+def expected_unit(angle: FloatArray, variance: FloatArray) -> FloatArray:
+    """(n, 2) mean of the unit vector of an angle, rad, with a variance, rad²; 0 where it is unknown."""
+    vector: FloatArray = np.nan_to_num(np.exp(-0.5 * variance)[:, None] * unit(angle))
+    return vector
+
+
 def expected_direction(track: Track, name: str) -> FloatArray:
     """(n, 2) mean of the unit vector of ``body`` or ``head``; 0 where the angle is unknown."""
     angle: FloatArray | None = getattr(track, name)
@@ -97,8 +103,8 @@ def expected_direction(track: Track, name: str) -> FloatArray:
     kappa: FloatArray | None = getattr(track, f"{name}_kappa")
     if track.covariance is not None:
         place = STATE.index(name)
-        length = np.exp(-0.5 * track.covariance[:, place, place])
-    elif kappa is not None:
+        return expected_unit(angle, track.covariance[:, place, place])
+    if kappa is not None:
         length = np.where(np.isnan(kappa), 1.0, mean_resultant_length(np.nan_to_num(kappa)))
     return np.nan_to_num(length[:, None] * unit(angle))
 

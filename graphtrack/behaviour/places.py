@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from graphtrack import bounds
+from graphtrack.behaviour.looking import half_angle
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.io.numbers import expected_number, parse_number
@@ -47,12 +48,6 @@ class Place:
         low, high = turned.min(axis=1), turned.max(axis=1)
         half = np.where(_inside(position, self.outline), np.pi, 0.5 * (high - low))
         return bearing + 0.5 * (low + high), half, far
-
-
-def half_angle(radius: float, far: FloatArray) -> FloatArray:
-    """Half the angle, radians, under which a disc is seen; π from inside it."""
-    sine = radius / np.maximum(far, 1e-9)
-    return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi)
 
 
 def _inside(position: FloatArray, outline: FloatArray) -> np.ndarray:

@@ -13,6 +13,8 @@ from graphtrack.model.kernels.compiled import compiled
 
 _BEGINNING = 0.5
 """Seconds that the first frame counts for where nobody knows when the next one will come."""
+FORGOTTEN = 5.0
+"""Times of averaging after which, where the past alone counts, two who meet again meet for the first time."""
 
 
 def averaged(
@@ -39,6 +41,19 @@ def averaged(
 
 
 @compiled
+def since(gap: float, seconds: float) -> tuple[float, float]:
+    """How many seconds a frame counts for where the past alone does, and the share of the past that stays.
+
+    Parameters
+    ----------
+    gap : seconds from the frame before; infinite for the first
+    """
+    if gap > FORGOTTEN * seconds:
+        return min(_BEGINNING, seconds), 0.0
+    return min(gap, seconds), math.exp(-gap / seconds)
+
+
+@compiled
 def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, both: bool) -> FloatArray:
     n = len(pair)
     before = np.empty((n, 2))
@@ -46,14 +61,15 @@ def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float,
     for k in range(n):
         low = t[k] - t[k - 1] if k > 0 and pair[k - 1] == pair[k] else math.inf
         high = t[k + 1] - t[k] if k + 1 < n and pair[k + 1] == pair[k] else math.inf
-        if not both:  # the future is unknown
-            high = low if low < math.inf else _BEGINNING
-        if low == math.inf or high == math.inf:
-            about = min(low, high, seconds)
+        if not both:
+            about, fade = since(low, seconds)
         else:
-            about = 0.5 * (min(low, seconds) + min(high, seconds))
+            if low == math.inf or high == math.inf:
+                about = min(low, high, seconds)
+            else:
+                about = 0.5 * (min(low, seconds) + min(high, seconds))
+            fade = math.exp(-low / seconds)
         weight[k] = about
-        fade = math.exp(-low / seconds)
         before[k, 0], before[k, 1] = about * values[k], about
         if fade > 0.0:
             before[k, 0] += fade * before[k - 1, 0]
@@ -69,3 +85,64 @@ def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float,
             after, total = 0.0, 0.0
         found[k] = (before[k, 0] + after) / (before[k, 1] + total)
     return found
+
+
+@compiled
+def merged(
+    known: IntArray,
+    last: FloatArray,
+    sums: FloatArray,
+    pairs: IntArray,
+    values: FloatArray,
+    of: IntArray,
+    seconds: FloatArray,
+    t: float,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Take in a frame's pairs: all that are still known, when last seen, their sums; the averages of these.
+
+    Parameters
+    ----------
+    known, pairs : (k, 2), (n, 2) ids, both ascending by the second, then by the first
+    last : (k,) seconds
+    sums : (k, 8) of the values of each pair, times the seconds that they count for, and of the seconds
+    values : (n, 5)
+    of : (5,) which of the times of averaging each value has
+    seconds : (3,)
+    """
+    size, count = values.shape[1], len(pairs)
+    room = len(known) + count
+    all_pairs, all_last = np.empty((room, 2), dtype=np.int64), np.empty(room)
+    all_sums, means = np.empty((room, sums.shape[1])), np.empty((count, size))
+    at, k, n = 0, 0, 0
+    while k < len(known) or n < count:
+        before = n == count or (
+            k < len(known)
+            and (known[k, 1] < pairs[n, 1] or (known[k, 1] == pairs[n, 1] and known[k, 0] < pairs[n, 0]))
+        )
+        if before:
+            if t - last[k] <= FORGOTTEN * seconds.max():
+                all_pairs[at], all_last[at], all_sums[at] = known[k], last[k], sums[k]
+                at += 1
+            k += 1
+            continue
+        met = k < len(known) and known[k, 0] == pairs[n, 0] and known[k, 1] == pairs[n, 1]
+        gap = t - last[k] if met else math.inf
+        all_pairs[at], all_last[at] = pairs[n], t
+        for part in range(len(seconds)):
+            about, fade = since(gap, seconds[part])
+            weight = about
+            if fade > 0.0:
+                weight += fade * sums[k, size + part]
+            all_sums[at, size + part] = weight
+            for j in range(size):
+                if of[j] != part:
+                    continue
+                total = about * values[n, j]
+                if fade > 0.0:
+                    total += fade * sums[k, j]
+                all_sums[at, j] = total
+                means[n, j] = total / weight if seconds[part] > 0.0 else values[n, j]
+        at += 1
+        k += met
+        n += 1
+    return all_pairs[:at].copy(), all_last[:at].copy(), all_sums[:at].copy(), means

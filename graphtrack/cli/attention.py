@@ -20,14 +20,7 @@ def attention(
     inputs: options.Inputs,
     output: Table,
     reading: options.SceneReading,
-    places: Annotated[
-        Path | None,
-        typer.Option(
-            "--places",
-            help="CSV of what else may be looked at: name and x, y, radius, or name and polygon (x y x y …).",
-            show_default=False,
-        ),
-    ] = None,
+    places: options.Places = None,
     model: Smoothing = None,
     online: Annotated[
         bool, typer.Option("--online", help="In each frame the past alone counts, as in a live scene.")

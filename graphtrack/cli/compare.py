@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from graphtrack.evaluation.compare import Comparison
 
 FIGURES = ("errors.png", "nees.png")
-"""What `write_figures` writes."""
+"""What `write_figures` writes, and with --reliability one more."""
+
+RELIABILITY = "reliability.png"
 
 _TRACKERS = "Trackers, from detections without identities"
 
@@ -86,6 +88,14 @@ def compare(
     seed: options.Seed = 0,
     json_path: options.Json = None,
     figures: Annotated[Path | None, typer.Option("--figures", help="Folder for figures (PNG).")] = None,
+    reliability: Annotated[
+        bool,
+        typer.Option(
+            "--reliability",
+            help="How honest uncertainties are: NEES and coverage of 50, 90 and 95 % intervals for position, "
+            "velocity, body and head; with --figures a figure of it.",
+        ),
+    ] = False,
     truth: Annotated[
         Path | None,
         typer.Option(
@@ -124,6 +134,7 @@ def compare(
         of_tracks: dict[str, object] = {
             "--occlude": occlude,
             "--figures": figures,
+            "--reliability": reliability,
             "--position-noise": position_noise,
         }
         of_tracks |= {"--body-kappa": body_kappa, "--head-kappa": head_kappa}
@@ -144,7 +155,10 @@ def compare(
     from graphtrack.simulation.degrade import add_noise
 
     options.check_outputs(
-        {"--json": json_path, "--figures": options.files_in(figures, FIGURES)},
+        {
+            "--json": json_path,
+            "--figures": options.files_in(figures, (*FIGURES, *([RELIABILITY] if reliability else []))),
+        },
         reading.inputs(inputs, model),
     )
     if figures is not None:
@@ -165,6 +179,8 @@ def compare(
             "a track that one of them can estimate",
         )
     print_comparison(found)
+    if reliability:
+        print_reliability(found)
     if model is not None and model not in presets:
         console.print(f"  the model is {model}", markup=False)
     print_failures(found)
@@ -173,7 +189,7 @@ def compare(
             temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
         console.print(f"wrote {json_path}", markup=False)
     if figures is not None:
-        write_figures(found, figures)
+        write_figures(found, figures, reliability)
 
 
 def print_comparison(comparison: Comparison) -> None:
@@ -202,6 +218,22 @@ def print_comparison(comparison: Comparison) -> None:
     console.print(comparison.caption, markup=False)
 
 
+def print_reliability(comparison: Comparison) -> None:
+    """NEES by method and quantity, and how often intervals hold the truth, on standard output."""
+    rows = [
+        {
+            "method": row["method"],
+            "": row["group"],
+            "of": row["quantity"],
+            "NEES / dof": row["nees"],
+            "± (95 %)": row["nees_error"],
+            **{f"{level} % holds\n(%)": f"{100.0 * row[f'coverage_{level}']:.0f}" for level in (50, 90, 95)},
+        }
+        for row in comparison.calibration
+    ]
+    print_table("Reliability: NEES should be 1, and an interval hold the truth as often as it says", rows)
+
+
 def print_failures(comparison: Comparison) -> None:
     """Which methods failed and which tracks were left out, why, and how many."""
     reasons: dict[tuple[str, str], list[int]] = {}
@@ -214,16 +246,18 @@ def print_failures(comparison: Comparison) -> None:
         console.print(f"  {what} {which}: {reason}", markup=False)
 
 
-def write_figures(comparison: Comparison, folder: Path) -> None:
-    """Figures of errors and NEES, as PNG files in a folder."""
+def write_figures(comparison: Comparison, folder: Path, reliability: bool = False) -> None:
+    """Figures of errors and NEES, and of the reliability if asked for, as PNG files in a folder."""
     from graphtrack.io import atomic_path
-    from graphtrack.report.plots import plot_errors, plot_nees
+    from graphtrack.report.plots import plot_errors, plot_nees, plot_reliability
 
     options.make_folder(folder)
-    made = [plot_errors(comparison.rows)]
+    made = {FIGURES[0]: plot_errors(comparison.rows)}
     if comparison.nees:
-        made.append(plot_nees(comparison.nees))
-    for name, figure in zip(FIGURES, made, strict=False):
+        made[FIGURES[1]] = plot_nees(comparison.nees)
+    if reliability and comparison.calibration:
+        made[RELIABILITY] = plot_reliability(comparison.calibration)
+    for name, figure in made.items():
         with atomic_path(folder / name) as temporary:
             figure.savefig(temporary, format="png", dpi=120)
         console.print(f"wrote {folder / name}", markup=False)

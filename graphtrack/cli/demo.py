@@ -63,6 +63,7 @@ def demo(
         title="graphtrack demo",
         comparison=comparison.rows,
         consistency=comparison.nees,
+        calibration=comparison.calibration,
     )
     write_report(out / REPORT, report)
     console.print(f"the report is {out / REPORT}", markup=False)

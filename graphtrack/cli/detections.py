@@ -9,6 +9,7 @@ from typing import Any
 from graphtrack.association.shown import descriptors_of
 from graphtrack.association.tracker import OnlineTracker
 from graphtrack.cli.stream import Told, error_row, estimate_row, observation_of, text_of
+from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, SceneBehaviour
 from graphtrack.cli.stream_forecast import told as told_forecast
 from graphtrack.errors import InputError
 from graphtrack.inference.state import pack_observation, unpack_observation
@@ -22,10 +23,10 @@ Name = str | int
 
 
 class Frame:
-    """A stream: its tracker, and the frame whose end is not known yet."""
+    """A stream: its tracker, what is told of its people besides, and the frame whose end is not known yet."""
 
-    def __init__(self, tracker: OnlineTracker) -> None:
-        self.tracker = tracker
+    def __init__(self, tracker: OnlineTracker, behaviour: SceneBehaviour | None = None) -> None:
+        self.tracker, self.behaviour = tracker, behaviour
         self.t: float | None = None
         self.number: int | None = None
         self.seen: list[Observation] = []
@@ -33,12 +34,13 @@ class Frame:
     def state(self) -> dict[str, Any]:
         """What going on takes, as JSON-able data; see `restore`."""
         waiting = [pack_observation(one) for one in self.seen]
-        return {"tracker": self.tracker.state(), "t": self.t, "number": self.number, "seen": waiting}
+        found = {"tracker": self.tracker.state(), "t": self.t, "number": self.number, "seen": waiting}
+        return found if self.behaviour is None else {**found, BEHAVIOUR: self.behaviour.state()}
 
     @classmethod
-    def restore(cls, state: dict[str, Any], tracker: OnlineTracker) -> Frame:
-        """A stream that goes on where `state` was taken."""
-        frame = cls(tracker)
+    def restore(cls, state: dict[str, Any], tracker: OnlineTracker, asked: Asked | None = None) -> Frame:
+        """A stream that goes on where `state` was taken, given that the same was asked."""
+        frame = cls(tracker, None if asked is None else SceneBehaviour.restore(state[BEHAVIOUR], asked))
         frame.t, frame.number = state["t"], state["number"]
         frame.seen = [unpack_observation(one) for one in state["seen"]]
         return frame
@@ -57,6 +59,7 @@ class Scenes:
     note : is told of each unknown key, once
     forget : identities that rows have do not count; else such a row is an error
     horizon : (seconds, step) of forecasts that are told with each person; None: none are
+    asked : groups and attention that are told with each person; None: neither
 
     Attributes
     ----------
@@ -73,13 +76,19 @@ class Scenes:
         *,
         forget: bool = False,
         horizon: tuple[float, float] | None = None,
+        asked: Asked | None = None,
     ) -> None:
-        self._horizon = horizon
+        self._horizon, self._asked = horizon, asked
         self._make, self._fps, self._forget = make, fps, forget
         self._told = Told(note, {"stream", "end"})
         self.members: dict[Name, Frame] = {}
         self.rows = self.line = 0
         self.before_change: Callable[[Any], None] = lambda name: None
+
+    @property
+    def count(self) -> int:
+        """The people who are followed, in all streams."""
+        return sum(len(frame.tracker) for frame in self.members.values())
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
         """What is to be said after a line of input: nothing as long as the frame goes on."""
@@ -122,7 +131,7 @@ class Scenes:
         size = tracker.descriptor_size
         descriptors_of([one] if size or frame is None else [*frame.seen, one], size)
         if frame is None:
-            frame = Frame(tracker)
+            frame = self._begin(tracker)
         self.before_change(name)
         self.members[name] = frame
         found_rows = self._flush(name) if frame.t is not None and one.t > frame.t else []
@@ -133,7 +142,7 @@ class Scenes:
     def _end(self, name: Name, t: float) -> list[dict[str, Any]]:
         frame = self.members.get(name)
         if frame is None:
-            frame = Frame(self._make())
+            frame = self._begin(self._make())
         if frame.t is not None and t < frame.t:
             raise InputError(f"end = {t:g}", f"a time from {frame.t:g} on", column="end")
         frame.tracker.check_time(t)
@@ -143,6 +152,9 @@ class Scenes:
         frame.t = t
         return rows + self._flush(name)
 
+    def _begin(self, tracker: OnlineTracker) -> Frame:
+        return Frame(tracker, None if self._asked is None else SceneBehaviour(self._asked))
+
     def _flush(self, name: Name) -> list[dict[str, Any]]:
         """Give the tracker the frame that has ended, and say whom it sees."""
         frame = self.members[name]
@@ -151,12 +163,14 @@ class Scenes:
         of_stream = {} if name == ONE else {"stream": name}
         people = frame.tracker.update(frame.t, frame.seen)
         ahead = {} if self._horizon is None else told_forecast(frame.tracker.forecast(*self._horizon))
+        more = {} if frame.behaviour is None else frame.behaviour.columns(frame.t, people)
         number = frame.tracker.updates - 1 if frame.number is None else frame.number
         rows: list[dict[str, Any]] = []
         for person in people:
             row = estimate_row(person.track_id, person) | {"frame": number}
             sure = person.identity_p if person.observed else None
             row |= {"identity_p": sure, "observed": float(person.observed)}
+            row |= more.get(person.track_id, {})
             if person.track_id in ahead:
                 row["forecast"] = ahead[person.track_id]
             rows.append(of_stream | row)

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any
@@ -18,12 +19,14 @@ from typing import IO, Any
 import numpy as np
 
 from graphtrack.association.tracker import OnlineTracker
+from graphtrack.behaviour import warm
 from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.cli.console import console, counted, progress_bar
 from graphtrack.cli.detections import Frame, Scenes
 from graphtrack.cli.saving import Answering, Saving, saved_setting, settings_of
 from graphtrack.cli.state_file import StateFile
 from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds, text_of
+from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour
 from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
@@ -78,6 +81,7 @@ def track_stream(
     save_every: float,
     associate: Associate = "auto",
     horizon: tuple[float, float] | None = None,
+    asked: Asked | None = None,
     listener: Listener = Listener(),
     bounds: StreamBounds = StreamBounds(),
 ) -> tuple[int, int]:
@@ -92,6 +96,7 @@ def track_stream(
     associate : whether rows are detections without identity: "always", forgetting those they have; "never";
         "auto": if the first one has none
     horizon : (seconds, step) of forecasts that are told; None: none are
+    asked : groups and attention that are told; None: neither
     listener : is told what is no answer
     bounds : of people with identities
 
@@ -114,21 +119,31 @@ def track_stream(
         if are_detections is None:
             lines, are_detections = _first_is_detection(lines)
         if not are_detections:
-            forecasts = None if horizon is None else FrameForecasts(times_ahead(*horizon))
-            people = People(lambda: OnlineSmoother(model, **options), fps, listener.note, forecasts, bounds)
-            return lines, people, lambda saved: OnlineSmoother.from_state(saved, model, **options)
+            ahead = None if horizon is None else times_ahead(*horizon)
+            forecasts = None if ahead is None else FrameForecasts(ahead)
+            behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
+
+            def restore_one(saved: Any) -> OnlineSmoother | FrameForecasts | FrameBehaviour:
+                if ahead is not None and "forecaster" in saved:
+                    return FrameForecasts.from_state(ahead, saved)
+                if asked is not None and BEHAVIOUR in saved:
+                    return FrameBehaviour.restore(saved, asked)
+                return OnlineSmoother.from_state(saved, model, **options)
+
+            make = partial(OnlineSmoother, model, **options)
+            people = People(make, fps, listener.note, forecasts, behaviour, bounds)
+            return lines, people, restore_one
 
         def restore(saved: Any) -> Frame:
-            return Frame.restore(saved, OnlineTracker.from_state(saved["tracker"], model, **options))
+            return Frame.restore(saved, OnlineTracker.from_state(saved["tracker"], model, **options), asked)
 
         forget = associate == "always"
-        scenes = Scenes(
-            lambda: OnlineTracker(model, **options), fps, listener.note, forget=forget, horizon=horizon
-        )
+        more: dict[str, Any] = {"forget": forget, "horizon": horizon, "asked": asked}
+        scenes = Scenes(lambda: OnlineTracker(model, **options), fps, listener.note, **more)
         return lines, scenes, restore
 
     known = {"never": False, "always": True}.get(associate)
-    warm_up(model, chosen)
+    warm_up(model, chosen, behaviour=asked is not None)
     if state is None:
         lines, rows, _ = answering(lines_of(stream, 1), known)
         return _answer(lines, rows, None, listener)
@@ -143,6 +158,8 @@ def track_stream(
         # GTSAM does not give away what iSAM2 knows: it has to see every row again.
         every = None if chosen == "isam2" else save_every
         settings |= {"detections": True} if isinstance(rows, Scenes) else {}
+        settings |= {} if horizon is None else {"forecast": list(horizon)}
+        settings |= {} if asked is None else asked.settings()
         saving = Saving(file, rows, settings, every)
         if file.entries:
             _go_on(saving, rows, restore, state, len(file.entries), listener)
@@ -254,21 +271,29 @@ def give(answer: dict[str, Any]) -> None:
         raise InputError(found, "a place for the answers", path="standard output") from error
 
 
-def warm_up(model: Model, engine: OnlineEngine) -> None:
+def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False) -> None:
     """Load what the chain's window runs, beside GTSAM too; what was never compiled here is compiled first.
 
     Compiling is left to a process of its own: code as it is compiled and the same code from the cache round
     differently, and a run that is gone on with must round as the run before.
+
+    Parameters
+    ----------
+    behaviour : whether groups and attention are to be told, too
     """
-    if engine != "chain" and not model.has_modes:
-        return
-    if any(map(is_cold, online_rehearsal(model).called)):
+    window = engine == "chain" or model.has_modes
+    rehearsals = [online_rehearsal(model)] if window else []
+    rehearsals += [warm.online_rehearsal()] if behaviour else []
+    if any(is_cold(kernel) for one in rehearsals for kernel in one.called):
         preset = "full" if model.has_modes else "joint"
-        code = f"from {__name__} import load; load({preset!r})"
+        code = f"from {__name__} import load; load({(preset if window else None)!r}, {behaviour})"
         subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
-    load(model)
+    load(model if window else None, behaviour)
 
 
-def load(model: Model | str) -> None:
-    """Have the compiled window's code in this process; compile what there is none of."""
-    make_ready(ONLINE, online_rehearsal(Model.named(model)))
+def load(model: Model | str | None, behaviour: bool = False) -> None:
+    """Have the compiled window's code in this process, and that of groups and attention; or compile it."""
+    if model is not None:
+        make_ready(ONLINE, online_rehearsal(Model.named(model)))
+    if behaviour:
+        make_ready(warm.ONLINE, warm.online_rehearsal())

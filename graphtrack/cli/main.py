@@ -15,6 +15,7 @@ from graphtrack.cli import (
     forecast,
     groups,
     info,
+    report,
     reproduce,
     score,
     serve,
@@ -65,6 +66,7 @@ app.command("groups")(expanded(groups.groups))
 app.command("attention")(expanded(attention.attention))
 app.command("fit")(expanded(fit.fit))
 app.command("forecast")(expanded(forecast.forecast))
+app.command("report")(expanded(report.report))
 app.command("reproduce")(reproduce.reproduce)
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)

@@ -138,7 +138,25 @@ Select = Annotated[
         rich_help_panel=_READING,
     ),
 ]
+TrustNoise = Annotated[
+    Literal["declared", "check", "learn"] | None,
+    typer.Option(
+        "--trust",
+        help="What the noise that the file or the model declares is worth: declared, it is taken as it is; "
+        "check, a note says where the data contradict it; learn, it is corrected there. By default check; "
+        "declared of what is streamed.",
+        show_default=False,
+    ),
+]
 Json = Annotated[Path | None, typer.Option("--json", help="Write the numbers as JSON too.")]
+Places = Annotated[
+    Path | None,
+    typer.Option(
+        "--places",
+        help="CSV of what else may be looked at: name and x, y, radius, or name and polygon (x y x y …).",
+        show_default=False,
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers.")]
 
 

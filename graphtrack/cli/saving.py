@@ -24,6 +24,10 @@ class Answering(Protocol):
     members: Any
     before_change: Callable[[Any], None]
 
+    @property
+    def count(self) -> int:
+        """The people who are followed."""
+
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
         """What is to be said after a line of input."""
 
@@ -163,8 +167,8 @@ class Saving:
     def _begin(self) -> None:
         people = self._people
         self._last = self._clock()
-        changed = self._changed | set(self._left or ())
-        self._left = {track_id: None for track_id in people.members if track_id in changed}
+        due = self._changed | set(self._left or ()) | (set(people.members) - set(self._sealed))
+        self._left = {track_id: None for track_id in people.members if track_id in due}
         self._changed.clear()
         self._members = list(people.members)
         self._header = seal(

@@ -37,6 +37,13 @@ def serve(
             show_default=False,
         ),
     ] = None,
+    groups: Annotated[
+        bool, typer.Option("--groups", help="Tell who stands in conversation, or walks, with whom.")
+    ] = False,
+    attention: Annotated[
+        bool, typer.Option("--attention", help="Tell who looks at whom, and at which --places.")
+    ] = False,
+    places: options.Places = None,
     state: Annotated[
         Path | None,
         typer.Option(
@@ -81,6 +88,7 @@ def serve(
 ) -> None:
     """Serve streams of rows over WebSocket and HTTP, with health and metrics."""
     from graphtrack.cli.stream_forecast import STEP
+    from graphtrack.cli.track import asked_of
     from graphtrack.errors import InputError
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.inference.online import check_lag, online_engine
@@ -103,6 +111,7 @@ def serve(
         lag,
         fps,
         None if homography is None else GroundCamera.from_homography(read_homography(homography)),
+        asked=asked_of(groups, attention, places),
         horizon=None if forecast is None else (forecast, min(STEP, forecast)),
         save_every=save_every,
     )

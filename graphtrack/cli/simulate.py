@@ -11,6 +11,7 @@ from graphtrack.cli import options
 from graphtrack.cli.console import console
 from graphtrack.display import counted
 from graphtrack.errors import InputError
+from graphtrack.simulation import WALKING_PACE
 
 PositionNoise = Annotated[
     float | None, typer.Option("--position-noise", help="1-σ of the noise on each axis, metres.")
@@ -27,11 +28,7 @@ def simulate(
     output: options.Output,
     model: Annotated[
         str,
-        typer.Option(
-            "--model",
-            help="A preset or a model file (.toml). Of full the modes are not simulated: everybody faces "
-            "where they go.",
-        ),
+        typer.Option("--model", help="A preset or a model file (.toml)."),
     ] = "joint",
     tracks: Annotated[int, typer.Option("--tracks", min=1, help="People.")] = 10,
     steps: Annotated[int, typer.Option("--steps", min=1, help="Frames of each.")] = 200,
@@ -39,6 +36,14 @@ def simulate(
     missing: Annotated[
         float, typer.Option("--missing", min=0.0, max=1.0, help="Share of frames unseen.")
     ] = 0.0,
+    pace: Annotated[
+        float,
+        typer.Option(
+            "--pace",
+            help="How fast people go, m/s, the median; 0: as the model has it, ever faster.",
+        ),
+    ] = WALKING_PACE,
+    glances: Annotated[float, typer.Option("--glances", help="How often a minute people look aside.")] = 0.0,
     scenario: Annotated[
         bool, typer.Option("--scenario", help="The demo's six scripted people instead, who need no model.")
     ] = False,
@@ -92,8 +97,17 @@ def simulate(
         what, found = "the demo's people", scripted(rng, fps=fps, seconds=steps / fps)
     else:
         chosen = Model.named(model)
-        what = f"model {model}" + (", without its modes" if chosen.has_modes else "")
-        found = sample(chosen, n_tracks=tracks, n_steps=steps, fps=fps, missing=missing, rng=rng)
+        what = f"model {model}"
+        found = sample(
+            chosen,
+            n_tracks=tracks,
+            n_steps=steps,
+            fps=fps,
+            missing=missing,
+            rng=rng,
+            pace=pace or None,
+            glances=glances,
+        )
     write(found, output)
     console.print(
         f"wrote {output}: {counted(len(found), 'track')}, {found.n_frames} person-frames; {what}",

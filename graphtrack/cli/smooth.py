@@ -28,6 +28,7 @@ def smooth(
             help="auto takes chain, which is compiled, where it can; isam2 and fixed-lag are for track.",
         ),
     ] = "auto",
+    trust: options.TrustNoise = None,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -73,6 +74,7 @@ def smooth(
     from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.readiness import make_ready
+    from graphtrack.trust import trusted
 
     options.check_outputs(
         {"--output": output, "--report": report},
@@ -82,7 +84,12 @@ def smooth(
     chosen = Model.named(model)
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
-        unused = {"--report": report, "--class": reading.classes, "--image-scale": reading.image_scale}
+        unused: dict[str, object] = {
+            "--report": report,
+            "--class": reading.classes,
+            "--image-scale": reading.image_scale,
+        }
+        unused["--trust"] = trust not in (None, "declared")
         unused["--format"] = reading.format not in (None, "parquet")
         smooth_streamed(
             check_streamed(inputs, output, unused),
@@ -97,10 +104,13 @@ def smooth(
         )
         return
     tracks = reading.tracks(inputs, scene=chosen.scene)
+    observed, chosen, said = trusted(tracks, chosen, trust or "check")
+    for line in said:
+        console.print(f"  note: {line}", markup=False)
     make_ready(WHOLE, solver_rehearsal(chosen, solver, tracks.camera))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
-        found = solve_tracks(tracks, chosen, solver, jobs=jobs, progress=advance)
+        found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance)
     seconds = time.perf_counter() - start
     good = [result for result in found if isinstance(result, Solution)]
     bad = [result for result in found if isinstance(result, Failure)]

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from graphtrack.bounds import APPEARANCE, INPUT
-from graphtrack.cli.stream_forecast import FrameForecasts
+from graphtrack.cli.stream_behaviour import BEHAVIOUR, FrameBehaviour, merged
+from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.inference.online import Estimate, OnlineSmoother
@@ -52,11 +53,12 @@ class People:
     fps : frames a second, for rows without a time
     note : is told of each unknown key, once
     forecasts : of people, where they are asked for
+    behaviour : of the people of each frame, where it is asked for
     bounds : how many people there may be
 
     Attributes
     ----------
-    members : track id → smoother
+    members : track id → smoother, and the forecasts and the behaviour
     rows, line : rows answered, and the line of the last of them, from 1
     before_change : is called with a track id before its smoother takes something in
     """
@@ -67,14 +69,15 @@ class People:
         fps: float | None,
         note: Callable[[str], None] = print,
         forecasts: FrameForecasts | None = None,
+        behaviour: FrameBehaviour | None = None,
         bounds: StreamBounds = StreamBounds(),
     ) -> None:
         self._bounds, self._looked = bounds, -math.inf
         self._forecasts, self._before = forecasts, list[dict[str, Any]]()
         self._make, self._fps, self._told = make, fps, Told(note)
-        self.members: dict[int, OnlineSmoother] = {}
+        self.members: dict[Any, Any] = {} if behaviour is None else {BEHAVIOUR: behaviour}
         self.rows = self.line = 0
-        self.before_change: Callable[[int], None] = lambda track_id: None
+        self.before_change: Callable[[Any], None] = lambda track_id: None
 
     def answer(self, number: int, line: bytes) -> dict[str, Any]:
         """The estimate after a line of input, or what is wrong with it under ``error``."""
@@ -86,44 +89,79 @@ class People:
             cells = read_cells(pairs)
             observation = observation_of(cells, self._fps)
             track_id = cells["track_id"]
-            self._forget(observation.t)
-            smoother = self.members.get(track_id) or self._new()
+            smoother = self._smoother(track_id, observation.t)
             self.before_change(track_id)
             estimate = smoother.update(observation)
             self.members[track_id] = smoother
             if self._forecasts is not None:
-                self._before = self._forecasts.take(track_id, observation, estimate)
+                self._before = self._changing_forecasts().take(track_id, observation, estimate)
+            if BEHAVIOUR in self.members:
+                self.before_change(BEHAVIOUR)
+                behaviour = self.members[BEHAVIOUR].take(track_id, observation, estimate)
+                self._before = merged(behaviour, self._before)
         except InputError as error:
             return error_row(pairs, number, error)
         return estimate_row(track_id, estimate)
 
-    def _new(self) -> OnlineSmoother:
-        if self._bounds.people is not None and len(self.members) >= self._bounds.people:
-            raise InputError(f"one more than {self._bounds.people} people", "rows of those who are there")
+    def _smoother(self, track_id: int, now: float) -> OnlineSmoother:
+        """Of a person, a new one if they are new or were forgotten.
+
+        When others are forgotten makes no difference to anybody, so that a stream that is gone on with gives
+        the same answers.
+        """
+        if now >= self._looked + 1.0:
+            self._looked = now
+            self._forget(now)
+        found: OnlineSmoother | None = self.members.get(track_id)
+        if found is not None and not self._is_forgotten(found, now):
+            return found
+        most = self._bounds.people
+        if found is None and most is not None and self.count >= most:
+            self._forget(now)
+            if self.count >= most:
+                raise InputError(f"one more than {most} people", "rows of those who are there")
         return self._make()
 
-    def _forget(self, now: float) -> None:
-        """Drop who has not been heard of for long, looking once a second of the stream's own time."""
-        after = self._bounds.forget_after
-        if after is None or now < self._looked + 1.0:
-            return
-        self._looked = now
+    @property
+    def count(self) -> int:
+        """The people of whom something is kept."""
+        return len(self.members) - (BEHAVIOUR in self.members) - (FORECASTS in self.members)
+
+    def _is_forgotten(self, smoother: OnlineSmoother, now: float) -> bool:
+        after, last = self._bounds.forget_after, smoother.last
         # Who was never placed has no estimate, and nothing is kept of them.
-        known = ((one, smoother.last) for one, smoother in self.members.items())
-        gone = [one for one, last in known if last is None or last.t < now - after]
-        for one in gone:
-            self.before_change(one)
-            del self.members[one]
+        return after is not None and (last is None or last.t < now - after)
+
+    def _forget(self, now: float) -> None:
+        """Drop all who have not been heard of for long."""
+        members = self.members.items()
+        people = [(one, smoother) for one, smoother in members if isinstance(smoother, OnlineSmoother)]
+        for one, smoother in people:
+            if self._is_forgotten(smoother, now):
+                self.before_change(one)
+                del self.members[one]
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """What is to be said after a line of input: forecasts of the frame that it ends, and its `answer`."""
+        """What is to be said after a line of input: of a frame that it ends, and its `answer`."""
         answer, before = self.answer(number, line), self._before
         self._before = []
         return [*before, answer]
 
     def finish(self) -> list[dict[str, Any]]:
-        """What is to be said when no more rows come: of the last frame the forecasts."""
-        return [] if self._forecasts is None else self._forecasts.finish()
+        """What is to be said when no more rows come: what is told of the last frame."""
+        rows = [] if self._forecasts is None else self._changing_forecasts().finish()
+        if BEHAVIOUR in self.members:
+            self.before_change(BEHAVIOUR)
+            rows = merged(self.members[BEHAVIOUR].finish(), rows)
+        return rows
+
+    def _changing_forecasts(self) -> FrameForecasts:
+        """The forecasts, those of a state that is gone on with first, about to change."""
+        self.before_change(FORECASTS)
+        if FORECASTS not in self.members:
+            self.members[FORECASTS] = self._forecasts
+        found: FrameForecasts = self.members[FORECASTS]
+        return found
 
 
 class Told:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from graphtrack.association.packing import pack_tree, unpack_tree
 from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.state import Estimate
 from graphtrack.model import Observation
+
+FORECASTS = "forecasts"
+"""What forecasts are called among the members of a stream whose states are kept."""
 
 STEP = 0.4
 """Seconds between the times ahead that are told, where the horizon is no shorter."""
@@ -50,10 +55,33 @@ class FrameForecasts:
         self._t, self._frame = -np.inf, 0
         self._seen: dict[int, tuple[float, float, float, float]] = {}
 
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
+        return pack_tree(
+            {
+                "forecaster": self._forecaster.state(),
+                "t": self._t if np.isfinite(self._t) else None,
+                "frame": self._frame,
+                "ids": np.array(list(self._seen), np.int64),
+                "seen": np.array(list(self._seen.values()), float).reshape(-1, 4),
+            }
+        )
+
+    @classmethod
+    def from_state(cls, ahead: FloatArray, state: Mapping[str, Any]) -> FrameForecasts:
+        """Forecasts that go on where `state` was taken, for the same times (A,)."""
+        values = unpack_tree(state)
+        found = cls(ahead)
+        found._forecaster = Forecaster.from_state(values["forecaster"])
+        found._t = -np.inf if values["t"] is None else values["t"]
+        found._frame = values["frame"]
+        found._seen = dict(zip(values["ids"].tolist(), map(tuple, values["seen"].tolist()), strict=True))
+        return found
+
     def take(self, track_id: int, observation: Observation, estimate: Estimate) -> list[dict[str, Any]]:
         """Somebody is seen; the forecasts of the frame before, if that has ended. Late rows do not count."""
         t = observation.t
-        if estimate.status == "waiting" or t < self._t:
+        if estimate.status == "waiting" or t < self._t or t <= self._forecaster.t:
             return []
         rows = self.finish() if t > self._t else []
         self._t, self._frame = t, observation.frame
@@ -65,7 +93,7 @@ class FrameForecasts:
         return rows
 
     def finish(self) -> list[dict[str, Any]]:
-        """The forecasts of the frame that has ended, a row for each person."""
+        """The forecasts of the frame that has ended, a row for each person; later rows of it do not count."""
         if not self._seen:
             return []
         ids, values = list(self._seen), np.array(list(self._seen.values()))

@@ -14,6 +14,7 @@ from graphtrack.cli.console import BAD_INPUT, console, progress_bar
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 
 if TYPE_CHECKING:
+    from graphtrack.cli.stream_behaviour import Asked
     from graphtrack.inference.online import OnlineEngine
     from graphtrack.model import Model
     from graphtrack.table.rows import Rows
@@ -79,6 +80,13 @@ def track(
             show_default=False,
         ),
     ] = None,
+    groups: Annotated[
+        bool, typer.Option("--groups", help="With -: tell who stands in conversation, or walks, with whom.")
+    ] = False,
+    attention: Annotated[
+        bool, typer.Option("--attention", help="With -: tell who looks at whom, and at which --places.")
+    ] = False,
+    places: options.Places = None,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone."""
     from graphtrack.display import duration
@@ -89,7 +97,7 @@ def track(
 
     options.check_outputs(
         {"--output": output, "--state": state},
-        reading.inputs([] if input == "-" else [Path(input)], model),
+        {**reading.inputs([] if input == "-" else [Path(input)], model), "--places": places},
         table=output,
     )
     chosen = Model.named(model)
@@ -99,10 +107,16 @@ def track(
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
         _refuse_with_stream({"output": output} | reading.given())
-        _track_stream(chosen, engine, kept, reading, state, save_every, _horizon(forecast, state))
+        horizon, asked = _horizon(forecast), asked_of(groups, attention, places)
+        _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked)
         return
     if forecast is not None:
         raise InputError("--forecast with a file", "graphtrack forecast, which writes a table")
+    for name, given in (("groups", groups), ("attention", attention or places is not None)):
+        if given:
+            raise InputError(
+                f"--{name} with a file", f"graphtrack {name} --online, on the file that --output writes"
+            )
     if output is None:
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
@@ -179,18 +193,28 @@ def _seconds(lag: str) -> float | None:
         raise InputError(f"--lag {lag}", "a number of seconds, or none") from None
 
 
-def _horizon(forecast: float | None, state: Path | None) -> tuple[float, float] | None:
+def _horizon(forecast: float | None) -> tuple[float, float] | None:
     """The horizon and step of forecasts; InputError for what is none."""
     if forecast is None:
         return None
     from graphtrack.behaviour.forecast.forecaster import times_ahead
     from graphtrack.cli.stream_forecast import STEP
 
-    if state is not None:
-        raise InputError("--forecast with --state", "one of them: what forecasts learn is not kept")
     step = min(STEP, forecast)
     times_ahead(forecast, step)
     return forecast, step
+
+
+def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None:
+    """The groups and looks that are told; None: neither."""
+    if places is not None and not attention:
+        raise InputError("--places alone", "--attention beside it: who looks at them")
+    if not (groups or attention):
+        return None
+    from graphtrack.behaviour.places import read_places
+    from graphtrack.cli.stream_behaviour import Asked
+
+    return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 
 
 _OF_A_STREAM = ("fps", "homography", "point_pairs_unit", "associate")
@@ -210,6 +234,7 @@ def _track_stream(
     state: Path | None,
     save_every: float,
     horizon: tuple[float, float] | None,
+    asked: Asked | None,
 ) -> None:
     from graphtrack.cli.live import track_stream
     from graphtrack.geometry.camera import GroundCamera
@@ -229,6 +254,7 @@ def _track_stream(
         save_every=save_every,
         associate=given.associate,
         horizon=horizon,
+        asked=asked,
     )
     if wrong:
         console.print(f"error: {wrong} of {rows} rows could not be used", markup=False)

@@ -14,6 +14,7 @@ import numpy as np
 
 from graphtrack.display import counted, html_table, listed
 from graphtrack.errors import InputError
+from graphtrack.evaluation.calibration import calibration_rows
 from graphtrack.evaluation.methods import Method, make_method
 from graphtrack.evaluation.metrics import consistency
 from graphtrack.evaluation.scoring import METRICS, QUANTITIES, TrackScore, score
@@ -43,6 +44,10 @@ class Comparison:
         and 84th percentile), ``mean``, ``n`` (tracks)
     nees : one a method and quantity: ``method``, ``group``, ``quantity``, ``nees``, ``dof``, ``count``
         (tracks), ``low`` and ``high`` (95 % band), ``inside``
+    calibration : one a method and quantity (position, velocity, body, head): ``method``, ``group``,
+        ``model``, ``quantity``, ``nees`` per degree of freedom (1 is right) and ``nees_error`` (twice its
+        standard error), ``coverage_50``, ``coverage_90``, ``coverage_95`` (shares of the truth inside those
+        intervals), ``confidence`` and ``coverage``: the same at many probabilities, ``tracks``
     per_track : every method on every track
     information : method → what it used, in words
     models : method → preset of its model; "" where a method of your own has none
@@ -53,6 +58,7 @@ class Comparison:
 
     rows: tuple[Mapping[str, Any], ...]
     nees: tuple[Mapping[str, Any], ...]
+    calibration: tuple[Mapping[str, Any], ...]
     per_track: tuple[TrackScore, ...]
     information: Mapping[str, str]
     models: Mapping[str, str]
@@ -93,6 +99,7 @@ class Comparison:
             "occlude_seconds": self.occlude_seconds,
             "rows": [dict(row) for row in self.rows],
             "nees": [dict(row) for row in self.nees],
+            "calibration": [dict(row) for row in self.calibration],
             "per_track": [asdict(record) for record in self.per_track],
             "left_out": [{"track_id": i, "reason": reason} for i, reason in self.left_out.items()],
         }
@@ -164,6 +171,7 @@ def compare(
     return Comparison(
         rows=tuple(_rows(made, pooled)),
         nees=tuple(_nees(made, pooled)),
+        calibration=tuple(_calibration(made, pooled)),
         per_track=tuple(records),
         information={method.name: method.information for method in made},
         models={method.name: _preset(method) for method in made},
@@ -273,6 +281,12 @@ def _nees(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[
                 continue
             heading = {"method": method.name, "group": _group(method), "quantity": quantity}
             yield {**heading, **asdict(found), "inside": found.inside}
+
+
+def _calibration(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
+    headings = [{"method": m.name, "group": _group(m), "model": _preset(m)} for m in methods]
+    parts = [[record.calibration for record in records if record.method == m.name] for m in methods]
+    yield from calibration_rows(headings, parts)
 
 
 def _caption(

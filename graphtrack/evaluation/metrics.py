@@ -58,10 +58,21 @@ def position_nees(estimate: Track, truth: Track) -> FloatArray:
 
     NaN where the error or its covariance is not known, or the covariance is not positive definite.
     """
-    found = np.full(len(truth), np.nan)
     if truth.true_position is None or estimate.covariance is None:
-        return found
-    error, covariance = estimate.position - truth.true_position, estimate.covariance[:, :2, :2]
+        return np.full(len(truth), np.nan)
+    return _plane_nees(estimate.position - truth.true_position, estimate.covariance[:, :2, :2])
+
+
+def velocity_nees(estimate: Track, truth: Track, velocity: FloatArray | None = None) -> FloatArray:
+    """The same of the velocities, against ``velocity`` (n, 2) in m/s; by default `true_velocity`."""
+    if estimate.velocity is None or estimate.covariance is None:
+        return np.full(len(truth), np.nan)
+    known = true_velocity(truth) if velocity is None else velocity
+    return _plane_nees(estimate.velocity - known, estimate.covariance[:, 2:4, 2:4])
+
+
+def _plane_nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
+    found = np.full(len(error), np.nan)
     determinant = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] * covariance[:, 1, 0]
     with np.errstate(invalid="ignore"):
         # Beyond rounding: paths of particles that share an ancestor leave a covariance of rank 1 or 0.

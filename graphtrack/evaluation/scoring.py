@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from graphtrack.evaluation.calibration import TrackCalibration, track_calibration
 from graphtrack.evaluation.methods import Method
 from graphtrack.evaluation.metrics import (
     Angle,
@@ -47,6 +48,7 @@ class TrackScore:
     frames : frames that were scored
     metrics : metric → value, in the units of `METRICS`; without those that the method does not estimate
     nees : quantity → mean over the scored frames
+    calibration : quantity → NEES per degree of freedom, and how often intervals hold the truth
     failure : why there is nothing; "" where there is
     """
 
@@ -56,6 +58,7 @@ class TrackScore:
     frames: int = 0
     metrics: Mapping[str, float] = field(default_factory=dict)
     nees: Mapping[str, float] = field(default_factory=dict)
+    calibration: Mapping[str, TrackCalibration] = field(default_factory=dict)
     failure: str = ""
 
 
@@ -103,7 +106,11 @@ def score(
         metrics[f"{name} error"] = angular_error(estimate, track, name, mask)
         nees[name] = _mean(angle_nees(estimate, track, name)[mask])
     return replace(
-        empty, frames=int(mask.sum()), metrics=_without_missing(metrics), nees=_without_missing(nees)
+        empty,
+        frames=int(mask.sum()),
+        metrics=_without_missing(metrics),
+        nees=_without_missing(nees),
+        calibration=track_calibration(estimate, track, mask),
     )
 
 

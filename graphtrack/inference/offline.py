@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
-from graphtrack.errors import NO_POSITION, InputError, SolveError
+from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
@@ -24,14 +25,16 @@ from graphtrack.inference.solution import (
     OfflineEngine,
     Solution,
     SolverOptions,
-    bounded,
     estimated_track,
+    seconds_to_ends,
+    stated,
 )
 from graphtrack.inference.warm import WHOLE, solver_rehearsal
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track, TrackSet
+from graphtrack.trust import Trust, trusted
 
 if TYPE_CHECKING:
     from graphtrack.io.given import Given, Scene
@@ -84,6 +87,7 @@ def solve(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
+    trust: Trust = "declared",
 ) -> list[Solution | Failure]:
     """Smooth every track; one that fails does not keep the others from coming out.
 
@@ -97,6 +101,8 @@ def solve(
         the interpreter's lock, by default one
     options : tolerances of the solver
     progress : called with the numbers of person-frames that are done
+    trust : "declared": observations are as noisy as they, or the model, say; "check": warn where the data
+        contradict that; "learn": correct it there, warn, and go on
 
     Returns
     -------
@@ -104,7 +110,9 @@ def solve(
     """
     model = Model.named(model)
     solver = engine_of(model, engine)
-    given = tracks_of(tracks, scene=model.scene)
+    given, model, said = trusted(tracks_of(tracks, scene=model.scene), model, trust)
+    for line in said:
+        warnings.warn(line, InputWarning, stacklevel=2)
     return solve_tracks(given, model, solver, jobs=jobs, options=options, progress=progress)
 
 
@@ -153,6 +161,7 @@ def smooth(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
+    trust: Trust = "declared",
 ) -> Track: ...
 
 
@@ -165,6 +174,7 @@ def smooth(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
+    trust: Trust = "declared",
 ) -> TrackSet: ...
 
 
@@ -176,6 +186,7 @@ def smooth(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
+    trust: Trust = "declared",
 ) -> TrackSet | Track:
     """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
 
@@ -193,7 +204,7 @@ def smooth(
     """
     model = Model.named(model)
     given = tracks_of(tracks, scene=model.scene)
-    found = solve(given, model, engine=engine, jobs=jobs, options=options, progress=progress)
+    found = solve(given, model, engine=engine, jobs=jobs, options=options, progress=progress, trust=trust)
     for result in found:
         if isinstance(result, Failure):
             raise SolveError(result.track_id, result.reason)
@@ -266,7 +277,8 @@ def _solve_chains(
     finite = np.logical_and.reduceat(np.isfinite(found.states[:, :4]).all(axis=1), begins)
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
-    covariance = bounded(found.covariance)
+    ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
+    covariance = stated(found.covariance, model.parameters, ends)
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         a, b = packed.offsets[m], packed.offsets[m + 1]

@@ -99,7 +99,7 @@ class OnlineSmoother:
     relinearize_threshold : isam2: change of a variable beyond which the factors of its step are linearised
         again (metres, m/s, radians)
     step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
-        than this (metres, m/s, radians); by default one mostly does, and the errors are no larger for it
+        than this (metres, m/s, radians); by default one or two mostly do, and the errors are no larger for it
     max_iterations : or after so many
 
     Examples
@@ -118,7 +118,7 @@ class OnlineSmoother:
         lag: float | None = 2.0,
         camera: GroundCamera | None = None,
         relinearize_threshold: float = 0.1,
-        step_tolerance: float = 0.5,
+        step_tolerance: float = 0.1,
         max_iterations: int = 20,
     ) -> None:
         if not relinearize_threshold > 0.0:

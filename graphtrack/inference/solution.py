@@ -9,6 +9,8 @@ import numpy as np
 
 from graphtrack.display import counted, html_pairs, line_of_track
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
+from graphtrack.model.parameters import Parameters
+from graphtrack.model.sway import head_lag, lagging, swaying
 from graphtrack.tracks import Track
 
 OfflineEngine = Literal["chain", "gtsam"]
@@ -78,19 +80,51 @@ class Failure:
     reason: str
 
 
-def bounded(covariance: FloatArray) -> FloatArray:
-    """Covariances (..., 6, 6) with no angle less certain than the uniform density on the circle."""
-    if covariance.ndim == 2:  # of one state, at every observation
-        if not (covariance[4, 4] > UNIFORM_STD**2 or covariance[5, 5] > UNIFORM_STD**2):
-            return covariance
-    elif not (covariance[..., (4, 5), (4, 5)] > UNIFORM_STD**2).any():
-        return covariance
-    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
-    shrink = np.ones_like(variance)
-    with np.errstate(invalid="ignore"):
-        shrink[..., 4:] = np.minimum(1.0, UNIFORM_STD / np.sqrt(variance[..., 4:]))
-    shrink = np.where(np.isfinite(shrink), shrink, 1.0)
-    return covariance * shrink[..., :, None] * shrink[..., None, :]
+def stated(covariance: FloatArray, parameters: Parameters, ends: FloatArray | float = 0.0) -> FloatArray:
+    """Covariances (..., 6, 6) as estimates state them, from the inverse curvature of the cost; in place.
+
+    Of angles, an inverse curvature P is that of a von Mises density with concentration 1/P, whose root mean
+    square is stated: the wider it is the more it differs from √P, and it ends at that of the uniform density,
+    `UNIFORM_STD`. Beside, what estimates do not follow: the sway of steps, accelerations and turns that last
+    (`graphtrack.model.sway`).
+
+    Parameters
+    ----------
+    covariance : NaN where the model has no such state
+    ends : seconds from each frame (...) to the nearer end of its track, 0 of the newest online
+    """
+    lagging(covariance, parameters.motion, ends)
+    swaying(covariance, parameters.motion)
+    variance = np.einsum("...ii->...i", covariance)[..., 4:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        widest = UNIFORM_STD / np.sqrt(variance)
+        shrink = np.minimum(np.interp(variance / (1.0 + variance), _SHARES, _SHRINK), widest)
+    covariance[..., 4:, :] *= shrink[..., :, None]
+    covariance[..., :, 4:] *= shrink[..., None, :]
+    head = variance[..., 1]
+    head += head_lag(head, parameters.orientation, ends)
+    np.minimum(head, UNIFORM_STD**2, out=head)
+    return covariance
+
+
+def seconds_to_ends(t: FloatArray) -> FloatArray:
+    """Seconds (n,) from the frames of a track at the times (n,) to its nearer end."""
+    return np.asarray(np.minimum(t - t[0], t[-1] - t))
+
+
+def _von_mises_shrink(variance: FloatArray) -> FloatArray:
+    """Root mean square of von Mises densities of concentration 1/``variance``, over √``variance``."""
+    # In units of the standard deviation, so that narrow ones are resolved too.
+    reach = np.minimum(np.pi, 12.0 * np.sqrt(variance))
+    angle = reach[:, None] * (np.arange(1000) + 0.5) / 1000.0
+    density = np.exp((np.cos(angle) - 1.0) / variance[:, None])
+    return np.asarray(np.sqrt((density * angle**2).sum(axis=1) / density.sum(axis=1) / variance))
+
+
+_WIDEST = 1e3
+_SHARES = np.linspace(0.0, _WIDEST / (1.0 + _WIDEST), 400)
+"""P/(1 + P) of the table of what √P is to be multiplied with."""
+_SHRINK = np.append(1.0, _von_mises_shrink(_SHARES[1:] / (1.0 - _SHARES[1:])))
 
 
 def estimated_track(

@@ -92,7 +92,7 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     program = program_of(model)
     called, inlined = {**_START, **_steps(program)}, _descent(program)
     if model.has_modes:
-        called, inlined = {**called, **_MODES}, {**inlined, **_COUPLINGS}
+        called, inlined = {**called, **_MODES, program.spread_tracks: 3.0}, {**inlined, **_COUPLINGS}
     return Rehearsal(lambda: _solve(_like(model)), called, inlined)
 
 
@@ -102,7 +102,8 @@ def graph_rehearsal(model: Model) -> Rehearsal:
         return start_rehearsal()
     called = {**_START, program_of(model).find_other_basin: 7.0}
     if model.has_modes:
-        return Rehearsal(lambda: _search(_like(model)), {**called, **_MODES}, _COUPLINGS)
+        called |= {**_MODES, program_of(model).spread_tracks: 3.0}
+        return Rehearsal(lambda: _search(_like(model)), called, _COUPLINGS)
     return Rehearsal(lambda: _search(_like(model)), called)
 
 
@@ -114,7 +115,7 @@ def start_rehearsal() -> Rehearsal:
 def online_rehearsal(model: Model) -> Rehearsal:
     """What the compiled window calls."""
     program = program_of(model)
-    called = {**_window(program), **(_COUPLINGS if model.has_modes else {})}
+    called = {**_window(program), **({**_COUPLINGS, program.spread_newest: 2.0} if model.has_modes else {})}
     return Rehearsal(
         lambda: _slide(ChainWindow(_like(model), 1.5 * _STEP, 1e-8, 5)), called, _descent(program)
     )
@@ -137,6 +138,7 @@ def _search(model: Model) -> None:
     view.other(states, 0.0)
     if model.has_modes:
         view.renew(states)
+        view.widen(states, np.zeros((len(TRACK), 6, 6)))
 
 
 def _slide(window: ChainWindow) -> None:

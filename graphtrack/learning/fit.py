@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import stats
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import engine_of
 from graphtrack.io.given import tracks_of
-from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature, definite
+from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature, definite, uncertainty
 from graphtrack.learning.free import Free, free_parameters, with_values
 from graphtrack.learning.journal import EvaluationJournal
 from graphtrack.learning.objective import Criterion, Objective, in_blocks
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 MAX_FRAMES = 20_000
 """Person-frames that are learned from; of more, tracks are chosen at random."""
 
-BLOCKS = 40
+BLOCKS, _FEWEST_BLOCKS = 40, 5
 FLAT = 0.05
 """A parameter that changes the log density by less, a factor of 1.5 either way, is not in the data."""
 
@@ -100,10 +101,11 @@ def fit(
 
     With the truth, what grows is the likelihood of the true positions and angles under the smoother's
     covariances, frame by frame. Without it, the Laplace evidence: the log density at the optimum, with its
-    normaliser, and ½·log of 2π over the determinant of the Hessian; the uncertainty is its curvature.
+    normaliser, and ½·log of 2π over the determinant of the Hessian.
     Couplings have no normaliser that is known, so with them and without a truth it is the density of
-    observations that were hidden from the smoother, a part at a time. Where frames are not independent, by
-    truth and by prediction, the uncertainty comes from how the tracks differ (the sandwich estimate).
+    observations that were hidden from the smoother, a part at a time. The uncertainty comes from how the
+    tracks differ (jackknife and Student's t, no less than the curvature says); where they are too few, one
+    alone or by the evidence less than five, from the curvature.
 
     Parameters
     ----------
@@ -147,15 +149,15 @@ def fit(
     if not free:
         raise InputError("tracks that say nothing about any parameter", "observations of several frames")
     start = np.array([one.to_scale(one.get(model)) for one in free])
-    x, covariance = search.run(free, start, start)
+    x, covariance, reach = search.run(free, start, start)
     vague = (np.sqrt(np.diag(covariance)) > 0.5 * PRIOR_STD) | (np.abs(x - start) > REACH - 1e-6)
     if vague.any() and not vague.all():
         absent += [one for one, bad in zip(free, vague, strict=True) if bad]
         free = tuple(one for one, bad in zip(free, vague, strict=True) if not bad)
         start = start[~vague]
-        x, covariance = search.run(free, start, x[~vague])
+        x, covariance, reach = search.run(free, start, x[~vague])
     best = with_values(model, free, x)
-    spread = 1.96 * np.sqrt(np.diag(covariance))
+    spread = reach * np.sqrt(np.diag(covariance))
     learned = [
         Learned(one.name, one.get(model), one.get(best), one.from_scale(a), one.from_scale(b))
         for one, a, b in zip(free, x - spread, x + spread, strict=True)
@@ -212,19 +214,22 @@ class _Evaluations:
             found.append(max(abs(values(start + side * unit).sum() - middle) for side in (-1, 1)) > FLAT)
         return found
 
-    def run(self, free: Sequence[Free], start: FloatArray, near: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The best place and its covariance: a climb from ``near``, another from the optimum it found."""
+    def run(
+        self, free: Sequence[Free], start: FloatArray, near: FloatArray
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """The best place, its covariance, and how many 1-σ hold it 95 times in 100.
+
+        A climb from ``near``, another from the optimum it found.
+        """
         names = ",".join(one.name for one in free)
         x = climb(self.values_about(self.model, free, f"1 {names}"), near, start)
         values = self.values_about(with_values(self.model, free, x), free, f"2 {names}")
-        x = climb(values, x, start, definite(curvature(values, x, start)[0]))
-        hessian, slopes = curvature(values, x, start)
-        covariance = np.asarray(np.linalg.inv(definite(hessian)), float)
-        if self._criterion != "evidence" and self._blocks > len(x) + 1:
-            spread = slopes - slopes.mean(axis=0)
-            scatter = spread.T @ spread * self._blocks / (self._blocks - 1)
-            covariance = covariance @ scatter @ covariance
-        return x, covariance
+        x = climb(values, x, start, definite(curvature(values, x, start).total))
+        bent = curvature(values, x, start)
+        enough = _FEWEST_BLOCKS if self._criterion == "evidence" else 2
+        if self._blocks < enough:
+            return x, np.asarray(np.linalg.inv(definite(bent.total)), float), 1.96
+        return x, uncertainty(bent), float(stats.t.ppf(0.975, self._blocks - 1))
 
 
 def _require(tracks: Sequence[Track], model: Model, criterion: Criterion) -> list[Track]:

@@ -1,45 +1,56 @@
 """The parameters of forecasts from recordings: `fit_forecast`.
 
-Three parts, each from what it decides: places by the mean errors of forecasts, the head's lead by the errors
-a second ahead of people whose head is seen, the spread by the density of where people were. Recordings with
-heads teach the lead of the head alone, if there are others: they are of laboratories, where nobody goes
-anywhere. Scenes count equally, whatever their size.
+Four parts, each from what it decides: standing, company and places by the mean errors of forecasts, the
+head's lead by the errors a second ahead of people whose head is seen, the spread by the density of where
+people were, and how soon a scene's own errors are trusted by what circles hold in it. Recordings with heads
+teach the lead of the head alone, if there are others: they are of laboratories, where nobody goes anywhere.
+Scenes count equally, whatever their size. The search begins at `START` and in the middle of its lists, so
+that nothing depends on what was learned before.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from graphtrack.behaviour.forecast.expected import Expected, lead, mean_turn, spreads
-from graphtrack.behaviour.forecast.forecaster import Forecaster
+from graphtrack.behaviour.forecast.forecaster import JUDGED
 from graphtrack.behaviour.forecast.motion import ComplexArray
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.behaviour.forecast.places import EVERY, LAGS
-from graphtrack.behaviour.forecast.recorded import frames_of
-from graphtrack.behaviour.forecast.spread import log_density
+from graphtrack.behaviour.forecast.spread import LEVELS, log_density
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.learning.forecast_rows import (
+    Recording,
+    errors_at_once,
+    forecasts,
+    recording,
+    relative_errors,
+    rows_of,
+)
 from graphtrack.tracks import TrackSet
 
 PLACE_STEPS: Mapping[str, tuple[float, ...]] = {
-    "stop_speed": (0.0, 0.1, 0.2, 0.3),
-    "companion_distance": (1.0, 1.5, 2.2),
-    "companion_velocity": (0.2, 0.3),
-    "companion_weight": (0.0, 1.0, 2.0),
-    "place_velocity": (0.1, 0.15, 0.25),
-    "place_distance": (1.2, 1.8),
-    "place_prior": (1.0, 3.0),
+    "stop_speed": (0.0, 0.05, 0.1, 0.2, 0.3, 0.45),
+    "companion_weight": (0.0, 0.5, 1.0, 2.0, 4.0),
+    "companion_distance": (0.7, 1.0, 1.5, 2.2, 3.3),
+    "companion_velocity": (0.1, 0.15, 0.2, 0.3, 0.45),
+    "place_distance": (0.8, 1.2, 1.8, 2.7, 4.0),
+    "place_velocity": (0.07, 0.1, 0.15, 0.22, 0.33),
+    "place_prior": (0.3, 1.0, 3.0, 10.0),
 }
-"""Values that are tried, one parameter after the other."""
+"""Values to choose from: from the middle ones on, neighbours are tried until none helps."""
 HEAD_STEPS: Mapping[str, tuple[float, ...]] = {
-    "head_share": (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0),
-    "head_seconds": (0.1, 0.2, 0.3, 0.5, 0.8, 1.2),
-    "head_limit": (0.8, 1.2, 1.6, 2.4, 4.0),
+    "head_share": (0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2),
+    "head_seconds": (0.05, 0.1, 0.2, 0.3, 0.5, 0.8, 1.2),
+    "head_limit": (0.6, 0.8, 1.0, 1.2, 1.6, 2.4, 4.0),
 }
+SCENE_STEPS: Mapping[str, tuple[float, ...]] = {"scene_prior": (10.0, 30.0, 100.0, 300.0, 1000.0)}
 SPREAD = (
     "spread_standing",
     "spread_walking",
@@ -50,9 +61,27 @@ SPREAD = (
     "tail_scale",
 )
 
+START = ForecastParameters(
+    spread_standing=0.1,
+    spread_walking=0.2,
+    spread_power=1.5,
+    spread_along=1.0,
+    spread_prior=3.0,
+    tail_share=0.2,
+    tail_scale=2.5,
+    scene_prior=36.0,
+)
+"""Where the search for the spread begins; of the parameters of the lists it is of no account.
+
+`scene_prior` stays as it is here where there is one scene alone: as many forecasts as it takes to know what a
+circle of 90 % holds to 5 % (a binomial's 0.9 · 0.1 / 0.05²).
+"""
+
 _MOST = 4000
 """Forecasts of a scene that the spread is learned from."""
 _HEAD_TIMES = np.array([0.4, 0.8, 1.0])
+_ROUNDS = 3
+"""Times that the lists are gone through, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +107,7 @@ class ForecastFit:
     Attributes
     ----------
     parameters : what was learned
-    start : what it began from
+    start : the defaults
     errors : scene → mean error over all times ahead and at the last, over those of the last step's velocity
     density : scene → mean log density before and after
     """
@@ -93,7 +122,7 @@ class ForecastFit:
         return asdict(self)
 
 
-def outcomes(tracks: TrackSet, parameters: ForecastParameters) -> Outcomes:
+def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
     """Forecasts of a recording every `EVERY` seconds, beside what came of them.
 
     Raises
@@ -101,21 +130,11 @@ def outcomes(tracks: TrackSet, parameters: ForecastParameters) -> Outcomes:
     InputError
         If nobody was seen for long enough after a forecast.
     """
-    forecaster, random = Forecaster(parameters), np.random.default_rng(0)
-    paths = {one.track_id: (one.t, one.position[:, 0] + 1j * one.position[:, 1]) for one in tracks}
+    random = np.random.default_rng(0)
     parts: list[tuple[Expected, ComplexArray, ComplexArray]] = []
-    last = -np.inf
-    for seen in frames_of(tracks):
-        forecaster.update(seen.t, seen.track_id, seen.position, seen.std, seen.head)
-        people = forecaster.people(2.0 * EVERY)
-        if seen.t - last < EVERY - 1e-6 or not len(people):
-            continue
-        last = seen.t
+    for forecaster, people, actual, straight in forecasts(of, parameters):
         expected = forecaster.expected(people, LAGS)
-        actual = np.array([_places_at(*paths[one], seen.t + LAGS) for one in people.tolist()])
-        now = np.array([_places_at(*paths[one], seen.t + np.array([-EVERY, 0.0])) for one in people.tolist()])
-        going = now[:, 1:] + (now[:, 1:] - now[:, :1]) * LAGS / EVERY
-        parts.append((expected, actual - expected.mean, actual - going))
+        parts.append((expected, actual - expected.mean, actual - straight))
     known = sum(int(np.isfinite(error).sum()) for _, error, _ in parts)
     if not known:
         raise InputError("nobody who was seen after a forecast", f"tracks longer than {3 * EVERY:g} s")
@@ -126,6 +145,21 @@ def outcomes(tracks: TrackSet, parameters: ForecastParameters) -> Outcomes:
     return _some(Outcomes(joined, error, straight), chosen)
 
 
+def calibration_error(of: Recording, parameters: ForecastParameters) -> float:
+    """Mean difference, over times ahead, between what circles hold and what they should.
+
+    Of people seen for as long as those whose outcomes correct the circles: see `Calibration`.
+    """
+    parts = []
+    for forecaster, people, actual, _ in forecasts(of, parameters, JUDGED + EVERY):
+        told = forecaster.forecast(LAGS, people)
+        error = np.abs(actual - told.position[..., 0] - 1j * told.position[..., 1])
+        held = np.stack([error <= told.radius_50, error <= told.radius_90], axis=2)
+        parts.append(np.where(np.isfinite(error)[..., None], held, np.nan))
+    shares = np.nanmean(np.concatenate(parts), axis=0)
+    return float(np.nanmean(np.abs(shares - LEVELS)))
+
+
 def _some(of: Outcomes, chosen: np.ndarray[Any, Any]) -> Outcomes:
     expected = Expected(
         **{name: getattr(of.expected, name)[chosen] for name in Expected.__dataclass_fields__}
@@ -133,28 +167,9 @@ def _some(of: Outcomes, chosen: np.ndarray[Any, Any]) -> Outcomes:
     return Outcomes(expected, of.error[chosen], of.straight[chosen])
 
 
-def _places_at(t: FloatArray, place: ComplexArray, at: FloatArray) -> ComplexArray:
-    """Where a person was, between two sightings that are not far apart; NaN elsewhere."""
-    seen = np.isfinite(place)
-    t, place = t[seen], place[seen]
-    after = np.clip(np.searchsorted(t, at - 1e-6), 0, len(t) - 1)
-    before = np.maximum(after - 1, 0)
-    span = t[after] - t[before]
-    share = np.where(span > 0, (at - t[before]) / np.where(span > 0, span, 1.0), 1.0)
-    found = place[before] + np.clip(share, 0.0, 1.0) * (place[after] - place[before])
-    inside = (at >= t[0] - 1e-6) & (at <= t[-1] + 1e-6) & (span <= 1.0)
-    return np.where(inside, found, np.nan)
-
-
 def errors(found: Outcomes) -> tuple[float, float]:
     """Mean error of whole paths and of their ends, over those of the last step's velocity."""
-    whole = np.isfinite(found.error).all(axis=1) & np.isfinite(found.straight).all(axis=1)
-    if not whole.any():
-        whole = np.isfinite(found.error[:, 0]) & np.isfinite(found.straight[:, 0])
-    own, other = np.abs(found.error[whole]), np.abs(found.straight[whole])
-    return float(np.nanmean(own) / np.nanmean(other)), float(
-        np.nanmean(own[:, -1]) / np.nanmean(other[:, -1]) if np.isfinite(own[:, -1]).any() else np.nan
-    )
+    return relative_errors(found.error, found.straight)
 
 
 def density(found: Outcomes, parameters: ForecastParameters) -> float:
@@ -171,7 +186,6 @@ def density(found: Outcomes, parameters: ForecastParameters) -> float:
 
 def fit_forecast(
     scenes: Mapping[str, TrackSet],
-    start: ForecastParameters | None = None,
     progress: Callable[[str], None] = lambda what: None,
 ) -> ForecastFit:
     """Learn how people go on.
@@ -180,7 +194,6 @@ def fit_forecast(
     ----------
     scenes : name → recording, each of people who share a place and its times; where heads are seen they need
         not, if there are recordings without
-    start : where to begin; by default what is known
     progress : is told what is being learned
 
     Raises
@@ -190,45 +203,59 @@ def fit_forecast(
     """
     if not scenes:
         raise InputError("no recordings", "at least one")
-    begin = ForecastParameters() if start is None else start
-    best = begin
-    with_heads = {name: one for name, tracks in scenes.items() if (one := heads_of(tracks)) is not None}
+    before = ForecastParameters()
+    with_heads = {name: one for name, tracks in scenes.items() if (one := head_recording(tracks)) is not None}
     scenes = {name: tracks for name, tracks in scenes.items() if name not in with_heads} or scenes
-    for name, values in PLACE_STEPS.items():
-        progress(name.replace("_", " "))
-        best = _better(best, name, values, lambda one: _mean_error(scenes, one))
-    heads = list(with_heads.values())
+    recordings = {name: recording(tracks) for name, tracks in scenes.items()}
+
+    rows = [rows_of(one) for one in recordings.values()]
+
+    def mean_error(one: ForecastParameters) -> float:
+        return float(np.mean([np.nanmean(errors_at_once(of, one)) for of in rows]))
+
+    best = _search(START, PLACE_STEPS, mean_error, progress)
+    # Heads lead a motion that is found with the parameters of motion.
+    heads = [seen for one in with_heads.values() if (seen := heads_of(one, best)) is not None]
     if heads:
-        progress("head")
-        for _ in range(2):
-            for name, values in HEAD_STEPS.items():
-                best = _better(best, name, values, lambda one: float(np.mean([h.error(one) for h in heads])))
+        best = _search(
+            best, HEAD_STEPS, lambda one: float(np.mean([of.error(one) for of in heads])), progress
+        )
     progress("spread")
-    found = {name: outcomes(tracks, best) for name, tracks in scenes.items()}
-    before = {name: density(one, begin) for name, one in found.items()}
+    found = {name: outcomes(of, best) for name, of in recordings.items()}
     best = _fit_spread(list(found.values()), best)
-    after = {name: density(one, best) for name, one in found.items()}
+    best = _fit_scene_prior(recordings, found, best, progress)
     return ForecastFit(
         parameters=best,
-        start=begin,
+        start=before,
         errors={name: errors(one) for name, one in found.items()},
-        density={name: (before[name], after[name]) for name in found},
+        density={name: (density(one, before), density(one, best)) for name, one in found.items()},
     )
 
 
-def _mean_error(scenes: Mapping[str, TrackSet], parameters: ForecastParameters) -> float:
-    return float(np.mean([np.mean(errors(outcomes(tracks, parameters))) for tracks in scenes.values()]))
-
-
-def _better(
-    best: ForecastParameters,
-    name: str,
-    values: Sequence[float],
+def _search(
+    start: ForecastParameters,
+    steps: Mapping[str, tuple[float, ...]],
     cost: Callable[[ForecastParameters], float],
+    progress: Callable[[str], None],
 ) -> ForecastParameters:
-    tried = [replace(best, **{name: value}) for value in values]
-    costs = [cost(one) for one in tried]
-    return tried[int(np.nanargmin(costs))]
+    """From the middle of the lists to whichever neighbour costs less, one parameter after the other."""
+    cost = cache(cost)
+    best = replace(start, **{name: values[len(values) // 2] for name, values in steps.items()})
+    for _ in range(_ROUNDS):
+        before = best
+        for name, values in steps.items():
+            progress(name.replace("_", " "))
+            while True:
+                place = values.index(getattr(best, name))
+                beside = values[max(place - 1, 0) : place] + values[place + 1 : place + 2]
+                tried = [replace(best, **{name: value}) for value in beside]
+                nearer = min([best, *tried], key=cost)
+                if nearer == best:
+                    break
+                best = nearer
+        if best == before:
+            break
+    return best
 
 
 def _fit_spread(found: Sequence[Outcomes], start: ForecastParameters) -> ForecastParameters:
@@ -248,6 +275,26 @@ def _fit_spread(found: Sequence[Outcomes], start: ForecastParameters) -> Forecas
     begin = np.log([getattr(start, name) for name in SPREAD])
     solved = minimize(cost, begin, method="L-BFGS-B", options={"maxiter": 60}, tol=1e-6)
     return parameters(solved.x)
+
+
+def _fit_scene_prior(
+    recordings: Mapping[str, Recording],
+    found: Mapping[str, Outcomes],
+    start: ForecastParameters,
+    progress: Callable[[str], None],
+) -> ForecastParameters:
+    """How soon a scene is trusted: by the circles in each, where the spread is that of the others."""
+    if len(found) < 2:
+        return start  # one scene says nothing of how scenes differ
+    others = {
+        name: _fit_spread([one for other, one in found.items() if other != name], start) for name in found
+    }
+
+    def cost(tried: ForecastParameters) -> float:
+        elsewhere = {name: replace(one, scene_prior=tried.scene_prior) for name, one in others.items()}
+        return float(np.mean([calibration_error(of, elsewhere[name]) for name, of in recordings.items()]))
+
+    return _search(start, SCENE_STEPS, cost, progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,24 +320,19 @@ class Heads:
         return float(np.abs(self.moved - going).mean())
 
 
-def heads_of(tracks: TrackSet) -> Heads | None:
-    """What there is to learn of heads; None: nothing."""
-    seen_heads = [one for one in tracks if one.head is not None]
-    if not seen_heads:
-        return None
-    forecaster = Forecaster(ForecastParameters())
-    paths = {one.track_id: (one.t, one.position[:, 0] + 1j * one.position[:, 1]) for one in seen_heads}
+def head_recording(tracks: TrackSet) -> Recording | None:
+    """Those whose head is seen; None: there is none."""
+    seen = [one for one in tracks if one.head is not None]
+    return recording(seen, _HEAD_TIMES) if seen else None
+
+
+def heads_of(of: Recording, parameters: ForecastParameters) -> Heads | None:
+    """What there is to learn of heads; None: nothing. People need not have been there together."""
+    parameters = replace(parameters, companion_weight=0.0)
     parts: list[tuple[ComplexArray, FloatArray, FloatArray, ComplexArray]] = []
-    last = -np.inf
-    for seen in frames_of(seen_heads):
-        forecaster.update(seen.t, seen.track_id, seen.position, seen.std, seen.head)
-        people = forecaster.people(2.0 * EVERY)
-        if seen.t - last < EVERY - 1e-6 or not len(people):
-            continue
-        last = seen.t
+    for forecaster, people, actual, _ in forecasts(of, parameters):
         position, velocity, head = forecaster.going(people)
-        after = np.array([_places_at(*paths[one], seen.t + _HEAD_TIMES) for one in people.tolist()])
-        parts.append((velocity, np.angle(head * velocity.conj()), np.abs(head), after - position[:, None]))
+        parts.append((velocity, np.angle(head * velocity.conj()), np.abs(head), actual - position[:, None]))
     if not parts:
         return None
     velocity, angle, sure, moved = (np.concatenate(one) for one in zip(*parts, strict=True))

@@ -14,6 +14,9 @@ from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import range_of, scale_of
 from graphtrack.tracks import Track
 
+DECLARED = {"position_scale": "position_std", "body_scale": "body_kappa", "head_scale": "head_kappa"}
+"""Multiples of the noise that tracks declare, and the channel of each."""
+
 
 @dataclass(frozen=True)
 class Free:
@@ -79,11 +82,14 @@ def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
     names = dict.fromkeys(name for term in model.terms for name in term.reads or ())
     absent = {
         "likelihood.robust_threshold": model.parameters.likelihood.robust == "none",
+        "motion.sway_std": not any(track.has_truth for track in tracks),
         "likelihood.pixel_std": all(track.pixel is None for track in tracks),
         "likelihood.class_outlier_probability": all(
             track.body_likelihood is None and track.head_likelihood is None for track in tracks
         ),
     }
+    for name, declared in DECLARED.items():
+        absent[f"likelihood.{name}"] = not any(getattr(track, declared) is not None for track in tracks)
     free = (Free(name) for name in names if not absent.get(name, False))
     return tuple(one for one in free if one.is_learned and one.get(model) > 0.0)
 

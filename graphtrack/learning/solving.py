@@ -13,11 +13,12 @@ from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import solve_packed, solve_terms
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.inference.initial import empty_result, pack, problem_of
-from graphtrack.inference.solution import bounded
 from graphtrack.inference.warm import WHOLE, offline_rehearsal
 from graphtrack.model import Model
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.parameters import MotionParameters
+from graphtrack.model.sway import swaying
 from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track
 
@@ -32,6 +33,7 @@ class Solved:
     problem: Problem
     result: Result
     memory: Workspace
+    motion: MotionParameters
 
     @property
     def sound(self) -> FloatArray:
@@ -47,8 +49,8 @@ class Solved:
 
     @property
     def covariance(self) -> FloatArray:
-        """(N, 6, 6) of the states."""
-        return bounded(self.result.covariance)
+        """(N, 6, 6) of the states, those of angles inverse concentrations."""
+        return swaying(self.result.covariance.copy(), self.motion)
 
 
 class Solver:
@@ -78,4 +80,4 @@ class Solver:
         result.states[:] = self._start
         memory = workspace(self._longest)
         solve_terms(model, problem, MAX_ITERATIONS, TOLERANCE, False, memory, result)
-        return Solved(packed, problem, result, memory)
+        return Solved(packed, problem, result, memory, model.parameters.motion)

@@ -67,8 +67,8 @@ def every_term() -> tuple[type[Term], ...]:
 
 
 _FULL = Parameters(
-    motion=MotionParameters(acceleration_density=0.1, head_rate=2.2),
-    likelihood=LikelihoodParameters(robust="huber"),
+    motion=MotionParameters(acceleration_density=0.1, head_rate=2.2, sway_std=0.0125, lasting_std=0.4),
+    likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=5.0, outlier_probability=0.05),
 )
 preset_parameters: dict[str, Parameters] = {"full": _FULL, "social": _FULL}
 """Default parameters of the presets for which those of `Parameters` are not the best."""
@@ -152,6 +152,10 @@ class Model:
     def with_scene(self, scene: GivenScene) -> Model:
         """The same terms and parameters, and what is known of another scene."""
         return Model(self.preset, self.parameters, self.own_terms, scene)
+
+    def has_term(self, kind: type[Term]) -> bool:
+        """Whether a term of the model is of that kind."""
+        return any(isinstance(term, kind) for term in self.terms)
 
     @property
     def compiled_terms(self) -> tuple[Term, ...]:

@@ -72,11 +72,22 @@ class MotionParameters(_Group):
     initial_speed_std : m/s, 1-σ of each axis of the velocity where the track begins
     head_rate : λ in 1/s at which the velocity turns to where the head points, in the presets that have it;
         0: it does not
+    sway_std : metres, 1-σ on each axis of what hips sway about the path with every step. It is part of the
+        stated uncertainty of positions and velocities (see docs/model.md), and of no estimate.
+    sway_rate : steps a second, at which they do
+    lasting_std : m/s², 1-σ on each axis of accelerations that last, beside white ones. An estimate lags
+        behind them; that is part of the stated uncertainty, as the sway is.
+    lasting_time : seconds for which they last
     """
 
     acceleration_density: float = _number(0.15, 1e-5, 1e4, "m²/s³")
     initial_speed_std: float = _number(1.5, 1e-3, 1e3, "m/s")
     head_rate: float = _number(1.3, 0.0, 100.0, "1/s")
+    sway_std: float = _number(0.0105, 0.0, 1.0, "m")
+    # It is the velocity that shows it, of which no recording has the truth itself.
+    sway_rate: float = _number(2.0, 0.0, 100.0, "1/s", learned=False)
+    lasting_std: float = _number(0.0, 0.0, 100.0, "m/s²", learned=False)
+    lasting_time: float = _number(1.0, 1e-3, 1e3, "s", learned=False)
 
 
 @dataclass(frozen=True)
@@ -86,10 +97,15 @@ class OrientationParameters(_Group):
     Attributes
     ----------
     body_diffusion, head_diffusion : rad²/s
+    head_turn_rate : rad/s, 1-σ of the rate at which heads turn on, beside diffusion. An estimate lags behind
+        such a turn; it is part of the stated uncertainty of heads (see docs/model.md), and of no estimate.
+    head_turn_time : seconds for which such a rate lasts
     """
 
     body_diffusion: float = _number(0.24, 1e-6, 1e4, "rad²/s")
     head_diffusion: float = _number(0.11, 1e-6, 1e4, "rad²/s")
+    head_turn_rate: float = _number(0.35, 0.0, 100.0, "rad/s", learned=False)
+    head_turn_time: float = _number(2.8, 1e-3, 1e3, "s", learned=False)
 
 
 @dataclass(frozen=True)
@@ -139,6 +155,7 @@ class GaitParameters(_Group):
     body_offset_kappa, head_offset_kappa : concentration about 0 of an offset that is drawn for the free mode;
         0: any is as likely
     head_rate_seen : share of the motion's ``head_rate`` that holds where a position is seen, 0 to 1
+    head_common : share of what the head's modes leave open that all frames have in common, 0 to 1
     """
 
     body_aligned: float = _share(0.36)
@@ -159,6 +176,8 @@ class GaitParameters(_Group):
     body_offset_kappa: float = _number(0.2, 0.0, 100.0)
     head_offset_kappa: float = _number(3.0, 0.0, 100.0)
     head_rate_seen: float = _share(0.54)
+    # It changes what is stated and nothing that is estimated.
+    head_common: float = _number(0.47, 0.0, 1.0, learned=False)
 
 
 @dataclass(frozen=True)
@@ -173,6 +192,8 @@ class LikelihoodParameters(_Group):
     robust : "none", "huber" or "cauchy" position likelihood
     robust_threshold : standard deviations beyond which a position counts less
     body_kappa, head_kappa : von Mises concentration of observed angles where the data do not say
+    position_scale, body_scale, head_scale : multiples of the 1-σ where the data do say; of an angle κ is
+        divided by their square
     outlier_probability : ε of an observed angle
     class_outlier_probability : ε of class likelihoods
     """
@@ -184,6 +205,9 @@ class LikelihoodParameters(_Group):
     robust_threshold: float = _number(3.0, 0.01, 1e3, "standard deviations")
     body_kappa: float = _number(4.0, 0.0, 1e6)
     head_kappa: float = _number(4.0, 0.0, 1e6)
+    position_scale: float = _number(1.0, 0.01, 100.0)
+    body_scale: float = _number(1.0, 0.01, 100.0)
+    head_scale: float = _number(1.0, 0.01, 100.0)
     outlier_probability: float = _share(0.0, 0.999)
     class_outlier_probability: float = _share(0.05, 0.999)
 
@@ -193,6 +217,17 @@ class LikelihoodParameters(_Group):
             raise InputError(f"robust = {self.robust!r}", "'none', 'huber' or 'cauchy'")
         if not isinstance(self.image_frame, bool):
             raise InputError(f"image_frame = {self.image_frame!r}", "true or false")
+
+    def position_stds(self, given: FloatArray | float | None, n: int) -> FloatArray:
+        """1-σ (n,) in metres of positions; ``given``: what the data say, NaN or None where they do not."""
+        stated = np.full(n, np.nan if given is None else given, dtype=float)
+        return np.where(np.isfinite(stated), self.position_scale * stated, self.position_std)
+
+    def kappas(self, name: Literal["body", "head"], given: FloatArray | float | None, n: int) -> FloatArray:
+        """Concentrations (n,) of observed angles, in the same way."""
+        stated = np.full(n, np.nan if given is None else given, dtype=float)
+        default, scale = getattr(self, f"{name}_kappa"), getattr(self, f"{name}_scale")
+        return np.where(np.isfinite(stated), stated / scale**2, default)
 
 
 @dataclass(frozen=True)
@@ -261,3 +296,12 @@ class Parameters:
                 raise InputError(f"the unknown {kind} {table!r}", expected)
             parts[table] = with_table(getattr(start, table), table, values)
         return replace(start, **parts)
+
+
+def steady(parameters: Parameters) -> Parameters:
+    """The same for people who move as the terms say: no sway, no accelerations and turns that last."""
+    return replace(
+        parameters,
+        motion=replace(parameters.motion, sway_std=0.0, lasting_std=0.0),
+        orientation=replace(parameters.orientation, head_turn_rate=0.0),
+    )

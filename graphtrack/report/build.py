@@ -12,7 +12,7 @@ from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.report.content import AngleChart, Card, DataTable, Note, Picture, Report, Section
 from graphtrack.report.lives import identities_section, identity_cards, is_associated, life_of
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
-from graphtrack.report.plots import plot_errors, plot_nees
+from graphtrack.report.plots import plot_errors, plot_nees, plot_reliability
 from graphtrack.report.plots.orientation import plot_angles_of
 from graphtrack.report.plots.scene import is_crowd, plot_pairs
 from graphtrack.report.replay import replay_data
@@ -22,6 +22,7 @@ from graphtrack.tracks import ReadSummary, Track, TrackSet
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.tracking.events import IdentityEvent
+    from graphtrack.report.behaviour.given import Behaviour
 
 PersonErrors = dict[str, float | None]
 """Column of the table of people → error of one of them."""
@@ -41,10 +42,12 @@ def tracking_report(
     subtitle: str = "",
     comparison: Records | None = None,
     consistency: Records | None = None,
+    calibration: Records | None = None,
     cards: tuple[Card, ...] = (),
     sections: tuple[Section, ...] = (),
     interactive: bool = True,
     events: Sequence[IdentityEvent] | None = None,
+    behaviour: Behaviour | None = None,
 ) -> Report:
     """Put together what a reader of a tracking run wants to see.
 
@@ -55,12 +58,14 @@ def tracking_report(
     title, subtitle : str
     comparison : methods against each other, as for `graphtrack.report.plots.plot_errors`
     consistency : NEES of the methods, as for `graphtrack.report.plots.plot_nees`
+    calibration : how often their intervals hold, as for `graphtrack.report.plots.plot_reliability`
     cards : further numbers for the top of the page
     sections : further sections, put at the end
     interactive : a chart of angles that follows the replay, of whomever the reader chooses, instead of still
         pictures of the first few people
     events : where identities went wrong, as `graphtrack.evaluation.tracking.events.judge_events` finds it;
         with it, or with tracks that were associated, there is a timeline of identities
+    behaviour : groups, looks and forecasts, as `graphtrack.report.behaviour.given.behaviour_of` gives them
 
     Returns
     -------
@@ -75,10 +80,11 @@ def tracking_report(
     estimates, observations, origin = _from_zero(estimates, observations)
     if origin:
         subtitle = f"{subtitle} Times count from {origin:.0f} s.".strip()
+    behaviour = None if behaviour is None else behaviour.in_times_of(estimates)
     pairs = pair_tracks(estimates, observations)
     errors = tuple(person_errors(pair) for pair in pairs)
     lives = [life_of(pair) for pair in pairs] if events is not None or is_associated(pairs) else None
-    replay = replay_data(pairs, lives=lives, events=events or ())
+    replay = replay_data(pairs, lives=lives, events=events or (), behaviour=behaviour)
     words = (
         "The time that people spent where, under everybody's path, and the paths by the way they went; "
         "a dot is where one ends"
@@ -87,20 +93,27 @@ def tracking_report(
     )
     picture = Picture(words, plot_pairs(pairs), f"Bird's-eye view of the paths of {len(pairs)} people.")
     parts = [] if lives is None else [identities_section(pairs, lives, events or (), bool(replay["people"]))]
+    extra: tuple[Card, ...] = ()
+    if behaviour is not None:
+        # Here, for a page of tracks alone needs none of it.
+        from graphtrack.report.behaviour.sections import behaviour_cards, behaviour_sections
+
+        parts += behaviour_sections(behaviour, estimates, pairs)
+        extra = behaviour_cards(behaviour)
     parts += [
         _angles_section(pairs, interactive),
         Section("People", (people_table(pairs, errors),)),
         Section("From above", (picture,)),
     ]
-    if comparison is not None or consistency is not None:
-        parts.append(_methods_section(comparison, consistency))
+    if any(table is not None for table in (comparison, consistency, calibration)):
+        parts.append(_methods_section(comparison, consistency, calibration))
     summary = (estimates if observations is None else observations).summary
     if summary.rows_read or summary.notes:
         parts.append(Section("What was read", reading_items(summary)))
     return Report(
         title=title,
         subtitle=subtitle,
-        cards=(*_cards(pairs, errors), *identity_cards(lives or ()), *cards),
+        cards=(*_cards(pairs, errors), *identity_cards(lives or ()), *extra, *cards),
         replay=replay,
         sections=(*parts, *sections),
     )
@@ -186,7 +199,9 @@ def _left_out(count: int, limit: int) -> tuple[Note, ...]:
     return (Note(f"The first {limit} of {count} people are shown."),) if count > limit else ()
 
 
-def _methods_section(comparison: Records | None, consistency: Records | None) -> Section:
+def _methods_section(
+    comparison: Records | None, consistency: Records | None, calibration: Records | None
+) -> Section:
     items: list[DataTable | Picture] = []
     if comparison is not None:
         words = "Error of each method: the median, and its spread over the tracks"
@@ -195,6 +210,9 @@ def _methods_section(comparison: Records | None, consistency: Records | None) ->
     if consistency is not None:
         words = "Consistency: the mean NEES of each method, and the 95 % band it should lie in"
         items += [Picture(words, plot_nees(consistency)), DataTable.from_records("Consistency", consistency)]
+    if calibration is not None:
+        words = "Reliability: how often the truth lies inside an interval, against the probability it states"
+        items.append(Picture(words, plot_reliability(calibration)))
     return Section("Methods", tuple(items))
 
 

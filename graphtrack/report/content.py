@@ -12,6 +12,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+MAX_ROWS = 1000
+"""Lines of a table in the page."""
+
+
 @dataclass(frozen=True)
 class Card:
     """One number worth seeing first: what it is, its value as it should read, and a few words about it."""
@@ -60,6 +64,20 @@ class DataTable:
         columns = [str(column) for column in rows[0]]
         rows = records(rows, columns)
         return cls(title, tuple(columns), tuple(tuple(row[c] for c in columns) for row in rows), note)
+
+    @classmethod
+    def capped(
+        cls,
+        title: str,
+        columns: tuple[str, ...],
+        rows: tuple[tuple[Any, ...], ...],
+        note: str = "",
+        person_column: str | None = None,
+    ) -> DataTable:
+        """A table of at most `MAX_ROWS` lines, which says how many there are."""
+        if len(rows) > MAX_ROWS:
+            note = f"{note} The first {MAX_ROWS} of {len(rows)} lines.".strip()
+        return cls(title, columns, rows[:MAX_ROWS], note, person_column)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 UNSURE = 0.9
 """Probability of a link below which it is shown as one that may be wrong."""
 
-MAX_ROWS = 1000
-"""Lines of a table in the page."""
-
 _TITLE = "Identities over time"
 _NOTE = (
     "A bar for everybody from first to last row, the fainter the less sure it is who is who. Point at it to "
@@ -196,7 +193,7 @@ def _lives_table(lives: Sequence[Life], events: Sequence[IdentityEvent]) -> Data
     if events:
         columns = (*columns, "switches")
         note += " Switches: in which the track lost somebody to another, or got them."
-    return _capped("Births and deaths", columns, rows, note)
+    return DataTable.capped("Births and deaths", columns, rows, note, "person")
 
 
 def _gaps_table(lives: Sequence[Life]) -> list[DataTable]:
@@ -221,7 +218,7 @@ def _gaps_table(lives: Sequence[Life]) -> list[DataTable]:
         "From when a person was seen last to when they were seen again, least sure first. A dash: nobody was "
         "seen again, or how sure it is was not said."
     )
-    return [_capped("Gaps and joins", columns, tuple(rows), note)]
+    return [DataTable.capped("Gaps and joins", columns, tuple(rows), note, "person")]
 
 
 def _events_table(pairs: Sequence[Pair], events: Sequence[IdentityEvent]) -> DataTable:
@@ -231,12 +228,4 @@ def _events_table(pairs: Sequence[Pair], events: Sequence[IdentityEvent]) -> Dat
     )
     columns = ("person", "at (s)", "who it is in the truth", "tracked before as", "switch", "found again")
     note = "Found again: after nobody had them, which ends a fragmentation. The score counts both kinds."
-    return _capped("Switches and fragmentations", columns, rows, note)
-
-
-def _capped(
-    title: str, columns: tuple[str, ...], rows: tuple[tuple[object, ...], ...], note: str
-) -> DataTable:
-    if len(rows) > MAX_ROWS:
-        note += f" The first {MAX_ROWS} of {len(rows)} lines."
-    return DataTable(title, columns, rows[:MAX_ROWS], note, person_column="person")
+    return DataTable.capped("Switches and fragmentations", columns, rows, note, "person")

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.report.behaviour.codes import behaviour_codes
+from graphtrack.report.coding import ANGLE_STEP, COARSE_STEP, LENGTH_STEP, SURE_STEP, TIME_STEP, delta_code
 from graphtrack.report.lives import UNSURE, Life, event_times, least_between
 from graphtrack.report.pairing import Pair
 from graphtrack.report.shapes import longest_step, probability_ellipse
@@ -16,47 +18,40 @@ from graphtrack.report.style import person_colour, person_dash
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.tracking.events import IdentityEvent
-
-TIME_STEP: Final = 1e-3
-"""Seconds a unit of a coded time."""
-
-LENGTH_STEP: Final = 1e-3
-"""Metres (or metres a second) a unit of a coded length (or velocity)."""
-
-ANGLE_STEP: Final = float(np.radians(0.1))
-"""Radians a unit of a coded angle."""
-
-SURE_STEP: Final = 1e-2
-"""Probability a unit of a coded one."""
+    from graphtrack.report.behaviour.given import Behaviour
 
 MAX_SAMPLES: Final = 200_000
 """Person-frames in a page. Packed, noisy ones with every channel take up to 33 bytes each: 7 MB of a page."""
 
-Codes = list[int | None]
+MAX_DOING: Final = MAX_SAMPLES // 2
+"""The same where groups, looks or forecasts are shown: they take 10 bytes each, and pictures of their own."""
 
 
 def replay_data(
     pairs: Sequence[Pair],
     *,
     max_rate: float = 30.0,
-    max_samples: int = MAX_SAMPLES,
+    max_samples: int | None = None,
     lives: Sequence[Life] | None = None,
     events: Sequence[IdentityEvent] = (),
+    behaviour: Behaviour | None = None,
 ) -> dict[str, Any]:
     """Everything the replay and the charts of angles show, ready for `json.dumps`.
 
     Each channel of a person is a list of integers: the first is the value in units of `TIME_STEP`,
-    `LENGTH_STEP`, `ANGLE_STEP` or `SURE_STEP`, the following ones are differences to the last known value,
-    and None is a missing value. Differences of rounded values do not accumulate error. A channel that is
-    known nowhere is None.
+    `LENGTH_STEP`, `ANGLE_STEP`, `SURE_STEP` or `COARSE_STEP`, the following ones are differences to the last
+    known value, and None is a missing value. Differences of rounded values do not accumulate error. A
+    channel that is known nowhere is None.
 
     Parameters
     ----------
     pairs : the people to show; those without a finite position are left out
     max_rate : frames a second that are kept
-    max_samples : samples that are kept of all people together; of every n frames one is kept to stay below
+    max_samples : samples that are kept of all people together; of every n frames one is kept to stay below.
+        By default `MAX_SAMPLES`, or `MAX_DOING` with a ``behaviour``
     lives : of each of the people, if births, deaths, gaps and joins are to be shown
     events : switches and fragmentations, where the truth is known
+    behaviour : groups, looks and forecasts of the people
 
     Returns
     -------
@@ -64,23 +59,37 @@ def replay_data(
         ``frame`` (seconds from one frame to the next, as shown; None where nobody has two), ``every`` (one
         of how many frames is shown), ``kept`` and ``of`` (person-frames shown, and there), ``steps`` (the
         four units), ``people``, ``events`` (each time, true person, track before, track after, whether a
-        switch, whether found again), ``lives``, whether births, deaths and gaps are shown, and ``unsure``,
-        the probability below which a link is.
+        switch, whether found again), ``lives``, whether births, deaths and gaps are shown, ``unsure``,
+        the probability below which a link is, and ``behaviour`` (see `behaviour_codes`).
     """
     placed = [(i, pair) for i, pair in enumerate(pairs) if np.isfinite(pair.estimate.position).any()]
     times = [pair.estimate.t for _, pair in placed]
     frame = frame_interval(times)
+    if max_samples is None:
+        max_samples = MAX_SAMPLES if behaviour is None else MAX_DOING
     every, kept = _thinned(times, frame, max_rate, max_samples)
+    people = [
+        _person(i, pair, at) | ({} if lives is None else _life(pair, lives[i], at))
+        for (i, pair), at in zip(placed, kept, strict=True)
+    ]
+    shown = None
+    if behaviour is not None:
+        shown, more = behaviour_codes(behaviour, [pair.estimate for _, pair in placed], kept)
+        people = [one | other for one, other in zip(people, more, strict=True)]
     return {
         "frame": None if frame is None else round(frame * every, 4),
         "every": every,
         "kept": sum(map(len, kept)),
         "of": sum(map(len, times)),
-        "steps": {"time": TIME_STEP, "length": LENGTH_STEP, "angle": ANGLE_STEP, "sure": SURE_STEP},
-        "people": [
-            _person(i, pair, at) | ({} if lives is None else _life(pair, lives[i], at))
-            for (i, pair), at in zip(placed, kept, strict=True)
-        ],
+        "steps": {
+            "time": TIME_STEP,
+            "length": LENGTH_STEP,
+            "angle": ANGLE_STEP,
+            "sure": SURE_STEP,
+            "coarse": COARSE_STEP,
+        },
+        "people": people,
+        "behaviour": shown,
         "lives": lives is not None,
         "unsure": UNSURE,
         "events": [
@@ -144,28 +153,6 @@ def _thinned(
         if total <= max_samples or frame is None or every * frame > longest:
             return every, kept
         every = max(every + 1, int(every * total / max_samples))
-
-
-def delta_code(values: FloatArray, step: float) -> Codes | None:
-    """Integers in units of ``step``: the first value, then differences; None where a value is not finite."""
-    known = np.isfinite(values)
-    if not known.any():
-        return None
-    codes = np.full(len(values), None, dtype=object)
-    codes[known] = np.diff(np.round(values[known] / step).astype(np.int64), prepend=0)
-    found: Codes = codes.tolist()
-    return found
-
-
-def delta_decode(codes: Codes | None, step: float, n: int) -> FloatArray:
-    """The inverse of `delta_code`: (n,) values, NaN where there is none."""
-    out = np.full(n, np.nan)
-    last = 0
-    for i, code in enumerate(codes or ()):
-        if code is not None:
-            last += code
-            out[i] = last * step
-    return out
 
 
 def _person(index: int, pair: Pair, at: NDArray[np.intp]) -> dict[str, Any]:

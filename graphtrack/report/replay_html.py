@@ -15,6 +15,7 @@ import numpy as np
 
 from graphtrack.report.content import AngleChart, Timeline
 from graphtrack.report.lives import UNSURE
+from graphtrack.report.style import GROUP_COLOURS
 
 _ARROW = (
     '<line x1="2" y1="8" x2="16" y2="8" stroke="var(--{name})" stroke-width="{width}"/>'
@@ -36,6 +37,15 @@ _KEYS = {
     "lives": '<circle cx="6" cy="8" r="4" fill="none" stroke="var(--ink)" stroke-width="1.6"/>'
     '<path d="M14 4 L22 12 M22 4 L14 12" stroke="var(--ink)" stroke-width="1.6"/>',
     "events": '<rect x="7" y="3" width="10" height="10" fill="var(--alarm)"/>',
+    "groups": f'<g fill="{GROUP_COLOURS[0]}" fill-opacity=".25" stroke="{GROUP_COLOURS[0]}">'
+    '<rect x="1" y="2" width="22" height="12" rx="6"/>'
+    '<circle cx="12" cy="8" r="3" stroke-dasharray="2 2"/></g>',
+    "looks": '<line x1="2" y1="13" x2="22" y2="3" stroke="var(--head)" stroke-width="1.4"/>',
+    "fans": '<path d="M1 8 H20" stroke="var(--muted)" stroke-dasharray="3 2"/><circle cx="17" cy="8" r="6.4" '
+    'fill="var(--muted)" fill-opacity=".15" stroke="var(--muted)"/><circle cx="17" cy="8" r="3" '
+    'fill="var(--muted)" fill-opacity=".4"/>',
+    "places": '<rect x="4" y="3" width="16" height="10" fill="var(--muted)" fill-opacity=".15" '
+    'stroke="var(--muted)" stroke-dasharray="2 2"/>',
     "label": '<text x="12" y="13" text-anchor="middle" font-size="13" font-weight="600" fill="var(--ink)">'
     "12</text>",
 }
@@ -147,18 +157,21 @@ def _frame(data: Mapping[str, Any]) -> str:
 
 def _thinned(data: Mapping[str, Any]) -> str:
     """What the page leaves out of the data, if anything."""
+    fans = (data["behaviour"] or {}).get("fans")
+    left_out = "" if fans is None or fans["every"] == 1 else f" One forecast in {fans['every']} is shown."
     if data["kept"] == data["of"]:
-        return ""
+        return left_out
     kept, of = (f"{data[name]:,}".replace(",", "\u202f") for name in ("kept", "of"))
     return (
         f" To keep the page small, the replay and the charts show {kept} of {of} person-frames, "
-        f"one every {data['frame']:.3g} s; tables and pictures are of all."
+        f"one every {data['frame']:.3g} s; tables and pictures are of all.{left_out}"
     )
 
 
 def _layers(data: Mapping[str, Any]) -> list[tuple[str, str, bool]]:
     """Name, words and whether it starts switched on, for the layers that there are data for."""
     people: list[Mapping[str, Any]] = data["people"]
+    behaviour = data["behaviour"]
     known = {
         "body": any(p["body"] is not None for p in people),
         "head": any(p["head"] is not None for p in people),
@@ -168,6 +181,8 @@ def _layers(data: Mapping[str, Any]) -> list[tuple[str, str, bool]]:
         "truth": any(p["true_x"] is not None for p in people),
         "lives": data["lives"],
         "events": bool(data["events"]),
+        **dict.fromkeys(("groups", "looks", "fans", "places"), False),
+        **(behaviour["has"] if behaviour else {}),
     }
     layers = [
         ("body", "body", True),
@@ -176,6 +191,10 @@ def _layers(data: Mapping[str, Any]) -> list[tuple[str, str, bool]]:
         ("ellipse", "95 % of position", True),
         ("trail", "trail", True),
         ("paths", "whole paths", True),
+        ("groups", "groups, o-space", True),
+        ("looks", "looks", True),
+        ("fans", "forecast, 50 and 90\u202f%", True),
+        ("places", "places", True),
         ("observation", "observation", True),
         ("truth", "truth", False),
         ("lives", "births, deaths, joins", True),

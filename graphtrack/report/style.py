@@ -21,6 +21,9 @@ NEUTRAL_COLOUR: Final = "#5F6672"
 
 PERSON_COLOURS: Final = ("#56B4E9", "#E69F00", "#CC79A7", "#8A8F98", "#94641A", "#8C4A7B")
 
+GROUP_COLOURS: Final = ("#4477AA", "#EE6677", "#228833", "#B8860B", "#66CCEE", "#AA3377")
+"""Those of Tol (2021), "bright", the yellow darker."""
+
 PERSON_DASHES: Final[tuple[tuple[float, ...], ...]] = ((), (5.0, 2.0), (5.0, 1.5, 1.0, 1.5), (2.0, 1.5))
 """On and off along a line, in widths of the line; none is as short as the dots of what was not observed."""
 
@@ -35,6 +38,11 @@ def person_colour(index: int) -> str:
 def person_dash(index: int) -> tuple[float, ...]:
     """The dashes of the person at ``index`` in the set; with the colour they repeat after 24 people."""
     return PERSON_DASHES[index // len(PERSON_COLOURS) % len(PERSON_DASHES)]
+
+
+def group_colour(number: int) -> str:
+    """The colour of a group; colours repeat after six of them."""
+    return GROUP_COLOURS[number % len(GROUP_COLOURS)]
 
 
 def quantity_colour(name: str) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from graphtrack.cli.stream import LONGEST_LINE, StreamBounds
+from graphtrack.cli.stream_behaviour import Asked
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineEngine
 from graphtrack.io.options import Associate
@@ -27,6 +28,7 @@ class Answers:
     camera: GroundCamera | None = None
     associate: Associate = "auto"
     horizon: tuple[float, float] | None = None
+    asked: Asked | None = None
     save_every: float = 10.0
 
 

@@ -67,7 +67,7 @@ def work(connection: socket.socket, answers: Answers, limits: Limits, state: Pat
         said.send()
 
     def answered(people: Answering) -> None:
-        said.write(f"{DONE.decode()}{len(people.members)}\n")
+        said.write(f"{DONE.decode()}{people.count}\n")
 
     def went_on(rows: int, line: int, again: bool) -> None:
         aside({"rows": rows, "line": line, "given_again": again})
@@ -84,6 +84,7 @@ def work(connection: socket.socket, answers: Answers, limits: Limits, state: Pat
             save_every=answers.save_every,
             associate=answers.associate,
             horizon=answers.horizon,
+            asked=answers.asked,
             listener=listener,
             bounds=limits.of_stream,
         )

@@ -6,25 +6,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
-from graphtrack.model import Model, Parameters
-from graphtrack.model.parameters import CouplingParameters, OrientationParameters
+from graphtrack.geometry.angles import FloatArray, wrap
+from graphtrack.model import Model
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
-from graphtrack.model.terms.intentional_motion import IntentionalMotion, smooth_speed, steered_step
-from graphtrack.model.terms.motion import process_noise, transition_matrix
+from graphtrack.model.terms.head_follows_body import HeadFollowsBody
+from graphtrack.model.terms.intentional_motion import IntentionalMotion
 from graphtrack.model.terms.place import PlacePrior
+from graphtrack.simulation import WALKING_PACE
+from graphtrack.simulation.courses import sample_course
+from graphtrack.simulation.glances import sample_glances
+from graphtrack.simulation.motion import sample_motion, sample_positions, sample_velocity
+from graphtrack.simulation.orientations import sample_modes, sample_orientations, without_modes
 from graphtrack.simulation.scenario import scenario
+from graphtrack.simulation.walking import sample_coupled_velocity
 from graphtrack.tracks import Track, TrackSet
 
-__all__ = ["sample_motion", "sample_orientations", "scenario", "simulate", "von_mises_product"]
-
-SCENE_SIZE = 20.0
-"""Metres: tracks begin anywhere in a square of this side around the origin."""
-
-NO_COUPLING = CouplingParameters(motion_body_kappa=0.0, head_body_kappa=0.0)
+__all__ = ["sample_motion", "sample_orientations", "sample_states", "scenario", "simulate"]
 
 
 def simulate(
@@ -38,14 +37,16 @@ def simulate(
     position_std: float | None = None,
     body_kappa: float | None = None,
     head_kappa: float | None = None,
+    pace: float | None = WALKING_PACE,
+    glances: float = 0.0,
 ) -> TrackSet:
     """Sample people from the model: states from its dynamics, observations from its likelihoods.
 
-    Motion is white-noise acceleration, or steered by the head in the presets that have that, sampled exactly.
-    An orientation is sampled from the *normalised*
-    product of the von Mises of its dynamics and that of its coupling (002 eq. 8 and 10 as its particle
-    filter samples them); the factor graph holds the product without the normalisation. Not sampled are the
-    modes of "full", with which everybody faces where they go, and terms of your own.
+    The motion is sampled from its terms, body and head from the graph's own density given it, over whole
+    tracks and so at every frame rate alike; of "full" the modes, offsets and leads too, of "social" nobody in
+    conversation. What differs from the model: everybody keeps to a pace, where the model's speeds wander ever
+    further, and couplings make nobody slower, where their density favours those who stand. Terms of your own
+    are not sampled.
 
     Parameters
     ----------
@@ -58,6 +59,10 @@ def simulate(
         is complete
     position_std : metres, 1-σ of each axis of the observed positions; None: the model's
     body_kappa, head_kappa : concentration of the observed angles; None: the model's
+    pace : m/s, the median over people of the speed that each returns to; None: the model's own motion, whose
+        speeds begin at ``initial_speed_std`` and wander ever further
+    glances : how often a minute a head turns aside, by 30° to 80° for a second or two, which the model knows
+        nothing of
 
     Returns
     -------
@@ -70,7 +75,7 @@ def simulate(
         For a number outside its range, and for a model with a place, which cannot be sampled.
     """
     model = Model.named(model)
-    if any(isinstance(term, PlacePrior) for term in model.terms):
+    if model.has_term(PlacePrior):
         raise InputError("the term PlacePrior, which cannot be sampled", "a model without a place")
     _check(n_tracks, n_steps, fps, missing)
     likelihood = model.parameters.likelihood
@@ -84,26 +89,22 @@ def simulate(
     for name, kappa in kappas.items():
         if not (np.isfinite(kappa) and kappa >= 0.0):
             raise InputError(f"{name}_kappa = {kappa!r}", "a finite number, at least 0")
+    if pace is not None and not (np.isfinite(pace) and pace > 0.0):
+        raise InputError(f"pace = {pace!r}", "a positive number of metres a second, or None")
+    if not (np.isfinite(glances) and glances >= 0.0):
+        raise InputError(f"glances = {glances!r}", "a finite number a minute, at least 0")
     rng = np.random.default_rng() if rng is None else rng
 
     frame = np.arange(n_steps)
     t = frame / fps
-    coupled = any(isinstance(term, BodyFollowsMotion) for term in model.terms)
-    truth = {}
-    if any(isinstance(term, IntentionalMotion) for term in model.terms):
-        position, truth["body"], truth["head"] = sample_intentional(
-            t, n_tracks, model.parameters, rng, coupled=coupled
-        )
-    else:
-        position, velocity = sample_motion(t, n_tracks, model.parameters, rng)
-        if model.has_body or model.has_head:
-            truth["body"], truth["head"] = sample_orientations(
-                t, velocity, model.parameters, rng, coupled=coupled
-            )
-    if not model.has_body:
-        truth.pop("body", None)
+    lost = _missing(rng, n_tracks, n_steps, missing)
+    truth = sample_states(t, n_tracks, model, rng, pace=pace, seen=~lost)
+    position = truth.pop("position")
+    del truth["velocity"]
+    if glances > 0.0 and "head" in truth:
+        truth["head"] = wrap(truth["head"] + sample_glances(t, n_tracks, glances, rng))
     noisy = position + position_std * rng.standard_normal(position.shape)
-    noisy[_missing(rng, n_tracks, n_steps, missing)] = np.nan
+    noisy[lost] = np.nan
     observed = {}
     for name, angles in truth.items():
         observed[name] = wrap(angles + rng.vonmises(0.0, kappas[name], angles.shape))
@@ -130,109 +131,61 @@ def simulate(
     return TrackSet(tuple(tracks))
 
 
-def sample_motion(
-    t: FloatArray, n_tracks: int, parameters: Parameters, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Positions and velocities (n_tracks, n, 2) of white-noise acceleration at the times ``t`` (n,) seconds.
-
-    Exact: each step has the covariance Q(Δt) of MODEL term 1, whatever Δt.
-    """
-    motion = parameters.motion
-    state = np.empty((n_tracks, len(t), 4))
-    state[:, 0, :2] = rng.uniform(-0.5 * SCENE_SIZE, 0.5 * SCENE_SIZE, (n_tracks, 2))
-    state[:, 0, 2:] = motion.initial_speed_std * rng.standard_normal((n_tracks, 2))
-    for k, dt in enumerate(np.diff(t).tolist(), start=1):
-        root = np.linalg.cholesky(process_noise(dt, motion.acceleration_density))
-        noise = rng.standard_normal((n_tracks, 4)) @ root.T
-        state[:, k] = state[:, k - 1] @ transition_matrix(dt).T + noise
-    return state[..., :2], state[..., 2:]
-
-
-def sample_intentional(
-    t: FloatArray, n_tracks: int, parameters: Parameters, rng: np.random.Generator, *, coupled: bool = True
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions (n_tracks, n, 2), body and head (n_tracks, n) of people steered by the head (term 5)."""
-    motion, n = parameters.motion, len(t)
-    coupling = parameters.coupling if coupled else NO_COUPLING
-    position, velocity = np.empty((2, n_tracks, n, 2))
-    body, head = np.zeros((2, n_tracks, n))
-    position[:, 0] = rng.uniform(-0.5 * SCENE_SIZE, 0.5 * SCENE_SIZE, (n_tracks, 2))
-    velocity[:, 0] = motion.initial_speed_std * rng.standard_normal((n_tracks, 2))
-    steps: list[float | None] = [None, *np.diff(t).tolist()]
-    for k, dt in enumerate(steps):
-        if dt is not None:
-            keep, reach, place, cross, spread = steered_step(dt, motion.head_rate)
-            aim = smooth_speed(velocity[:, k - 1])[:, None] * unit(head[:, k - 1])
-            root = np.linalg.cholesky(
-                motion.acceleration_density * np.array([[place, cross], [cross, spread]])
-            )
-            noise = np.einsum("ab,mbd->mad", root, rng.standard_normal((n_tracks, 2, 2)))
-            position[:, k] = (
-                position[:, k - 1] + reach * velocity[:, k - 1] + (dt - reach) * aim + noise[:, 0]
-            )
-            velocity[:, k] = keep * velocity[:, k - 1] + (1.0 - keep) * aim + noise[:, 1]
-        before = max(k - 1, 0)
-        body[:, k], head[:, k] = _turn(
-            dt, velocity[:, k], body[:, before], head[:, before], parameters.orientation, coupling, rng
-        )
-    return position, body, head
-
-
-def sample_orientations(
+def sample_states(
     t: FloatArray,
-    velocity: FloatArray,
-    parameters: Parameters,
+    n_tracks: int,
+    model: Model,
     rng: np.random.Generator,
     *,
-    coupled: bool = True,
-) -> tuple[FloatArray, FloatArray]:
-    """Body and head (n_tracks, n) in radians, given the velocities (n_tracks, n, 2) in m/s.
+    pace: float | None = None,
+    seen: np.ndarray | None = None,
+) -> dict[str, FloatArray]:
+    """States of people at the times ``t`` (n,) seconds, by name.
 
-    Each is sampled from the normalised product of its dynamics and, if ``coupled``, its coupling; the first
-    from the coupling alone (the uniform density without one).
+    Parameters
+    ----------
+    pace : as `sample_velocity` has it
+    seen : (n_tracks, n) frames in which a position is seen; None: all
+
+    Returns
+    -------
+    dict
+        ``position`` and ``velocity`` (n_tracks, n, 2), and ``body`` and ``head`` (n_tracks, n) if the model
+        has them.
     """
-    coupling = parameters.coupling if coupled else NO_COUPLING
-    # Zeros, not empty memory: the first frame reads its predecessor with weight 0, and 0·NaN is NaN.
-    body, head = np.zeros(velocity.shape[:2]), np.zeros(velocity.shape[:2])
-    steps: list[float | None] = [None, *np.diff(t).tolist()]
-    for k, dt in enumerate(steps):
-        before = max(k - 1, 0)
-        body[:, k], head[:, k] = _turn(
-            dt, velocity[:, k], body[:, before], head[:, before], parameters.orientation, coupling, rng
+    motion, steps = model.parameters.motion, (n_tracks, len(t) - 1)
+    coupled, steered = model.has_term(BodyFollowsMotion), model.has_term(IntentionalMotion)
+    states: dict[str, FloatArray] = {}
+    rate = np.full(steps, motion.head_rate if steered else 0.0)
+    if not model.has_body:
+        head = None
+        if model.has_head:
+            # Of the head nothing is said but how it turns; the motion follows.
+            free = np.zeros((n_tracks, len(t)), complex)
+            head = states["head"] = sample_course(t, model.parameters.orientation.head_diffusion, free, rng)
+        velocity = sample_velocity(t, n_tracks, motion, rng, pace=pace, head=head)
+    elif not coupled:
+        velocity = sample_velocity(t, n_tracks, motion, rng, pace=pace)
+        states["body"], states["head"] = sample_orientations(t, velocity, model, rng)
+    else:
+        modes = without_modes(n_tracks, len(t))
+        if model.has_modes:
+            gait = model.parameters.gait
+            modes = sample_modes(t, n_tracks, gait, rng)
+            share = np.where(np.ones(steps, bool) if seen is None else seen[:, 1:], gait.head_rate_seen, 1.0)
+            rate = rate * share * modes.ahead[:, :-1]
+        velocity = sample_coupled_velocity(
+            t,
+            modes,
+            model.parameters,
+            rng,
+            pace=pace,
+            rate=rate,
+            head_coupled=model.has_term(HeadFollowsBody),
         )
-    return body, head
-
-
-def _turn(
-    dt: float | None,
-    velocity: FloatArray,
-    body: FloatArray,
-    head: FloatArray,
-    turning: OrientationParameters,
-    coupling: CouplingParameters,
-    rng: np.random.Generator,
-) -> tuple[FloatArray, FloatArray]:
-    """Body and head (m,) ``dt`` seconds (None: the first) on; ``velocity`` (m, 2) is the new one."""
-    weight = coupling.weights(dt)
-    body_dynamics = 0.0 if dt is None else 1.0 / (turning.body_diffusion * dt)
-    head_dynamics = 0.0 if dt is None else 1.0 / (turning.head_diffusion * dt)
-    excess = np.maximum(np.linalg.norm(velocity, axis=-1) - coupling.speed_threshold, 0.0)
-    pull = weight * coupling.motion_body_kappa * excess**2
-    body = wrap(rng.vonmises(*von_mises_product(body, body_dynamics, direction(velocity), pull)))
-    pull = np.full(len(body), weight * coupling.head_body_kappa)
-    return body, wrap(rng.vonmises(*von_mises_product(head, head_dynamics, body, pull)))
-
-
-def von_mises_product(
-    mean_1: ArrayLike, kappa_1: ArrayLike, mean_2: ArrayLike, kappa_2: ArrayLike
-) -> tuple[FloatArray, FloatArray]:
-    """Mean (radians) and concentration of the normalised product of two von Mises densities.
-
-    It is again a von Mises, with the resultant κ₁·u(μ₁) + κ₂·u(μ₂).
-    """
-    resultant = np.asarray(kappa_1) * np.exp(1j * np.asarray(mean_1))
-    resultant = resultant + np.asarray(kappa_2) * np.exp(1j * np.asarray(mean_2))
-    return np.angle(resultant), np.abs(resultant)
+        states["body"], states["head"] = sample_orientations(t, velocity, model, rng, modes=modes, rate=rate)
+    position = sample_positions(t, velocity, motion, rng, head=states.get("head"), rate=rate)
+    return {"position": position, "velocity": velocity, **states}
 
 
 def _missing(rng: np.random.Generator, n_tracks: int, n_steps: int, probability: float) -> np.ndarray:

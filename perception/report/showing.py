@@ -9,8 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.behaviour.attention import attention
+from graphtrack.behaviour.groups import groups
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
+from graphtrack.report.behaviour.given import Behaviour, behaviour_of
 from graphtrack.report.build import tracking_report
 from graphtrack.report.content import Card, Note, Photo, Section
 from graphtrack.report.html import write_report
@@ -70,12 +73,23 @@ def write_page(
         observations,
         title=title,
         cards=cards,
+        behaviour=what_they_do(estimates),
         sections=(
             Section("Frames", (words, *photos)),
             Section("What was assumed", tuple(Note(line) for line in assumptions)),
         ),
     )
     write_report(path, report)
+
+
+def what_they_do(estimates: TrackSet) -> Behaviour | None:
+    """Who is in a group with whom and, where heads are known, who looks at whom; None of fewer than two."""
+    if len(estimates) < 2:
+        return None
+    found = groups(estimates)
+    known = any(track.head is not None and np.isfinite(track.head).any() for track in estimates)
+    looks = attention(estimates, groups=found) if known else None
+    return behaviour_of(estimates, groups=found, attention=looks)
 
 
 _DESCRIPTION = (

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import special, stats
+from von_mises import von_mises_product
 from walks import walk, without
 
 from graphtrack.baselines.kalman import filter_states, rauch_tung_striebel
@@ -50,7 +51,6 @@ from graphtrack.particles import (
     normalise,
     systematic_ancestors,
 )
-from graphtrack.simulation.sampling import von_mises_product
 from graphtrack.tracks import Track
 
 PARAMETERS = Parameters(

@@ -77,7 +77,7 @@ def test_a_track_without_positions_is_named_and_the_others_come_out(tmp_path):
 
 
 def test_simulate_says_what_it_simulates(tmp_path):
-    for model, said in (("joint", "model joint\n"), ("full", "model full, without its modes\n")):
+    for model, said in (("joint", "model joint\n"), ("full", "model full\n")):
         output = tmp_path / "out.csv"
         done = run("simulate", "-o", output, "--tracks", 1, "--steps", 3, "--model", model)
         assert done.returncode == 0 and done.stderr.endswith(said)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 
 import numpy as np
 import pandas as pd
@@ -13,11 +14,13 @@ import graphtrack as gt
 from graphtrack.association.tracker import OnlineTracker
 from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
+from graphtrack.cli import live
 from graphtrack.cli.detections import Scenes
 from graphtrack.cli.stream import People
 from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.inference.online import OnlineSmoother
+from graphtrack.model import Model
 
 KEYS = ["ahead", "x", "y", "x_std", "y_std", "xy_cov", "radius_50", "radius_90"]
 
@@ -125,6 +128,107 @@ def test_detections_are_told_with_forecasts():
         assert row["forecast"][1]["x"] == pytest.approx(4.5, abs=0.2)
         assert row["forecast"][1]["y"] == pytest.approx(row["y"], abs=0.2)
     assert found
+
+
+class Killed(BaseException):
+    """Stands in for a kill."""
+
+
+@pytest.mark.parametrize("killed", [False, True])
+@pytest.mark.parametrize("identities", [False, True])
+def test_a_stream_with_forecasts_goes_on_as_if_it_had_not_stopped(monkeypatch, tmp_path, identities, killed):
+    rng, lines = np.random.default_rng(2), []
+    for f in range(36):
+        for k in range(3):
+            if rng.random() < 0.9:  # people come late, are missed, and keep forecasts busy
+                x, y = np.array([0.5 * f, 2.0 * k]) + rng.normal(0, 0.03, 2)
+                row = {"frame": f, "t": round(0.4 * f, 6), "x": round(x, 4), "y": round(y, 4)}
+                lines.append(json.dumps(row | ({"track_id": k} if identities else {})).encode())
+    stops = [n for n in range(1, len(lines)) if b'"frame": 12' in lines[n] or b'"frame": 24' in lines[n]]
+    if not killed:  # an end of the input ends the frame
+        stops = [n for n in stops if lines[n - 1][:13] != lines[n][:13]]
+    answers, end = [], 0
+
+    def rows(stream, first):
+        yield from ((n, lines[n - 1]) for n in range(first, end + 1))
+        if killed and end < len(lines):
+            raise Killed
+
+    def run_to(place, state):
+        nonlocal end
+        end = place
+        options = {"engine": "chain", "lag": 1.0, "fps": None, "camera": None, "horizon": (2.0, 0.4)}
+        with suppress(Killed):
+            live.track_stream(Model("position"), **options, state=state, save_every=0.01)
+        found = list(answers)
+        answers.clear()
+        return found
+
+    monkeypatch.setattr(live, "lines_of", rows)
+    monkeypatch.setattr(live, "open_streams", lambda: None)
+    monkeypatch.setattr(live, "give", lambda answer: answers.append(json.dumps(answer)))
+    whole, found = run_to(len(lines), None), []
+    assert any("forecast" in one for one in whole)
+    for place in [*stops, len(lines)]:
+        more = run_to(place, tmp_path / "state")
+        # Whoever goes on after a kill is told the answers to the last row again.
+        again = [k for k in range(len(more) + 1) if killed and found[len(found) - k :] == more[:k]]
+        found += more[max(again, default=0) :]
+    assert len(stops) == (6 if killed else 2)
+    assert found == whole
+
+
+def test_a_state_with_forecasts_is_not_gone_on_with_without_them(here, monkeypatch):
+    monkeypatch.setattr(live, "open_streams", lambda: None)
+    monkeypatch.setattr(live, "lines_of", lambda stream, first: iter(()))
+    options = {"engine": "chain", "lag": 1.0, "fps": None, "camera": None, "save_every": 60.0}
+    options["state"] = here / "state"
+    live.track_stream(Model("position"), **options, horizon=(2.0, 0.4), associate="never")
+    for horizon in (None, (4.0, 0.4)):
+        with pytest.raises(InputError, match="forecast"):
+            live.track_stream(Model("position"), **options, horizon=horizon, associate="never")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ("--horizon 0", "horizon = 0"),
+        ("--horizon 86400", "60 at most"),
+        ("--horizon nan", "horizon = nan"),
+        ("--horizon inf", "horizon = inf"),
+        ("--horizon 0.4 --step 0.8", "no more than the horizon"),
+        ("--step 0", "step = 0"),
+        ("--step nan", "step = nan"),
+        ("--horizon 60 --step 0.001", "1000 at most"),
+        ("--every nan", "every"),
+        ("--every 0", "every"),
+        ("--history nan", "history = nan"),
+        ("--history 86400", "86400 s, the history"),
+        ("--samples 5000", "samples"),
+    ],
+)
+def test_settings_that_make_no_sense_are_one_line(here, options, told):
+    done = graphtrack(f"forecast tracks.csv -o forecast.csv {options}")
+    assert done.returncode == 2 and told in done.stderr
+    assert not (here / "forecast.csv").exists()
+
+
+@pytest.mark.parametrize("horizon", ["0", "-1", "nan", "86400"])
+def test_horizons_of_a_stream_that_make_no_sense_are_one_line(here, horizon):
+    done = graphtrack(f"track - --forecast {horizon}")
+    assert done.returncode == 2 and "horizon = " in done.stderr
+
+
+def test_one_person_alone_is_forecast_and_can_be_learned_from(here, monkeypatch):
+    monkeypatch.setattr("graphtrack.learning.forecast.PLACE_STEPS", {"stop_speed": (0.0, 0.2)})
+    walkers(here / "one.csv", people=1, steps=40)
+    assert graphtrack("forecast one.csv -o forecast.csv").returncode == 0
+    assert set(pd.read_csv("forecast.csv")["track_id"]) == {0}
+    done = graphtrack("fit one.csv --forecast -o learned.toml")
+    assert done.returncode == 0, done.stderr
+    walkers(here / "short.csv", people=1, steps=2)
+    done = graphtrack("fit short.csv --forecast -o learned.toml")
+    assert done.returncode == 2 and "nobody who was seen after a forecast" in done.stderr
 
 
 def test_a_tracker_that_is_asked_late_says_what_one_says_that_was_always_asked():

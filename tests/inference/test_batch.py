@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from costs import cost_around, free, gradient, hessian, states_of
+from costs import cost_around, free, gradient, hessian, stated_blocks, states_of
 from scipy import stats
 from scipy.spatial.transform import Rotation
 from selection import others_slow
@@ -28,6 +28,7 @@ from graphtrack.model import (
     States,
     presets,
 )
+from graphtrack.model.parameters import steady
 from graphtrack.tracks import Track, TrackSet
 
 EXACTLY = SolverOptions(max_iterations=300, relative_tolerance=0.0, step_tolerance=1e-10)
@@ -135,7 +136,7 @@ def simulated(
 
 @pytest.mark.parametrize("frame", [0, 6, 11])
 def test_the_nees_of_positions_and_velocities_lies_in_its_band(frame: int) -> None:
-    parameters = Parameters(motion=MotionParameters(0.8, 1.4), likelihood=LikelihoodParameters(0.15))
+    parameters = steady(Parameters(motion=MotionParameters(0.8, 1.4), likelihood=LikelihoodParameters(0.15)))
     rng, model, total, position_total = np.random.default_rng(8), Model("position", parameters), 0.0, 0.0
     for _ in range(200):
         track, truth = simulated(rng, 12, 0.15, parameters)
@@ -319,13 +320,9 @@ def test_covariances_are_the_inverse_of_the_exact_curvature(preset: str, situati
     assert np.linalg.eigvalsh(curvature).min() > 0.0
     expected = np.linalg.inv(curvature)
     assert found.covariance is not None
-    m = len(columns)
-    for k in range(len(track)):
-        block = expected[k * m : (k + 1) * m, k * m : (k + 1) * m]
-        # No angle is reported as less certain than the uniform density on the circle.
+    for k, whole in enumerate(stated_blocks(expected, columns, model, track)):
+        block = whole[np.ix_(columns, columns)]
         scale = np.sqrt(np.diag(block))
-        shrink = np.where(np.array(columns) < 4, 1.0, np.minimum(1.0, UNIFORM_STD / scale))
-        block, scale = block * shrink[:, None] * shrink, scale * shrink
         np.testing.assert_allclose(
             found.covariance[k][np.ix_(columns, columns)] / scale[:, None] / scale,
             block / scale[:, None] / scale,
@@ -487,7 +484,7 @@ def test_the_pixel_likelihood_through_a_homography_is_gaussian_in_metres_for_sma
     assert np.isfinite(pixel).all()
     # The metres that come along are wrong on purpose: where there are pixels they do not count.
     seen = replace(track, pixel=pixel, position=track.position + 0.02)
-    parameters = Parameters(likelihood=LikelihoodParameters(pixel_std=0.2))
+    parameters = steady(Parameters(likelihood=LikelihoodParameters(pixel_std=0.2)))
     found = smooth_track(seen, Model("position", parameters), camera, EXACTLY).track
     # The linear model with each frame's own covariance of the position, as one least-squares problem.
     to_metres = jacobian(camera.homography, pixel)

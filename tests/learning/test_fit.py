@@ -22,6 +22,7 @@ from graphtrack.model import (
     Parameters,
     States,
 )
+from graphtrack.model.parameters import steady
 from graphtrack.model.terms.pose import HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
 from graphtrack.tracks import Track, TrackSet
@@ -90,7 +91,7 @@ def test_the_normaliser_of_an_angle_is_the_integral_of_what_it_costs(outliers: f
 
 def test_the_likelihood_of_the_truth_is_that_of_a_gaussian_about_the_estimate() -> None:
     (track,) = unknown("position", 3, 1, 20, truth=True)
-    model = Model("position", TRUE)
+    model = Model("position", steady(TRUE))
     from graphtrack.baselines.kalman import smooth_states
 
     states = smooth_states(track, TRUE)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from command import run
+from made_up_behaviour import standing
 from pasted_street import FPS, PastedStreet, pasted_street
 
 import graphtrack as gt
@@ -22,6 +23,7 @@ from perception.detection.boxes import PersonBox, write_boxes
 from perception.images.drawing.tracked import draw_tracked
 from perception.observe import pipeline
 from perception.report.people import METHODS, ShownPerson, estimated, shown_by_frame, who_is_who
+from perception.report.showing import what_they_do
 
 EVERYTHING = {
     "observations.csv",
@@ -292,3 +294,13 @@ def test_stages_say_what_they_said_before(reported: tuple[Path, str]) -> None:
     stages = json.loads((reported[0] / "stages.json").read_text())
     assert list(stages) == ["people", "ground", "models", "observations", "estimates", "video", "page"]
     assert len(stages) == command._STAGES
+
+
+def test_the_page_says_who_is_in_a_group_and_who_looks_at_whom() -> None:
+    two = standing(people=2)
+    found = what_they_do(two)
+    assert found is not None and found.groups is not None and found.attention is not None
+    assert set(found.groups.track_id.tolist()) == {1, 2} and len(found.attention) == 2
+    blind = what_they_do(two.map(lambda track: replace(track, head=None)))
+    assert blind is not None and blind.attention is None
+    assert what_they_do(standing(people=1)) is None

@@ -13,11 +13,12 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.report import build, pairing
 from graphtrack.report.build import tracking_report
+from graphtrack.report.coding import LENGTH_STEP, delta_decode
 from graphtrack.report.content import Card, DataTable, Note, Report, Section
 from graphtrack.report.html import format_cell, packed, render_report, write_report
 from graphtrack.report.pairing import pair_tracks
 from graphtrack.report.plots import orientation
-from graphtrack.report.replay import LENGTH_STEP, MAX_SAMPLES, delta_decode, replay_data
+from graphtrack.report.replay import MAX_SAMPLES, replay_data
 from graphtrack.tracks import ReadSummary, TrackSet
 
 HOSTILE = "</script><script>alert('x')</script>&\"'"

@@ -14,11 +14,12 @@ from page_scripts import in_node
 from graphtrack.association.rows import with_rows
 from graphtrack.evaluation.tracking.events import IdentityEvent
 from graphtrack.report.build import tracking_report
-from graphtrack.report.content import DataTable, Timeline
+from graphtrack.report.coding import SURE_STEP, delta_decode
+from graphtrack.report.content import MAX_ROWS, DataTable, Timeline
 from graphtrack.report.html import render_report
-from graphtrack.report.lives import MAX_ROWS, UNSURE, Life, life_of
+from graphtrack.report.lives import UNSURE, Life, life_of
 from graphtrack.report.pairing import pair_track
-from graphtrack.report.replay import SURE_STEP, delta_decode, replay_data
+from graphtrack.report.replay import replay_data
 from graphtrack.tracks import Track, TrackSet
 
 SCRIPTS = ("replay_data.js", "lives.js", "people.js")

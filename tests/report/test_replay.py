@@ -9,16 +9,9 @@ from made_up import observed, scene, walker
 from page_scripts import in_node
 
 from graphtrack.geometry.angles import difference, wrap
+from graphtrack.report.coding import ANGLE_STEP, LENGTH_STEP, TIME_STEP, delta_code, delta_decode
 from graphtrack.report.pairing import pair_tracks
-from graphtrack.report.replay import (
-    ANGLE_STEP,
-    LENGTH_STEP,
-    TIME_STEP,
-    delta_code,
-    delta_decode,
-    replay_data,
-    thin,
-)
+from graphtrack.report.replay import replay_data, thin
 from graphtrack.report.shapes import probability_ellipse
 from graphtrack.tracks import TrackSet
 

@@ -5,24 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import integrate, stats
+from von_mises import von_mises_product
 
 from graphtrack import InputError
 from graphtrack.geometry.angles import difference, direction, mean_resultant_length, von_mises_log_density
-from graphtrack.model import (
-    CouplingParameters,
-    Model,
-    MotionParameters,
-    OrientationParameters,
-    Parameters,
-)
+from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.model.terms.motion import process_noise, transition_matrix
-from graphtrack.simulation.sampling import (
-    sample_motion,
-    sample_orientations,
-    scenario,
-    simulate,
-    von_mises_product,
-)
+from graphtrack.simulation.sampling import sample_motion, scenario, simulate
 
 
 def chi2_band(dof: float) -> tuple[float, float]:
@@ -75,24 +64,6 @@ def test_von_mises_product_is_the_normalised_product_by_quadrature(
     mean, kappa = von_mises_product(mean_1, kappa_1, mean_2, kappa_2)
     for angle in np.linspace(-np.pi, np.pi, 9):
         assert np.exp(von_mises_log_density(angle, mean, kappa)) == pytest.approx(product(angle) / mass)
-
-
-def test_orientations_are_sampled_from_the_product_of_dynamics_and_coupling() -> None:
-    n, dt = 20_000, 1.0  # the dynamics are weak, so that the coupling shows
-    parameters = Parameters(
-        orientation=OrientationParameters(body_diffusion=0.5, head_diffusion=1.0),
-        coupling=CouplingParameters(6.0, speed_threshold=0.2, head_body_kappa=2.0, correlation_time=2.0),
-    )
-    velocity = np.tile([-0.9, 0.3], (n, 2, 1))
-    body, head = sample_orientations(np.array([0.0, dt]), velocity, parameters, np.random.default_rng(2))
-    course, pull = float(direction(velocity[0, 0])), 6.0 * (np.hypot(0.9, 0.3) - 0.2) ** 2
-    resultant_is(difference(body[:, 0], course), pull)
-    resultant_is(difference(head[:, 0], body[:, 0]), 2.0)
-    # Half a correlation time after the frame before, a coupling counts half.
-    mean, kappa = von_mises_product(body[:, 0], 1.0 / (0.5 * dt), course, 0.5 * pull)
-    resultant_is(difference(body[:, 1], mean), kappa)
-    mean, kappa = von_mises_product(head[:, 0], 1.0 / (1.0 * dt), body[:, 1], np.full(n, 0.5 * 2.0))
-    resultant_is(difference(head[:, 1], mean), kappa)
 
 
 def test_without_couplings_head_and_body_know_nothing_of_each_other() -> None:
@@ -157,6 +128,8 @@ def test_missing_observations_come_at_their_rate_and_never_first() -> None:
         {"position_std": 0.0},
         {"body_kappa": -1.0},
         {"head_kappa": float("nan")},
+        {"pace": 0.0},
+        {"glances": -1.0},
         {"model": "nonsense"},
     ],
 )

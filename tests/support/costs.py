@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.solution import seconds_to_ends, stated
 from graphtrack.model import Model, States
 from graphtrack.tracks import Track
 
@@ -70,3 +71,12 @@ def hessian(cost: Callable[[np.ndarray], float], size: int, step: float = 2e-4) 
             both = cost(d) + cost(-d) - 2.0 * here
             found[i, j] = found[j, i] = 0.5 * (both - alone[i] - alone[j])
     return found / step**2
+
+
+def stated_blocks(covariance: np.ndarray, columns: Sequence[int], model: Model, track: Track) -> np.ndarray:
+    """What is stated (n, 6, 6) of states whose free columns have a joint covariance; NaN elsewhere."""
+    m, used = len(columns), np.ix_(list(columns), list(columns))
+    blocks = np.full((len(track), 6, 6), np.nan)
+    for k in range(len(track)):
+        blocks[k][used] = covariance[k * m : (k + 1) * m, k * m : (k + 1) * m]
+    return stated(blocks, model.parameters, seconds_to_ends(track.t))

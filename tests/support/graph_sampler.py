@@ -1,4 +1,4 @@
-"""People drawn from the graph's own density, where `simulate` draws from the normalised products of 002.
+"""People drawn from the graph's own density, motion included, where `simulate` keeps to a walking pace.
 
 The couplings reweigh the motion there, so that no recursion forward in time samples it. A particle filter
 whose observations are the couplings does, with backward simulation: each track is one draw, exact as the
@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
+from von_mises import von_mises_product
 
 from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
 from graphtrack.model import CouplingParameters, Parameters
-from graphtrack.simulation.sampling import von_mises_product
 from graphtrack.tracks import Track, TrackSet
 
 

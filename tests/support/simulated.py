@@ -46,7 +46,7 @@ def unknown(
     if preset == "joint":
         tracks = sample_graph(true or BRISK, n_tracks=n_tracks, n_steps=n_steps, rng=rng)
     else:
-        tracks = simulate(Model(preset, true or TRUE), n_tracks=n_tracks, n_steps=n_steps, rng=rng)
+        tracks = simulate(Model(preset, true or TRUE), n_tracks=n_tracks, n_steps=n_steps, rng=rng, pace=None)
     gone = {} if truth else WITHOUT_TRUTH
     return tracks.map(
         lambda track: replace(track, position_std=None, body_kappa=None, head_kappa=None, **gone)

@@ -189,8 +189,7 @@ def _pose(track: Track, model: Model, name: Literal["body", "head"], pose: PoseM
     )
     angle, kappa = getattr(track, name), getattr(track, f"{name}_kappa")
     if angle is not None:
-        default = likelihood.body_kappa if name == "body" else likelihood.head_kappa
-        own = np.full(n, default) if kappa is None else np.where(np.isfinite(kappa), kappa, default)
+        own = likelihood.kappas(name, kappa, n)
         seen = np.isfinite(angle) & (own > 0.0)
         _fill(
             found,

@@ -37,6 +37,14 @@ class Calibration:
         self._counts = np.tile(parameters.scene_prior * usual, (len(LAGS), 1))
         self._factors: FloatArray | None = None
 
+    def state(self) -> FloatArray:
+        """What is known; see `restore`."""
+        return self._counts.copy()
+
+    def restore(self, state: FloatArray) -> None:
+        """Go on where `state` was taken."""
+        self._counts, self._factors = state, None
+
     def see(self, lag: NDArray[np.int64], relative: FloatArray) -> None:
         """Errors (n,) over their spreads, at the numbers of their `LAGS`."""
         logs = np.log(np.clip(relative, 0.0101, 49.9))

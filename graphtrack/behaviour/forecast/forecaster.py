@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.behaviour.forecast.calibration import Calibration
 from graphtrack.behaviour.forecast.expected import Expected, between_lags, lead, mean_turn, spreads, together
-from graphtrack.behaviour.forecast.motion import ComplexArray, MotionFilters
+from graphtrack.behaviour.forecast.motion import ComplexArray, MotionFilters, standing
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.behaviour.forecast.places import EVERY, LAGS, Places, Seen
 from graphtrack.behaviour.forecast.spread import LEVELS, offsets, radius
@@ -27,7 +28,7 @@ _FORGOTTEN = 10.0
 """Seconds after which people who were not seen again are forgotten."""
 _HEAD_SECONDS = 0.3
 """Time constant over which directions of the head are averaged."""
-_JUDGED = 2.8
+JUDGED = 2.8
 """Seconds that somebody must have been seen for, for the outcome of a forecast to tell about others."""
 _OF_A_PLACE = (
     *("_id", "_number", "_first", "_last", "_anchored", "_count", "_position", "_head"),
@@ -164,6 +165,40 @@ class Forecaster:
         self._see_heads(ids, head)
         self._anchor(t, at)
 
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as arrays and numbers in dictionaries; see `from_state`."""
+        return {
+            "t": self.t if math.isfinite(self.t) else None,
+            "numbers": self._numbers,
+            "of": np.array(list(self._of.items()), np.int64).reshape(-1, 2),
+            "free": np.array(self._free, np.int64),
+            "people": {name: getattr(self, name).copy() for name in _OF_A_PLACE},
+            "filters": self._filters.state(),
+            "places": self._places.state(),
+            "calibration": self._calibration.state(),
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any], parameters: ForecastParameters | None = None) -> Forecaster:
+        """A forecaster that goes on where `state` was taken, given the same parameters.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, IndexError
+            If the state is damaged.
+        """
+        found = cls(parameters)
+        found.t = -math.inf if state["t"] is None else state["t"]
+        found._numbers = state["numbers"]
+        found._of = dict(state["of"].tolist())
+        found._free = state["free"].tolist()
+        for name in _OF_A_PLACE:
+            setattr(found, name, state["people"][name])
+        found._filters.restore(state["filters"])
+        found._places.restore(state["places"])
+        found._calibration.restore(state["calibration"])
+        return found
+
     def people(self, history: float = 0.0) -> NDArray[np.int64]:
         """Ids of those who are seen now, were seen before, and for so many seconds; in their order.
 
@@ -295,7 +330,7 @@ class Forecaster:
         position, velocity, _ = self._going(at)
         deviation = expected.mean - position[:, None] - LAGS * velocity[:, None]
         spread = np.sqrt((along**2 + across**2) / 2)
-        spread[t - self._first[at] < _JUDGED] = np.nan
+        spread[t - self._first[at] < JUDGED] = np.nan
         self._places.add(t, self._number[at], position, velocity, deviation, spread)
 
     def _going(self, at: NDArray[np.int64]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
@@ -303,8 +338,7 @@ class Forecaster:
             here = np.flatnonzero((self._count >= 2) & (self._last == self.t))
             old = np.union1d(here, at)
             motion = self._filters.motion(old, self.t - self._last[old])
-            speed2 = np.abs(motion.velocity) ** 2
-            own = motion.velocity * speed2 / (speed2 + self.parameters.stop_speed**2 + 1e-12)
+            own = standing(motion.velocity, self.parameters.stop_speed)
             others = np.searchsorted(old, here)
             velocity = together(motion.position, own, others, self.parameters)
             self._now[old] = np.stack([motion.position, velocity], axis=1)

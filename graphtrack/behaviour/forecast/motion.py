@@ -8,7 +8,9 @@ them either lags or shakes. Points of the plane are complex numbers: both axes s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +47,13 @@ class Motion:
     variance: FloatArray
 
 
+def standing(velocity: ComplexArray, stop_speed: float) -> ComplexArray:
+    """Velocities (n,) of which those well below a speed count little: slow motion is mostly swaying."""
+    speed2 = np.abs(velocity) ** 2
+    found: ComplexArray = velocity * speed2 / (speed2 + stop_speed**2 + 1e-12)
+    return found
+
+
 class MotionFilters:
     """The filters of people in numbered places; who sits where is the caller's business."""
 
@@ -62,6 +71,15 @@ class MotionFilters:
             values = getattr(self, name)
             wider = np.zeros((more, *values.shape[1:]), values.dtype)
             setattr(self, name, np.concatenate([values, wider]))
+
+    def state(self) -> dict[str, Any]:
+        """Everything that is known, as arrays; see `restore`."""
+        return {name: np.array(values) for name, values in vars(self).items()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state` was taken."""
+        for name in vars(self):
+            setattr(self, name, state[name])
 
     def begin(self, at: NDArray[np.int64], position: ComplexArray, std: FloatArray) -> None:
         """Somebody new in each of the places ``at`` (n,), seen at ``position`` (n,), give or take ``std``."""

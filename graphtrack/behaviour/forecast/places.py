@@ -7,8 +7,9 @@ Nadaraya, Theory Probab. Appl. 9(1), 1964), weighed against people who went stra
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,10 @@ EVERY = 0.4
 
 _CAPACITY = 4096
 """Anchors that are kept; when there are more, new ones take the places of any."""
+_OF_ALL = ("_position", "_velocity", "_outcome")
+_OF_OPEN = ("_t", "_owner", "_next", "_expected", "_spread")
+_LEAST = np.float32(-40.0)
+"""Logarithm of the least weight: less counts for nothing, and denormal numbers are slow."""
 _LONGEST_GAP = 1.0
 """Seconds without a person beyond which nobody knows where the person was in between."""
 
@@ -43,6 +48,15 @@ class Seen:
     weight: FloatArray
     deviation: ComplexArray
     square: FloatArray
+
+
+def nearness(here: NDArray[np.float32], there: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weights (n, m) of points (m, 4) for points (n, 4): of a Gaussian kernel of width 1."""
+    logs = here @ there.T
+    logs -= 0.5 * (here**2).sum(axis=1)[:, None]
+    logs -= 0.5 * (there**2).sum(axis=1)
+    np.maximum(logs, _LEAST, out=logs)
+    return np.exp(logs, out=logs)
 
 
 class Places:
@@ -71,6 +85,23 @@ class Places:
 
     def __len__(self) -> int:
         return min(self._count, _CAPACITY)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that is known, as arrays and numbers; see `restore`."""
+        kept = {name: getattr(self, name)[: len(self)].copy() for name in _OF_ALL}
+        still_open = {name: getattr(self, name)[self._active] for name in _OF_OPEN}
+        random = self._random.bit_generator.state
+        return {"count": self._count, "random": random, "active": self._active, **kept, **still_open}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state` was taken."""
+        self._count, self._active = state["count"], state["active"]
+        self._random.bit_generator.state = state["random"]
+        for name in _OF_ALL:
+            getattr(self, name)[: len(self)] = state[name]
+        for name in _OF_OPEN:
+            getattr(self, name)[self._active] = state[name]
+        self._where[: len(self)] = self._scaled(self._position[: len(self)], self._velocity[: len(self)])
 
     def _scaled(self, position: ComplexArray, velocity: ComplexArray) -> NDArray[np.float32]:
         near, alike = self._parameters.place_distance, self._parameters.place_velocity
@@ -165,10 +196,7 @@ class Places:
             none = np.zeros((len(position), size))
             return Seen(none, none.astype(complex), none)
         there, here = self._where[:count], self._scaled(position, velocity)
-        weights = here @ there.T
-        weights -= 0.5 * (here**2).sum(axis=1)[:, None]
-        weights -= 0.5 * (there**2).sum(axis=1)
-        np.exp(weights, out=weights)
+        weights = nearness(here, there)
         real, imaginary, square, weight = np.split((weights @ self._outcome[:count]).astype(float), 4, axis=1)
         total = np.maximum(weight, 1e-12)
         return Seen(weight, (real + 1j * imaginary) / total, square / total)

@@ -13,6 +13,7 @@ from graphtrack.evaluation.reproduce import (
     baxter_statistics,
     chen_classes,
     chen_joint,
+    honesty,
 )
 from graphtrack.evaluation.reproduce.experiment import Experiment, Reproduction, Settings, Table
 
@@ -28,6 +29,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
             baxter_statistics,
             chen_joint,
             chen_classes,
+            honesty,
         )
     }
 )

@@ -51,7 +51,8 @@ def solve_packed(
     Result
         States in the world's frame, angles not wrapped. Covariances are those of the exact curvature where
         that is positive definite. NaN for what the model does not have. Where couplings have modes, they are
-        weighed by the modes' probabilities, and costs and covariances are those given these weights.
+        weighed by the modes' probabilities. Costs are those given these weights; covariances contain what
+        is not known of the modes (see `mode_spread`).
     """
     result, problem, seen = empty_result(packed), problem_of(packed), seen_in(packed, model)
     linear = model.is_linear(packed)
@@ -82,10 +83,11 @@ def solve_terms(
     for gate in program.switched:
         problem.records[gate] = 0.0
     solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
-    gait = gait_of(model.parameters.gait)
+    gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
     for _ in range(PASSES):
-        renew_tracks(problem, result.states, gait, result.modes)
+        renew_tracks(problem, result.states, gait, result.modes, spread)
         solve_tracks(problem, max_iterations, tolerance, False, memory, result)
+    program.spread_tracks(problem, result.states, spread, memory, result.covariance)
 
 
 @compiled

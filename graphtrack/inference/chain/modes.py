@@ -19,6 +19,7 @@ from graphtrack.model.terms.gait import (
     add_seen,
     add_seen_classes,
     aligned,
+    deviation,
     expected,
     infer_modes,
 )
@@ -92,7 +93,7 @@ def judge_body(
     row[:] = 0.0
     for k in range(len(states)):
         frame = problem.records[offset + k]
-        # What holds an aligned body to the motion, without the weight of what other frames say again.
+        # What holds an aligned body to the motion in this frame; κ₁ contains the weight w here.
         coupling = frame.body_aligned_kappa * squared_excess(states[k, VX], states[k, VY], threshold)
         if coupling == 0.0 or not is_seen(frame):
             continue
@@ -162,18 +163,22 @@ def judge_head(
 
 
 @compiled
-def couple(modes: Modes, kappa: float, lead: float, probability: FloatArray) -> tuple[float, float, float]:
+def couple(
+    modes: Modes, kappa: float, lead: float, probability: FloatArray
+) -> tuple[float, float, float, float]:
     """Concentration, and cosine and sine of the offset, of a coupling by the probabilities of its modes.
 
-    ``lead``: radians that it is turned by until the lead is over.
+    And the standard deviation of what it pulls with, by modes and offsets. ``lead``: radians that it is
+    turned by until the lead is over.
     """
     cos, sin = expected(probability, modes, modes.strength, modes.free_strength)
     size = math.hypot(cos, sin)
     if not size > 0.0:
-        return 0.0, 1.0, 0.0
+        return 0.0, 1.0, 0.0, 0.0
     cos, sin = cos / size, sin / size
+    spread = kappa * deviation(probability, modes, modes.strength, modes.free_strength, cos, sin)
     ahead_cos, ahead_sin = math.cos(lead), math.sin(lead)
-    return kappa * size, cos * ahead_cos - sin * ahead_sin, sin * ahead_cos + cos * ahead_sin
+    return kappa * size, cos * ahead_cos - sin * ahead_sin, sin * ahead_cos + cos * ahead_sin, spread
 
 
 @compiled
@@ -185,6 +190,7 @@ def renew_couplings(
     before: FloatArray,
     filtered: FloatArray,
     modes: FloatArray,
+    spread: FloatArray,
 ) -> None:
     """Set the couplings of a track's frames, and the steering between them, by the modes the states imply.
 
@@ -194,6 +200,7 @@ def renew_couplings(
     before : (2, ROW) filtered probabilities of both couplings in the frame before the first
     filtered : (2, n, ROW) filled in: those of all frames
     modes : (n, 2) filled in: the probability that the body is aligned, and the offset from motion to body
+    spread : (n, 2) filled in: the standard deviation of what each coupling pulls with, as its κ
     """
     n, offset = len(states), problem.offsets[track]
     dt, angle, own = np.empty(n), np.empty(n), np.empty(n)
@@ -206,9 +213,10 @@ def renew_couplings(
     shared, left = problem.shared[0], 0.0
     for k in range(n - 1, -1, -1):
         frame, lead = problem.records[offset + k], angle[k] - own[k]
-        kappa, cos, sin = couple(gait.body, frame.body_aligned_kappa, lead, smoothed[k])
+        given, cos, sin, pull = couple(gait.body, frame.body_aligned_kappa, lead, smoothed[k])
         excess = squared_excess(states[k, VX], states[k, VY], shared.speed_threshold)
-        kappa = loosened(frame, kappa, excess, gait.body.lead - left, shared.body_diffusion)
+        kappa = loosened(frame, given, excess, gait.body.lead - left, shared.body_diffusion)
+        spread[k, BODY_MODE] = pull * kappa / given if given > 0.0 else 0.0
         frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin = kappa, cos, sin
         cos, sin = expected(smoothed[k], gait.body, 1.0, 1.0)
         modes[k, 0], modes[k, 1] = aligned(smoothed[k]), math.atan2(sin, cos)
@@ -220,8 +228,9 @@ def renew_couplings(
     left = 0.0
     for k in range(n - 1, -1, -1):
         frame, lead = problem.records[offset + k], angle[k] - states[k, BODY]
-        kappa, cos, sin = couple(gait.head, frame.head_aligned_kappa, lead, smoothed[k])
-        kappa = loosened(frame, kappa, 1.0, gait.head.lead - left, shared.body_diffusion)
+        given, cos, sin, pull = couple(gait.head, frame.head_aligned_kappa, lead, smoothed[k])
+        kappa = loosened(frame, given, 1.0, gait.head.lead - left, shared.body_diffusion)
+        spread[k, HEAD_MODE] = math.sqrt(gait.head_common) * pull * kappa / given if given > 0.0 else 0.0
         frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin = kappa, cos, sin
         left += dt[k]
         if k < n - 1:
@@ -233,10 +242,12 @@ def renew_couplings(
 
 
 @compiled
-def renew_tracks(problem: Problem, states: FloatArray, gait: Gait, modes: FloatArray) -> None:
+def renew_tracks(
+    problem: Problem, states: FloatArray, gait: Gait, modes: FloatArray, spread: FloatArray
+) -> None:
     """`renew_couplings` of all tracks, whole."""
     before = np.zeros((2, ROW))
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         filtered = np.empty((2, b - a, ROW))
-        renew_couplings(problem, track, states[a:b], gait, before, filtered, modes[a:b])
+        renew_couplings(problem, track, states[a:b], gait, before, filtered, modes[a:b], spread[a:b])

@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from graphtrack.errors import InputError
-from graphtrack.inference.chain import grid, newton, restart, window_kernels
+from graphtrack.inference.chain import grid, mode_spread, newton, restart, window_kernels
 from graphtrack.model import Model, Term
 from graphtrack.model.kernels import program
 from graphtrack.model.kernels.compiled import UNKEPT, cache_home
@@ -32,10 +32,10 @@ from graphtrack.model.model import every_term
 Compiled = Callable[..., Any]
 
 _PROGRAM = program.__name__
-_CALLERS = tuple(module.__name__ for module in (newton, grid, restart, window_kernels))
+_CALLERS = tuple(module.__name__ for module in (newton, grid, restart, window_kernels, mode_spread))
 """The modules whose functions call those of the frame program, directly or not."""
 
-_PUBLIC = ("program", "newton", "restart", "window_kernels")
+_PUBLIC = ("program", "newton", "restart", "window_kernels", "mode_spread")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +57,13 @@ class ChainProgram:
     find_other_basin: Compiled
     solve_window: Compiled
     let_go: Compiled
+    spread_tracks: Compiled
+    spread_newest: Compiled
 
     @classmethod
     def of(cls, modules: Sequence[ModuleType]) -> ChainProgram:
         """The functions in the modules `_PUBLIC` of a program."""
-        frame, newton, restart, window = modules
+        frame, newton, restart, window, spread = modules
         return cls(
             RecordTypes(frame.FRAME, frame.SHARED),
             frame.LINKS,
@@ -72,10 +74,12 @@ class ChainProgram:
             restart.find_other_basin,
             window.solve_window,
             window.let_go,
+            spread.spread_tracks,
+            spread.spread_newest,
         )
 
 
-OF_PRESETS = ChainProgram.of((program, newton, restart, window_kernels))
+OF_PRESETS = ChainProgram.of((program, newton, restart, window_kernels, mode_spread))
 
 
 def program_of(model: Model) -> ChainProgram:

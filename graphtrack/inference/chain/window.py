@@ -13,7 +13,7 @@ from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.window_modes import WindowModes
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
-from graphtrack.inference.solution import bounded
+from graphtrack.inference.solution import stated
 from graphtrack.inference.state import Angles, Newest, Window
 from graphtrack.model import Model, Step
 from graphtrack.model.kernels.layout import BODY, HEAD, N
@@ -43,6 +43,7 @@ class ChainWindow:
     ----------
     coupled : the packed frames of the last solution, with what the modes of the couplings set; None without,
         or where it is not to be shown
+    spread : (6, 6) what the modes of the couplings leave open in the newest frame; part of its covariance
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class ChainWindow:
         # Whether what was seen may speak for several directions: then other basins are searched.
         self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
         self._origin = np.zeros(2)
-        self._covariance = np.empty((N, N))
+        self._covariance, self.spread = np.empty((N, N)), np.zeros((N, N))
         self._modes = WindowModes(gait_of(model.parameters.gait)) if model.has_modes else None
         self._allocate(64)
 
@@ -246,6 +247,11 @@ class ChainWindow:
             self._memory,
             self._covariance,
         )
+        if self._warm and self._modes is not None:
+            self.spread[:] = 0.0
+            self._program.spread_newest(
+                self._problem, self._states, self._modes.spread, self._memory, self.spread
+            )
         return self._warm
 
     def _renew(self) -> None:
@@ -257,11 +263,11 @@ class ChainWindow:
             self.coupled = self._problem.records[slice(*self._offsets.tolist())].copy()
 
     def _newest(self) -> Newest:
-        covariance = self._covariance.copy()
+        covariance = self._covariance + self.spread
         for has, place in ((self._model.has_body, BODY), (self._model.has_head, HEAD)):
             if not has:
                 covariance[place] = covariance[:, place] = np.nan
-        return np.array(self._read(int(self._offsets[1]) - 1)), bounded(covariance)
+        return np.array(self._read(int(self._offsets[1]) - 1)), stated(covariance, self._model.parameters)
 
     def _slide(self) -> None:
         horizon = self._steps[-1].observation.t - self._lag

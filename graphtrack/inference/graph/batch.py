@@ -15,7 +15,7 @@ from graphtrack.inference.chain.engine import PASSES, is_chain
 from graphtrack.inference.chain.restart import AT_END, AT_START
 from graphtrack.inference.graph.chain_view import ChainView, is_ambiguous
 from graphtrack.inference.initial import initial_states
-from graphtrack.inference.solution import Solution, SolverOptions, bounded, estimated_track
+from graphtrack.inference.solution import Solution, SolverOptions, estimated_track, seconds_to_ends, stated
 from graphtrack.inference.warm import WHOLE, graph_rehearsal, has_own_kernels
 from graphtrack.model import Model, States, Step
 from graphtrack.model.factors.derived import Couplings
@@ -150,6 +150,9 @@ def smooth_graph(
     except (RuntimeError, ArithmeticError) as error:
         raise SolveError(track.track_id, " ".join(str(error).split())[:200]) from error
     states = descent.states(values)
+    if view is not None and model.has_modes:
+        view.widen(states, covariance)
+    stated(covariance, model.parameters, seconds_to_ends(track.t))
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, "the estimate is not finite")
     if costs[-1] > costs[0]:
@@ -238,7 +241,7 @@ def marginal_covariances(
     for step in steps:
         keys = variable_keys(step, model)
         found.append(joint_covariance(marginals.jointMarginalCovariance(keys), keys, model))
-    return bounded(np.array(found))
+    return np.array(found)
 
 
 def joint_covariance(joint: gtsam.JointMarginal, keys: Sequence[int], model: Model) -> FloatArray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.graph.couplings import couplings_of
@@ -37,6 +38,7 @@ class ChainView:
         self._problem = problem_of(self._packed)
         self.couplings: dict[int, Sequence[float]] = {}
         self.modes = np.full((len(track), 2), np.nan)
+        self._spread = np.zeros((len(track), 2))
         self._note()
 
     def other(self, states: FloatArray, near: float) -> FloatArray | None:
@@ -59,8 +61,16 @@ class ChainView:
 
     def renew(self, states: FloatArray) -> None:
         """Set the couplings by the modes that the states (n, 6) imply."""
-        renew_tracks(self._problem, self._here(states), gait_of(self._model.parameters.gait), self.modes)
+        gait = gait_of(self._model.parameters.gait)
+        renew_tracks(self._problem, self._here(states), gait, self.modes, self._spread)
         self._note()
+
+    def widen(self, states: FloatArray, covariance: FloatArray) -> None:
+        """Add to the covariances (n, 6, 6) of the states (n, 6) what the modes leave open, in place."""
+        memory = workspace(len(states))
+        program_of(self._model).spread_tracks(
+            self._problem, self._here(states), self._spread, memory, covariance
+        )
 
     def _note(self) -> None:
         if self._model.has_modes:

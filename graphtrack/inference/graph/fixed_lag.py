@@ -9,8 +9,9 @@ import gtsam
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.graph.batch import anchors, bounded, variable_keys
+from graphtrack.inference.graph.batch import anchors, variable_keys
 from graphtrack.inference.prior import marginal_prior
+from graphtrack.inference.solution import stated
 from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, present, read_step
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
@@ -284,4 +285,4 @@ def _covariance_of_last(bayes_net: gtsam.GaussianBayesNet, keys: Sequence[int], 
     rows = present(model)
     covariance = np.full((6, 6), np.nan)
     covariance[np.ix_(rows, rows)] = root @ root.T
-    return bounded(covariance)
+    return stated(covariance, model.parameters)

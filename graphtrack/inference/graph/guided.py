@@ -135,7 +135,14 @@ class Guided:
             self._graph.renewed = len(rows)
 
     def _followed(self, chain: ChainWindow, ahead: Newest, newest: Newest) -> Newest:
-        """What is known about the newest step, once the graph is where the chain is."""
+        """What is known about the newest step, once the graph is where the chain is.
+
+        Its covariance has what the chain knows of the modes: they are no variables of the graph.
+        """
+        state, covariance = self._agreed(chain, ahead, newest)
+        return state, covariance + chain.spread
+
+    def _agreed(self, chain: ChainWindow, ahead: Newest, newest: Newest) -> Newest:
         if not _is_elsewhere(ahead[0], newest[0]):
             return newest
         window = self._graph.window()

@@ -215,9 +215,9 @@ def looks_like(head: bytes, path: Path) -> bool:
 def read(source: Source, options: ReadOptions) -> Rows:
     """Read the native table from NDJSON, such as the answers of ``graphtrack track -``.
 
-    Lines with the key ``end``, which end a frame of a stream, are no rows. Of answers to one frame, as late
-    and repeated rows bring them, the last one stands; rows with an ``error`` are left out. The summary counts
-    both.
+    Lines with the key ``end``, which end a frame of a stream, are no rows, nor is what is told of people when
+    their frame has ended. Of answers to one frame, as late and repeated rows bring them, the last one stands;
+    rows with an ``error`` are left out. The summary counts both.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
         try:
             pairs = parse_line(text)
             given = dict(pairs)
-            if "end" in given:
+            if "end" in given or _is_of_a_frame(given):
                 continue
             if "error" in given:
                 errors += 1
@@ -261,6 +261,14 @@ def read(source: Source, options: ReadOptions) -> Rows:
     )
     placed = place_pixels(native, options)
     return replace(placed, refused={**placed.refused, **refused})
+
+
+def _is_of_a_frame(given: Mapping[str, Any]) -> bool:
+    """Whether a line tells of groups, looks or a forecast, and not of what was seen or estimated."""
+    if "status" in given or "x" in given or "u" in given:
+        return False
+    is_list = any(isinstance(given.get(name), list) for name in ("attention", "forecast"))
+    return is_list or {"group", "kind", "probability"} <= given.keys()
 
 
 def _last_answers(rows: list[_Row]) -> list[_Row]:

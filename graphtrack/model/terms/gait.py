@@ -60,6 +60,7 @@ class Gait(NamedTuple):
     head: Modes
     head_evidence: float
     head_rate_seen: float
+    head_common: float
 
 
 @compiled
@@ -226,6 +227,21 @@ def expected(
 
 
 @compiled
+def deviation(
+    probability: FloatArray, modes: Modes, strength: float, free_strength: float, cos: float, sin: float
+) -> float:
+    """Standard deviation of the pulls of all modes and offsets on a direction, given by cosine and sine.
+
+    Each pulls with the sine of what it is apart, times the strength of its mode.
+    """
+    total = 0.0
+    for j in range(ROW):
+        pull = (free_strength if j < BINS else strength) * (modes.sin[j] * cos - modes.cos[j] * sin)
+        total += probability[j] * pull * pull
+    return math.sqrt(total)
+
+
+@compiled
 def aligned(probability: FloatArray) -> float:
     """Probability of the aligned mode."""
     total = 0.0
@@ -244,6 +260,7 @@ def gait_of(parameters: GaitParameters) -> Gait:
         _modes(parameters, "head"),
         parameters.head_evidence,
         parameters.head_rate_seen,
+        parameters.head_common,
     )
 
 

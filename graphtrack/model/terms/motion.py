@@ -100,7 +100,14 @@ class Motion(Term):
     """White-noise acceleration between frames, and a broad prior on the velocity where the track begins."""
 
     repeats = True
-    reads: ClassVar[tuple[str, ...]] = ("motion.acceleration_density", "motion.initial_speed_std")
+    reads: ClassVar[tuple[str, ...]] = (
+        "motion.acceleration_density",
+        "motion.initial_speed_std",
+        "motion.sway_std",
+        "motion.sway_rate",
+        "motion.lasting_std",
+        "motion.lasting_time",
+    )
     fields: ClassVar[tuple[Field, ...]] = (
         Field("motion_information", "1/q in s³/m²; 0 at the first frame"),
         Field("velocity_information", "of the prior on the velocity, where it stands"),

@@ -228,18 +228,9 @@ def _fields(name: Variable) -> tuple[Field, ...]:
 class _PoseLikelihood(Term):
     name: ClassVar[Variable]
 
-    @property
-    def _default_kappa(self) -> float:
-        """Concentration of an observed angle that does not say its own."""
-        return float(getattr(self.parameters.likelihood, f"{self.name}_kappa"))
-
-    def _kappas(self, given: FloatArray | None, n: int) -> FloatArray:
+    def _kappas(self, given: FloatArray | float | None, n: int) -> FloatArray:
         """Concentrations (n,) of observed angles, where given or not."""
-        return (
-            np.full(n, self._default_kappa)
-            if given is None
-            else np.where(np.isfinite(given), given, self._default_kappa)
-        )
+        return self.parameters.likelihood.kappas(self.name, given, n)
 
     def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
         """A native von Mises where that is exact, else from the kernels."""
@@ -248,7 +239,7 @@ class _PoseLikelihood(Term):
         by_class = getattr(seen, f"{self.name}_likelihood") is not None
         if by_class or self.parameters.likelihood.outlier_probability > 0.0:
             return derived_factors(self, step)
-        kappa = self._default_kappa if kappa is None else kappa
+        (kappa,) = self._kappas(kappa, 1).tolist()
         if angle is None or kappa == 0.0:
             return []
         return [von_mises_prior(getattr(step, f"{self.name}_key"), angle, kappa)]
@@ -348,6 +339,7 @@ class BodyLikelihood(_PoseLikelihood):
     repeats = True
     reads = (
         "likelihood.body_kappa",
+        "likelihood.body_scale",
         "likelihood.outlier_probability",
         "likelihood.class_outlier_probability",
     )
@@ -371,6 +363,7 @@ class HeadLikelihood(_PoseLikelihood):
     repeats = True
     reads = (
         "likelihood.head_kappa",
+        "likelihood.head_scale",
         "likelihood.outlier_probability",
         "likelihood.class_outlier_probability",
     )

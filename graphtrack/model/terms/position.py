@@ -164,6 +164,7 @@ class PositionLikelihood(Term):
     repeats = True
     reads = (
         "likelihood.position_std",
+        "likelihood.position_scale",
         "likelihood.pixel_std",
         "likelihood.image_frame",
         "likelihood.robust",
@@ -191,16 +192,14 @@ class PositionLikelihood(Term):
             return derived_factors(self, step)
         if seen.position is None:
             return []
-        std = likelihood.position_std if seen.position_std is None else seen.position_std
+        (std,) = likelihood.position_stds(seen.position_std, 1).tolist()
         noise = robust_noise(gtsam.noiseModel.Isotropic.Sigma(2, std), likelihood)
         return [gtsam.PriorFactorPoint2(step.position_key, np.array(seen.position), noise)]
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of the observed positions."""
         likelihood = self.parameters.likelihood
-        std = np.full(len(track), likelihood.position_std)
-        if track.position_std is not None:
-            std = np.where(np.isfinite(track.position_std), track.position_std, std)
+        std = likelihood.position_stds(track.position_std, len(track))
         residual = (states.position - track.position) / std[:, None]
         if likelihood.image_frame and track.pixel is not None and camera is not None:
             seen = np.isfinite(track.pixel).all(axis=1)
@@ -219,9 +218,7 @@ class PositionLikelihood(Term):
             For a Cauchy loss with k² ≤ 2, whose tails have no finite mass.
         """
         likelihood = self.parameters.likelihood
-        std = np.full(len(track), likelihood.position_std)
-        if track.position_std is not None:
-            std = np.where(np.isfinite(track.position_std), track.position_std, std)
+        std = likelihood.position_stds(track.position_std, len(track))
         seen = np.isfinite(track.position).all(axis=1)
         if likelihood.image_frame and track.pixel is not None and camera is not None:
             in_image = np.isfinite(track.pixel).all(axis=1)
@@ -240,10 +237,7 @@ class PositionLikelihood(Term):
     def pack(self, packed: PackedTracks) -> None:
         """Observed positions or pixels with their information, and the robust loss."""
         likelihood, records = self.parameters.likelihood, packed.records
-        std = np.full(len(records), likelihood.position_std)
-        given = packed.channel("position_std")
-        if given is not None:
-            std = np.where(np.isfinite(given), given, std)
+        std = likelihood.position_stds(packed.channel("position_std"), len(records))
         records["x"], records["y"] = np.nan_to_num(packed.position).T
         records["position_information"] = np.where(packed.has_position, std**-2.0, 0.0)
         packed.shared["robust"] = {"none": 0, "huber": HUBER, "cauchy": CAUCHY}[likelihood.robust]

@@ -102,7 +102,7 @@ class HeadDynamics(Term):
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
     repeats = True
-    reads = ("orientation.head_diffusion",)
+    reads = ("orientation.head_diffusion", "orientation.head_turn_rate", "orientation.head_turn_time")
     fields = (Field("head_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
     kernels = (_turning("head"),)
 

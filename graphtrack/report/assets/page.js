@@ -18,8 +18,10 @@ async function startDrawing() {
   }
   const crowd = createCrowd(data.people.map((coded) => decodePerson(coded, data.steps)));
   const events = decodeEvents(data.events, crowd.people);
-  const replay = startReplay(root, crowd, data.frame || 0, data.unsure, events);
+  const behaviour = decodeBehaviour(data, crowd.people);
+  const replay = startReplay(root, crowd, data.frame || 0, data.unsure, events, behaviour);
   startPeople(root, crowd, replay);
+  tellDoing(root.querySelector('[data-part="doing"]'), crowd, replay, behaviour);
   document.querySelectorAll(".angles").forEach((chart) => startAngles(chart, crowd, replay));
   document.querySelectorAll(".timeline").forEach((chart) => startTimeline(chart, crowd, replay, data.unsure, events));
   tables.forEach((table, i) => linkTable(table, turning[i], crowd, replay));

@@ -79,3 +79,10 @@ function startPeople(root, crowd, replay) {
   crowd.onChange(fill);
   fill();
 }
+
+// What the chosen person does at the replay's time, for those who have no pointer to hover with.
+function tellDoing(output, crowd, replay, behaviour) {
+  const tell = () => { output.textContent = crowd.chosen < 0 ? "" : doingInWords(behaviour, crowd.people, crowd.chosen, replay.now()); };
+  crowd.onChange(tell);
+  replay.onTime(tell);
+}

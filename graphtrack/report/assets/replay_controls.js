@@ -1,12 +1,12 @@
 // The replay's controls: time, speed, layers, zoom, keyboard and the address (#t=5.0&person=12&play=0&speed=2).
 
-function startReplay(root, crowd, frame, unsure, events) {
+function startReplay(root, crowd, frame, unsure, events, behaviour) {
   const part = (name) => root.querySelector('[data-part="' + name + '"]');
   const canvas = part("canvas"), ctx = canvas.getContext("2d");
   const slider = part("time"), playButton = part("play"), clock = part("clock"), speed = part("speed"), trail = part("trail");
   const people = crowd.people, listeners = [];
   const begin = Math.min(...people.map((p) => p.t[0])), end = Math.max(...people.map((p) => p.t[p.t.length - 1]));
-  const bounds = sceneBounds(people), backdrop = document.createElement("canvas");
+  const bounds = sceneBounds(people, behaviour.places), backdrop = document.createElement("canvas");
   const layers = {};
   let theme = readTheme(root), view = null, time = begin, playing = false, stamp = null, queued = false, times = null, painted = false;
 
@@ -18,7 +18,7 @@ function startReplay(root, crowd, frame, unsure, events) {
     if (!view) return;
     if (layers.paths && !painted) paintBackdrop();
     const strong = [crowd.chosen, crowd.hovered].filter((i) => i >= 0);
-    const scene = { people, layers, theme, time, trail: Number(trail.value), backdrop: layers.paths ? backdrop : null, strong, unsure, events, linger: Math.max(1, 3 * frame) };
+    const scene = { people, layers, theme, time, trail: Number(trail.value), backdrop: layers.paths ? backdrop : null, strong, unsure, events, behaviour, linger: Math.max(1, 3 * frame) };
     const present = drawMoment(ctx, view, scene);
     slider.value = time - begin;
     clock.textContent = time.toFixed(2) + " s of " + end.toFixed(2) + " s · " + countOf(present, "person", "people");
@@ -124,7 +124,8 @@ function startReplay(root, crowd, frame, unsure, events) {
   });
   const pointer = startPointing(part("tip"), canvas, crowd, {
     ground: (sx, sy) => [view.x + (sx - view.width / 2) / view.scale, view.y + (view.height / 2 - sy) / view.scale],
-    moment: () => ({ time, trail: Number(trail.value), everything: layers.paths, reach: 1 / view.scale }),
+    behaviour,
+    moment: () => ({ time, trail: Number(trail.value), everything: layers.paths, reach: 1 / view.scale, layers }),
     redraw,
     seek,
   });

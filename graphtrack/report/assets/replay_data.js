@@ -88,8 +88,8 @@ function stateAt(person, t) {
   return Number.isFinite(state.x) && Number.isFinite(state.y) ? state : null;
 }
 
-// [left, bottom, right, top] in metres of all paths, with room for the arrows.
-function sceneBounds(people) {
+// [left, bottom, right, top] in metres of all paths and places, with room for the arrows.
+function sceneBounds(people, places) {
   let left = Infinity, bottom = Infinity, right = -Infinity, top = -Infinity;
   const widen = (xs, ys) => xs.forEach((x, i) => {
     if (!Number.isFinite(x) || !Number.isFinite(ys[i])) return;
@@ -97,6 +97,7 @@ function sceneBounds(people) {
     bottom = Math.min(bottom, ys[i]); top = Math.max(top, ys[i]);
   });
   people.forEach((p) => { widen(p.x, p.y); widen(p.true_x, p.true_y); });
+  places.forEach((place) => place.outline.forEach(([x, y]) => widen([x - place.radius, x + place.radius], [y - place.radius, y + place.radius])));
   if (left > right) return [-1, -1, 1, 1];
   const margin = Math.max(0.5, 0.05 * Math.max(right - left, top - bottom));
   return [left - margin, bottom - margin, right + margin, top + margin];

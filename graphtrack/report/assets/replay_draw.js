@@ -233,7 +233,7 @@ function drawMarks(ctx, view, scene) {
 
 function markSize(count) { return count <= 12 ? 1 : Math.max(0.6, Math.sqrt(12 / count)); }
 
-// scene: {people, layers, theme, time, trail, backdrop, strong, unsure, events, linger}. `strong` holds the indices of those to be made plain.
+// scene: {people, layers, theme, time, trail, backdrop, strong, unsure, events, behaviour, linger}. `strong` holds the indices of those to be made plain.
 // Returns how many people are there.
 function drawMoment(ctx, view, scene) {
   ctx.clearRect(0, 0, view.width, view.height);
@@ -243,11 +243,12 @@ function drawMoment(ctx, view, scene) {
   scene.people.forEach((person, index) => {
     const strong = scene.strong.includes(index), state = person.shown ? stateAt(person, scene.time) : null;
     if (strong && person.shown) drawChosenPath(ctx, view, person, scene.theme);
-    if (state) present.push({ person, state, strong });
+    if (state) present.push({ person, state, strong, index });
   });
   // Those to be made plain are drawn over the others, but their ids take their places first.
   present.sort((a, b) => a.strong - b.strong);
   const size = markSize(present.length);
+  drawBehaviour(ctx, view, scene, present);
   present.forEach(({ person, state, strong }) => drawPerson(ctx, view, person, state, scene, strong ? 1 : size, strong));
   drawMarks(ctx, view, scene);
   if (scene.layers.label) drawLabels(ctx, view, present.slice().reverse(), scene.theme);

@@ -1,0 +1,37 @@
+"""Machine code of online groups and attention before it is needed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graphtrack.behaviour.features import of_frames
+from graphtrack.behaviour.looking import concentration, half_angle
+from graphtrack.behaviour.looking_on import looks_of_frame
+from graphtrack.behaviour.online_attention import OnlineAttention
+from graphtrack.behaviour.online_groups import OnlineGroups
+from graphtrack.behaviour.partition import partitions
+from graphtrack.behaviour.people import People
+from graphtrack.behaviour.places import Place
+from graphtrack.behaviour.smoothing import merged
+from graphtrack.readiness import Rehearsal
+
+ONLINE = "groups and looks"
+"""What is compiled here, in words."""
+
+
+def online_rehearsal() -> Rehearsal:
+    """What online groups and attention call."""
+    # Seconds that compiling takes on a core, about.
+    called = {of_frames: 3.0, merged: 2.0, partitions: 4.0, concentration: 1.0, half_angle: 0.5}
+    return Rehearsal(_rehearse, {**called, looks_of_frame: 10.0})
+
+
+def _rehearse() -> None:
+    groups = OnlineGroups()
+    attention = OnlineAttention([Place("made up", np.array([[0.0, 5.0]]), 0.5)])
+    for k in range(2):
+        aside = np.array([[0.0, 0.0], [1.0, 0.0]])
+        ahead = np.array([[0.9, 0.1], [-0.9, 0.1]])
+        rows, one = np.arange(2), np.array([k])
+        people = People(rows, one, 1.0 * one, np.array([0, 2]), rows, aside, 0.0 * aside, ahead, ahead)
+        attention.take(people, groups.take(people))

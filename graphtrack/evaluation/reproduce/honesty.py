@@ -1,0 +1,187 @@
+"""Are stated uncertainties honest? NEES and coverage by preset, noise and rate, on motion capture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from graphtrack.evaluation.calibration import DEGREES, TrackCalibration, pooled, track_calibration
+from graphtrack.evaluation.metrics import true_velocity
+from graphtrack.evaluation.reproduce.experiment import (
+    ASKANCE,
+    MOCAP,
+    Cell,
+    Experiment,
+    Progress,
+    Reproduction,
+    Settings,
+    Table,
+    evenly,
+    quietly,
+    thinned,
+)
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.offline import smooth
+from graphtrack.inference.recorded import track_online
+from graphtrack.simulation.degrade import add_noise
+from graphtrack.tracks import Track, TrackSet
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PRESETS = ("separate", "joint", "full")
+POSITION_STDS = (0.05, 0.1, 0.3)
+EVERY = {30.0: 1, 10.0: 3, 2.5: 12}
+"""Frames a second → one of how many frames of the recording."""
+
+BODY_KAPPA, HEAD_KAPPA = 1.2, 2.3
+"""As strong as the noise of 002."""
+
+CLIPS, FEW = 62, 6
+LEAST_FRAMES = 4
+
+ESTIMATORS: Mapping[str, Callable[[TrackSet, str], Sequence[Track]]] = {
+    "offline": lambda tracks, preset: smooth(tracks, preset).tracks,
+    "online": lambda tracks, preset: [track_online(track, preset) for track in tracks],
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """Clips at one rate with one noise, and their true velocities (n, 2), those of the full rate."""
+
+    rate: float
+    position_std: float
+    tracks: TrackSet
+    velocities: tuple[FloatArray, ...]
+
+
+def settings_of(clips: TrackSet, rng: np.random.Generator) -> list[Setting]:
+    """All rates with all noises: the same clips, each time with a noise of its own."""
+    found = []
+    for rate, every in EVERY.items():
+        for std in POSITION_STDS:
+            noisy = add_noise(clips, position_std=std, body_kappa=BODY_KAPPA, head_kappa=HEAD_KAPPA, rng=rng)
+            kept = [track for track in noisy if len(track) > (LEAST_FRAMES - 1) * every]
+            velocities = tuple(true_velocity(track)[::every] for track in kept)
+            found.append(
+                Setting(rate, std, clips.with_tracks(thinned(track, every) for track in kept), velocities)
+            )
+    return found
+
+
+def judged(setting: Setting, preset: str, estimator: str) -> list[dict[str, TrackCalibration]]:
+    """The calibration of each track; of `joint` without those whose couplings it has wrong by design."""
+    askance = {track.track_id for track in setting.tracks.select(*ASKANCE)} if preset == "joint" else set()
+    estimates = ESTIMATORS[estimator](setting.tracks, preset)
+    return [
+        track_calibration(estimate, truth, velocity=velocity)
+        for estimate, truth, velocity in zip(estimates, setting.tracks, setting.velocities, strict=True)
+        if truth.track_id not in askance
+    ]
+
+
+def run(settings: Settings, progress: Progress) -> Reproduction:
+    """The experiment; nothing without the recording."""
+    mocap = settings.recording(*MOCAP)
+    if mocap is None:
+        return Reproduction("honesty", (), None, ("motion capture is needed: --data",))
+    whole = quietly(mocap)
+    # The clips of even place are those that parameters were fitted to.
+    held = [replace(track, track_id=i) for i, track in enumerate(whole.tracks[1::2])]
+    clips = evenly(whole.with_tracks(held), FEW if settings.quick else CLIPS)
+    rows: list[dict[str, Any]] = []
+    for setting in settings_of(clips, settings.rng(0)):
+        for preset in PRESETS:
+            for estimator in ESTIMATORS:
+                parts = judged(setting, preset, estimator)
+                heading = {"": estimator, "model": preset, "σ (m)": setting.position_std, "Hz": setting.rate}
+                for quantity in DEGREES:
+                    known = [part[quantity] for part in parts if quantity in part]
+                    if known:
+                        rows.append({**heading, "of": quantity, **pooled(known)})
+                progress(1)
+    notes = (
+        f"{len(clips)} clips of motion capture that nothing was fitted to; body κ = {BODY_KAPPA}, head κ = "
+        f"{HEAD_KAPPA}; true velocities are those of 30 Hz. Joint without side-stepping and backwards.",
+        "NEES a degree of freedom should be 1, intervals should hold the truth as often as they say.",
+    )
+    return Reproduction("honesty", (_grid(rows), _beside(rows)), _figure(rows), notes)
+
+
+def _grid(rows: Sequence[Mapping[str, Any]]) -> Table:
+    records: list[dict[str, Cell]] = []
+    keys = ("", "model", "σ (m)", "Hz")
+    for heading in dict.fromkeys(tuple(row[key] for key in keys) for row in rows):
+        record: dict[str, Cell] = dict(zip(keys, heading, strict=True))
+        for row in rows:
+            if tuple(row[key] for key in keys) == heading:
+                record[f"{row['of']}: NEES"] = row["nees"]
+                for level in (50, 95):
+                    record[f"{row['of']}: in {level} % (%)"] = 100.0 * row[f"coverage_{level}"]
+        records.append(record)
+    return Table.of("NEES a degree of freedom, and how often intervals hold the truth", records)
+
+
+def _beside(rows: Sequence[Mapping[str, Any]]) -> Table:
+    records: list[dict[str, Cell]] = []
+    for quantity in DEGREES:
+        own = [row for row in rows if row["of"] == quantity]
+        nees, wide = [row["nees"] for row in own], [100.0 * row["coverage_95"] for row in own]
+        records.append(
+            {
+                "of": quantity,
+                "paper: NEES": 1.0,
+                "ours: least": min(nees),
+                "ours: median": float(np.median(nees)),
+                "ours: greatest": max(nees),
+                "paper: in 95 % (%)": 95.0,
+                "ours: least (%)": min(wide),
+                "ours: greatest (%)": max(wide),
+            }
+        )
+    return Table.of("Paper / ours: what a covariance promises, and all cells of the grid", records)
+
+
+def _figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    from graphtrack.report.style import new_figure, quantity_colour, tidy
+
+    figure = new_figure(9.0, 4.2)
+    panels = figure.subplots(1, len(DEGREES), sharey=True)
+    headings = list(dict.fromkeys((row["model"], row[""]) for row in rows))
+    for axes, quantity in zip(panels, DEGREES, strict=True):
+        axes.axvspan(0.85, 1.2, color="#E3E6EA")
+        axes.axvline(1.0, color="#9AA1AB", linewidth=1.0)
+        for row in rows:
+            if row["of"] == quantity:
+                place = headings.index((row["model"], row[""]))
+                shift = 0.25 * (list(EVERY).index(row["Hz"]) - 1)
+                axes.plot(row["nees"], place + shift, "o", color=quantity_colour(quantity), markersize=4)
+        axes.set_title(f"{quantity}: NEES", loc="left", fontsize=10)
+        axes.set_xscale("log")
+        axes.set_xlim(0.5, 4.0)
+        axes.set_xticks([0.5, 1.0, 2.0, 4.0], ["0.5", "1", "2", "4"])
+        axes.minorticks_off()
+        tidy(axes, grid="x")
+    panels[0].set_yticks(range(len(headings)), [f"{model}, {engine}" for model, engine in headings])
+    panels[0].invert_yaxis()
+    figure.supxlabel("a dot a noise; in each line 30, 10 and 2.5 Hz from above", fontsize=9)
+    return figure
+
+
+def work(settings: Settings) -> int:
+    """Cells of the grid."""
+    cells = len(EVERY) * len(POSITION_STDS) * len(PRESETS) * len(ESTIMATORS)
+    return cells if settings.recording(*MOCAP) is not None else 0
+
+
+EXPERIMENT = Experiment(
+    "honesty",
+    "how honest stated uncertainties are, by model, noise and rate",
+    work,
+    run,
+    f"{FEW} people",
+)

@@ -1,0 +1,54 @@
+"""The page of a set of tracks, with what people do: `graphtrack report`, and `write_report` in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from graphtrack.report import html
+from graphtrack.report.behaviour.given import behaviour_of
+from graphtrack.report.build import tracking_report
+from graphtrack.tracks import TrackSet
+
+if TYPE_CHECKING:
+    from graphtrack.behaviour.attention import Attention
+    from graphtrack.behaviour.forecast.recorded import Forecasts
+    from graphtrack.behaviour.groups import Groups
+    from graphtrack.behaviour.places import Place
+
+
+def write_report(
+    path: str | Path,
+    tracks: TrackSet,
+    observations: TrackSet | None = None,
+    *,
+    groups: Groups | str | Path | None = None,
+    attention: Sequence[Attention] | str | Path | None = None,
+    forecast: Forecasts | str | Path | None = None,
+    places: Sequence[Place] | str | Path | None = None,
+    title: str = "Tracks",
+    subtitle: str = "",
+) -> None:
+    """Write the HTML report of tracks, with groups, looks and forecasts.
+
+    Parameters
+    ----------
+    path : where it goes; an existing file is replaced
+    tracks : estimates, or observations as they are
+    observations : what was estimated from, matched by ``track_id``
+    groups : of `graphtrack.groups`, or the file that ``graphtrack groups`` wrote
+    attention : of `graphtrack.behaviour.attention.attention`, or the file that ``graphtrack attention`` wrote
+    forecast : of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
+    places : what else is looked at, or the file that says where it is
+    title, subtitle : at the top
+
+    Raises
+    ------
+    InputError
+        For groups, looks and forecasts of people or frames that the tracks have not, files that cannot be
+        read, and a place that cannot be written to.
+    """
+    behaviour = behaviour_of(tracks, groups=groups, attention=attention, forecast=forecast, places=places)
+    report = tracking_report(tracks, observations, title=title, subtitle=subtitle, behaviour=behaviour)
+    html.write_report(path, report)

@@ -1,0 +1,184 @@
+"""`graphtrack track - --groups --attention --forecast`: what is told, when, and after a stop."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command import Done, run
+
+import graphtrack as gt
+from graphtrack.association.tracker import OnlineTracker
+from graphtrack.behaviour.forecast.forecaster import times_ahead
+from graphtrack.behaviour.places import Place
+from graphtrack.cli.detections import Frame, Scenes
+from graphtrack.cli.stream import People
+from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour, merged
+from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
+from graphtrack.inference.online import OnlineSmoother
+
+ALL = Asked(True, True, (Place("bar", np.array([[1.0, 3.0]]), 0.5),))
+OF_GROUPS = ["group", "kind", "probability", "centre_x", "centre_y"]
+
+
+def rows(frames: int = 8, people: int = 3) -> list[dict[str, Any]]:
+    """Two who walk side by side, and others far from them."""
+    far = {1: 0.0, 2: 0.7}
+    return [
+        {"track_id": k, "frame": f, "t": round(0.4 * f, 6), "x": round(0.5 * f, 6), "y": far.get(k, 20.0 * k)}
+        for f in range(frames)
+        for k in range(1, people + 1)
+    ]
+
+
+def people_of(asked: Asked | None = ALL, *, ahead: bool = True) -> People:
+    behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
+    forecasts = FrameForecasts(times_ahead(0.8, 0.4)) if ahead else None
+    return People(lambda: OnlineSmoother("position"), None, lambda note: None, forecasts, behaviour)
+
+
+def answers(people: Any, given: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [one for n, row in enumerate(given, 1) for one in people.answers(n, json.dumps(row).encode())]
+
+
+def test_rows_with_identities_are_answered_at_once_and_a_frame_when_it_has_ended() -> None:
+    people = people_of()
+    found = answers(people, rows()) + people.finish()
+    told = [row for row in found if "status" not in row]
+    assert [(row["track_id"], row["frame"]) for row in told] == [(k, f) for f in range(8) for k in (1, 2, 3)]
+    # Somebody seen once is in a group, or alone, and has no forecast.
+    assert list(told[0]) == ["track_id", "frame", "t", *OF_GROUPS, "attention"]
+    assert list(told[-1]) == [*told[0], "forecast"]
+    first, second, alone = told[-3:]
+    assert first["group"] == second["group"] >= 0 and first["kind"] == "walking"
+    assert alone["group"] == -1 and alone["kind"] is None and alone["centre_x"] is None
+    assert sum(look["probability"] for look in first["attention"]) == pytest.approx(1.0, abs=0.05)
+    assert first["attention"][-1]["kind"] == "nothing"
+    place = found.index(told[3])
+    assert [row.get("status") for row in found[place : place + 4]] == [None] * 3 + ["new"]
+    plain = answers(people_of(None), rows())
+    assert [r for r in found if "status" in r] == [r for r in plain if "status" in r]
+
+
+def test_answers_with_identities_are_those_of_a_table_of_estimates(tmp_path: Path) -> None:
+    people = people_of(Asked(groups=True))
+    found = answers(people, rows()) + people.finish()
+    path = tmp_path / "answers.ndjson"
+    path.write_text("".join(json.dumps(row) + "\n" for row in found))
+    table = gt.groups(gt.read(path), online=True).to_table()
+    told = [row for row in found if "status" not in row]
+    assert table["group"].tolist() == [row["group"] for row in told]
+    np.testing.assert_allclose(table["probability"], [row["probability"] for row in told], atol=1e-9)
+
+
+def test_late_rows_and_rows_of_a_frame_that_was_told_change_no_frame() -> None:
+    people, given = people_of(Asked(groups=True), ahead=False), rows(5, people=2)
+    moved = [*given[:4], *given[5:], given[4]]  # one comes two frames late
+    told = [row for row in answers(people, moved) + people.finish() if "group" in row]
+    assert [row["frame"] for row in told] == sorted(row["frame"] for row in told)
+    assert len(told) == len(given) - 1
+    assert [row for row in answers(people, [given[-1]]) + people.finish() if "group" in row] == []
+
+
+def detections(given: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{key: value for key, value in row.items() if key != "track_id"} for row in given]
+
+
+def test_detections_are_told_with_groups_and_looks() -> None:
+    scenes = Scenes(lambda: OnlineTracker("position"), None, horizon=(0.8, 0.4), asked=ALL)
+    answers(scenes, detections(rows(14)))
+    last = [row for row in scenes.finish() if "track_id" in row]
+    assert len(last) == 3
+    for row in last:
+        assert {*OF_GROUPS, "attention", "forecast", "identity_p"} <= set(row)
+    by_y = {round(row["y"]): row["group"] for row in last}
+    assert by_y[0] == by_y[1] >= 0 > by_y[60]
+
+
+def test_going_on_leaves_no_trace() -> None:
+    given = rows(10)
+    whole, part = people_of(), people_of()
+    expected = answers(whole, given) + whole.finish()
+    found = answers(part, given[:17])
+    kept = {key: one.state() for key, one in part.members.items()}
+    kept = json.loads(json.dumps(list(kept.items()), allow_nan=False))
+    for key, state in kept:
+        if key == BEHAVIOUR:
+            part.members[key] = FrameBehaviour.restore(state, ALL)
+        elif key == FORECASTS:
+            part.members[key] = FrameForecasts.from_state(times_ahead(0.8, 0.4), state)
+        else:
+            part.members[key] = OnlineSmoother.from_state(state, "position")
+    found += answers(part, given[17:]) + part.finish()
+    assert found == expected
+    scenes = [Scenes(lambda: OnlineTracker("position"), None, asked=ALL) for _ in range(2)]
+    seen = detections(given)
+    expected = answers(scenes[0], seen) + scenes[0].finish()
+    found = answers(scenes[1], seen[:17])
+    ((name, frame),) = scenes[1].members.items()
+    state = json.loads(json.dumps(frame.state(), allow_nan=False))
+    tracker = OnlineTracker.from_state(state["tracker"], "position")
+    scenes[1].members[name] = Frame.restore(state, tracker, ALL)
+    assert found + answers(scenes[1], seen[17:]) + scenes[1].finish() == expected
+
+
+def test_rows_about_one_person_become_one() -> None:
+    a = [{"track_id": 1, "frame": 0, "group": 3}, {"track_id": 2, "frame": 0, "group": 3}]
+    b = [{"track_id": 1, "frame": 0, "forecast": []}]
+    assert merged([], b) == b and merged(a, []) == a and merged([], []) == []
+    assert merged(a, b) == [a[0] | b[0], a[1]]
+
+
+def graphtrack(line: str) -> Done:
+    return run(*line.split(), program="graphtrack")
+
+
+def test_a_stream_goes_on_from_its_state_file_with_the_same_options_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "places.csv").write_text("name,x,y,radius\nbar,1,3,0.5\n")
+
+    def track(given: list[dict[str, Any]], options: str) -> Done:
+        lines = "".join(json.dumps(row) + "\n" for row in given).encode()
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
+        return graphtrack(f"track - --model position {options}")
+
+    given = rows(8)
+    for seen in (given, detections(given)):
+        options = "--groups --attention --places places.csv --forecast 2"
+        whole = track(seen, options)
+        assert whole.returncode == 0, whole.stderr
+        kept = f"{options} --state state{'' if 'track_id' in seen[0] else '-of-detections'}"
+        first, second = track(seen[:12], kept), track(seen[12:], kept)
+        assert first.stdout + second.stdout == whole.stdout
+        for other in ("--groups --forecast 2", "--groups --attention --forecast 2"):
+            refused = track(seen[12:], kept.replace(options, other))
+            assert refused.returncode == 2 and "attention = [[" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("track - --places places.csv", "expected --attention beside it"),
+        ("track - --attention --places none.csv", "none.csv"),
+        ("track - --attention --places places.csv", "neither radius nor polygon"),
+        ("track tracks.csv -o out.csv --groups", "graphtrack groups --online"),
+        ("track tracks.csv -o out.csv --attention", "graphtrack attention --online"),
+        ("track - --groups --forecast 0", "horizon = 0"),
+        ("track - --groups --forecast 86400", "60 at most"),
+    ],
+)
+def test_what_cannot_be_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "places.csv").write_text("name,x,y,radius\na,0,0,\n")
+    (tmp_path / "tracks.csv").write_text("track_id,frame,t,x,y\n1,0,0,0,0\n")
+    done = graphtrack(line)
+    assert done.returncode == 2 and message in done.stderr, done.stderr

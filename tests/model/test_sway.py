@@ -1,0 +1,127 @@
+"""What stated uncertainties contain beside the inverse curvature: against closed forms and simulations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate
+
+from graphtrack.geometry.angles import UNIFORM_STD, von_mises_log_density
+from graphtrack.inference.solution import seconds_to_ends, stated
+from graphtrack.model import Model, Parameters
+from graphtrack.model.parameters import MotionParameters, OrientationParameters, steady
+from graphtrack.model.sway import head_lag, lagging, swaying
+from graphtrack.model.terms.motion import process_noise, transition_matrix
+
+STILL = steady(Parameters())
+
+
+def of_angle(variance: float) -> np.ndarray:
+    covariance = np.diag([0.01, 0.02, 0.03, 0.04, variance, variance])
+    covariance[4, 0] = covariance[0, 4] = 0.02 * np.sqrt(variance)
+    return covariance
+
+
+@pytest.mark.parametrize("variance", [1e-4, 0.01, 0.1, 0.5, 1.0, 3.0, 50.0])
+def test_an_angle_states_the_root_mean_square_of_its_von_mises(variance: float) -> None:
+    found = stated(of_angle(variance), STILL)
+    reach = min(np.pi, 12.0 * np.sqrt(variance))
+
+    def weighted(angle: float) -> float:
+        return angle**2 * float(np.exp(von_mises_log_density(angle, 0.0, 1.0 / variance)))
+
+    mean_square = 2.0 * integrate.quad(weighted, 0.0, reach)[0]
+    assert found[4, 4] == pytest.approx(mean_square, rel=2e-3)
+    # The correlation stays, and the rest is as it was.
+    assert found[4, 0] / np.sqrt(found[0, 0] * found[4, 4]) == pytest.approx(0.2)
+    assert found[:4, :4] == pytest.approx(of_angle(variance)[:4, :4])
+
+
+@pytest.mark.parametrize("variance", [1e5, 1e12])
+def test_nothing_is_less_certain_than_the_uniform_density(variance: float) -> None:
+    covariance = np.diag([1.0, 1.0, 1.0, 1.0, variance, 0.1])
+    assert stated(covariance, Parameters())[4, 4] == pytest.approx(UNIFORM_STD**2, rel=2e-3)
+
+
+def test_what_a_model_does_not_have_stays_unknown() -> None:
+    covariance = np.full((3, 6, 6), np.nan)
+    covariance[:, :4, :4] = 0.1 * np.eye(4)
+    found = stated(covariance, Parameters(), np.zeros(3))
+    assert np.isnan(found[:, 4:]).all() and np.isfinite(found[:, :4, :4]).all()
+
+
+def test_sway_is_that_of_a_sine() -> None:
+    motion = MotionParameters(sway_std=0.02, sway_rate=1.7)
+    t = np.linspace(0.0, 40.0 / 1.7, 40_001)
+    position = 0.02 * np.sqrt(2.0) * np.sin(2.0 * np.pi * 1.7 * t)
+    found = swaying(np.zeros((6, 6)), motion)
+    assert found[0, 0] == pytest.approx(position.var(), rel=1e-3)
+    assert found[2, 2] == pytest.approx(np.gradient(position, t).var(), rel=1e-3)
+    assert found[0, 2] == 0.0 and not swaying(np.zeros((6, 6)), replace(motion, sway_std=0.0)).any()
+
+
+def test_a_head_lags_behind_turns_as_a_filter_and_a_smoother_do() -> None:
+    """Exponential means of turns whose rate is an Ornstein–Uhlenbeck process."""
+    orientation = OrientationParameters(head_diffusion=0.1, head_turn_rate=0.5, head_turn_time=0.8)
+    rng, dt, n = np.random.default_rng(0), 0.01, 400_000
+    keep = np.exp(-dt / 0.8)
+    noise = 0.5 * np.sqrt(1.0 - keep**2) * rng.standard_normal(n)
+    rate = np.empty(n)
+    rate[0] = 0.0
+    for k in range(1, n):
+        rate[k] = keep * rate[k - 1] + noise[k]
+    angle, seconds = np.cumsum(rate) * dt, 0.3
+    share = 1.0 - np.exp(-dt / seconds)
+    past, future = np.empty(n), np.empty(n)
+    past[0], future[-1] = angle[0], angle[-1]
+    for k in range(1, n):
+        past[k] = past[k - 1] + share * (angle[k] - past[k - 1])
+        future[n - 1 - k] = future[n - k] + share * (angle[n - 1 - k] - future[n - k])
+    inner = slice(1000, -1000)
+    behind, around = (angle - past)[inner].var(), (angle - 0.5 * (past + future))[inner].var()
+    assert float(head_lag(np.array(0.1 * seconds), orientation, 0.0)) == pytest.approx(behind, rel=0.1)
+    assert float(head_lag(np.array(0.05 * seconds), orientation, 1e3)) == pytest.approx(around, rel=0.1)
+
+
+def test_velocity_and_position_lag_behind_an_acceleration_as_the_filter_does() -> None:
+    """The steady Kalman filter's own lag behind one that lasts for ever."""
+    q, noise, dt, acceleration = 0.1, 0.05**2, 0.002, 0.3
+    transition, process = transition_matrix(dt), process_noise(dt, q)
+    # As dense as it is, σ² is that of white noise of density σ²·Δt.
+    spread, mean, truth = np.eye(4), np.zeros(4), np.zeros(4)
+    for _ in range(6000):
+        truth = transition @ truth + acceleration * np.array([dt**2 / 2.0, 0.0, dt, 0.0])
+        mean, spread = transition @ mean, transition @ spread @ transition.T + process
+        gain = spread[:, :2] @ np.linalg.inv(spread[:2, :2] + noise / dt * 0.1 * np.eye(2))
+        mean, spread = mean + gain @ (truth[:2] - mean[:2]), spread - gain @ spread[:2]
+    whole = np.full((6, 6), np.nan)
+    whole[:4, :4] = spread
+    motion = MotionParameters(acceleration_density=q, lasting_std=acceleration, lasting_time=1e3)
+    added = lagging(whole.copy(), motion, 0.0) - whole
+    off = truth - mean
+    assert added[2, 2] == pytest.approx(off[2] ** 2, rel=0.05)
+    assert added[0, 0] == pytest.approx(off[0] ** 2, rel=0.05)
+    assert added[0, 2] == pytest.approx(off[0] * off[2], rel=0.05)
+    # In the middle of a track the two sides balance.
+    assert lagging(whole.copy(), motion, 1e3)[2, 2] - whole[2, 2] < 0.1 * added[2, 2]
+
+
+def test_the_presets_state_more_than_steady_ones_and_stay_positive_definite() -> None:
+    rng = np.random.default_rng(1)
+    for preset in ("separate", "full"):
+        parameters = Model(preset).parameters
+        root = rng.normal(0.0, 0.2, (50, 6, 6))
+        covariance = root @ root.transpose(0, 2, 1) + 1e-4 * np.eye(6)
+        ends = rng.uniform(0.0, 2.0, 50)
+        found, least = (
+            stated(covariance.copy(), parameters, ends),
+            stated(covariance, steady(parameters), ends),
+        )
+        assert np.linalg.eigvalsh(found).min() > 0.0
+        assert np.linalg.eigvalsh(found - least).min() > -1e-9
+
+
+def test_seconds_to_the_nearer_end() -> None:
+    assert seconds_to_ends(np.array([3.0, 3.5, 5.0, 6.0])).tolist() == [0.0, 0.5, 1.0, 0.0]

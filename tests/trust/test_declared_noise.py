@@ -1,0 +1,221 @@
+"""What the data say of the noise that is declared: multipliers, biases, and what comes of correcting them."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import graphtrack as gt
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.geometry.angles import von_mises_log_density, wrap
+from graphtrack.model.parameters import LikelihoodParameters
+from graphtrack.tracks import Track, TrackSet
+from graphtrack.trust import declared_noise
+from graphtrack.trust.bias import shared_offset, turned
+from graphtrack.trust.filters import angle_log_density, concentrations, position_log_density
+from graphtrack.trust.pieces import pieces_of
+
+FULL = gt.Model("full")
+NEVER = np.array([1e-12])
+
+
+def people(
+    seed: int, n: int = 12, steps: int = 120, fps: float = 10.0, preset: str = "joint", std: float = 0.1
+) -> TrackSet:
+    simulated = gt.simulate(preset, n_tracks=n, n_steps=steps, fps=fps, rng=np.random.default_rng(seed))
+    return gt.add_noise(
+        simulated, position_std=std, body_kappa=3.0, head_kappa=5.0, rng=np.random.default_rng(seed)
+    )
+
+
+def misdeclared(tracks: TrackSet, position: float, body: float, head: float) -> TrackSet:
+    """The same observations, said to be so many times as noisy (1-σ) as they are."""
+
+    def changed(track: Track) -> Track:
+        assert track.position_std is not None
+        assert track.body_kappa is not None and track.head_kappa is not None
+        return replace(
+            track,
+            position_std=position * track.position_std,
+            body_kappa=track.body_kappa / body**2,
+            head_kappa=track.head_kappa / head**2,
+        )
+
+    return tracks.map(changed)
+
+
+def test_positions_are_as_probable_as_a_gaussian_of_all_says() -> None:
+    t, q, sigma, speed = np.array([0.0, 0.4, 0.5, 1.1]), 0.3, 0.2, 1.5
+    seen = np.random.default_rng(0).normal(size=(4, 2))
+    track = Track(0, np.arange(4), t, seen)
+    pieces = pieces_of([track], lambda one: (one.position, None), np.random.default_rng(0))
+    assert pieces is not None
+    found = position_log_density(pieces, sigma, speed, np.ones(1), np.array([q]), NEVER)
+    # The covariance of all positions, given that the first was drawn about its observation.
+    later = t[1:]
+    both = np.minimum.outer(later, later)
+    apart = np.abs(np.subtract.outer(later, later))
+    spread = sigma**2 + speed**2 * np.outer(later, later) + q * both**2 * (both / 3.0 + apart / 2.0)
+    spread += sigma**2 * np.eye(3)
+    expected = sum(
+        stats.multivariate_normal(np.full(3, seen[0, axis]), spread).logpdf(seen[1:, axis])
+        for axis in range(2)
+    )
+    assert found[0, 0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_angles_are_as_probable_as_an_integral_over_the_circle_says() -> None:
+    seen, kappa, diffusion, dt = np.array([0.3, 1.4, -2.0, 0.1]), 3.0, 0.8, 0.25
+    track = Track(0, np.arange(4), dt * np.arange(4), np.zeros((4, 2)), body=seen)
+    pieces = pieces_of([track], lambda one: (one.body, None), np.random.default_rng(0))
+    assert pieces is not None
+    found = angle_log_density(pieces, kappa, np.ones(1), np.array([diffusion]), NEVER)
+    grid = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    width = grid[1] - grid[0]
+    wrapped = sum(
+        stats.norm(2.0 * np.pi * turn, np.sqrt(diffusion * dt)).pdf(wrap(grid[:, None] - grid))
+        for turn in range(-3, 4)
+    )
+    density, total = np.full(len(grid), 1.0 / (2.0 * np.pi)), 0.0
+    for k, angle in enumerate(seen):
+        density = wrapped @ density * width if k else density
+        density = density * np.exp(von_mises_log_density(angle, grid, kappa))
+        total += np.log(density.sum() * width)
+        density /= density.sum() * width
+    assert found[0, 0] == pytest.approx(total, abs=0.1)
+
+
+def test_concentrations_are_those_of_their_lengths() -> None:
+    kappa = np.array([1e-6, 0.1, 1.0, 3.0, 30.0, 300.0])
+    from graphtrack.geometry.angles import mean_resultant_length
+
+    assert concentrations(mean_resultant_length(kappa)) == pytest.approx(kappa, rel=5e-3)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_declared_rightly_is_not_contradicted(seed: int) -> None:
+    setting = [(6, 60, 30.0), (12, 120, 10.0), (30, 30, 2.5)][seed % 3]
+    preset = ["separate", "joint"][seed % 2]
+    assert declared_noise(people(seed, *setting, preset).tracks, FULL).lines() == []
+
+
+@pytest.mark.parametrize("factor", [1 / 3, 3.0])
+def test_what_is_declared_wrongly_is_found_and_corrected(factor: float) -> None:
+    tracks = misdeclared(people(1), factor, 0.5, 2.0)
+    noise = declared_noise(tracks.tracks, FULL)
+    found = {one.name: one.multiplier for one in noise.channels}
+    for name, wrong in (("position", factor), ("body", 0.5), ("head", 2.0)):
+        one = found[name]
+        assert one is not None and one.low < one.value < one.high
+        assert one.value == pytest.approx(1.0 / wrong, rel=0.12), name
+    assert [line.split(":")[0] for line in noise.lines()] == ["position", "body", "head"]
+    assert all("--trust learn" in line for line in noise.lines())
+    _, model = noise.corrected(tracks, FULL)
+    assert model.parameters.likelihood.position_scale == pytest.approx(1.0 / factor, rel=0.12)
+    assert declared_noise(tracks.tracks, model).lines() == []
+
+
+def test_what_the_model_declares_is_looked_at_where_the_data_declare_nothing() -> None:
+    tracks = people(2, std=0.3).map(lambda track: replace(track, position_std=None))
+    (line,) = declared_noise(tracks.tracks, FULL).lines()
+    assert "likelihood.position_std" in line
+    _, model = declared_noise(tracks.tracks, FULL).corrected(tracks, FULL)
+    assert model.parameters.likelihood.position_std == pytest.approx(0.3, rel=0.1)
+
+
+def test_gross_errors_do_not_count_as_noise() -> None:
+    def spoilt(track: Track) -> Track:
+        rng = np.random.default_rng(track.track_id)
+        off = rng.random(len(track)) < 0.1
+        return replace(track, position=track.position + off[:, None] * rng.normal(0.0, 2.0, (len(track), 2)))
+
+    assert declared_noise(people(3).map(spoilt).tracks, FULL).lines() == []
+
+
+def test_too_few_observations_say_nothing() -> None:
+    assert declared_noise(misdeclared(people(4, 1, 30), 0.1, 1.0, 1.0).tracks, FULL).lines() == []
+
+
+def walkers(seed: int, n: int = 14) -> TrackSet:
+    """People who go straight on, each their own way, and face where they go."""
+    rng, tracks = np.random.default_rng(seed), []
+    t = 0.1 * np.arange(40)
+    for m in range(n):
+        way = rng.uniform(-np.pi, np.pi)
+        position = 1.3 * t[:, None] * [np.cos(way), np.sin(way)] + 0.05 * rng.normal(size=(40, 2))
+        angles = {name: wrap(way + rng.vonmises(0.0, 4.0, 40)) for name in ("body", "head")}
+        tracks.append(Track(m, np.arange(40), t, position, **angles))
+    return TrackSet(tuple(tracks))
+
+
+def test_a_detector_that_turns_everybody_is_found_out_and_corrected() -> None:
+    off = walkers(0).map(lambda track: replace(track, **turned(track, "body", np.radians(30.0))))
+    noise = declared_noise(off.tracks, FULL)
+    body = next(one for one in noise.channels if one.name == "body")
+    assert np.degrees(body.turn) == pytest.approx(30.0, abs=3.0)
+    assert any(line.startswith("body") and "to the left" in line for line in noise.lines())
+    mended, _ = noise.corrected(off, FULL)
+    (again,) = (one for one in declared_noise(mended.tracks, FULL).channels if one.name == "body")
+    assert again.turn == 0.0 and not any(one.turn for one in noise.channels if one.name == "head")
+
+
+def test_gaits_of_their_own_are_no_bias() -> None:
+    def own(track: Track) -> Track:
+        by = np.random.default_rng(track.track_id).uniform(-np.pi, np.pi)
+        return replace(track, **turned(track, "body", by))
+
+    assert not any(one.turn for one in declared_noise(walkers(1).map(own).tracks, FULL).channels)
+    few = walkers(2, 5).map(lambda track: replace(track, **turned(track, "body", 0.6)))
+    assert not any(one.turn for one in declared_noise(few.tracks, FULL).channels)
+
+
+def test_the_interval_of_a_shared_offset_holds_it() -> None:
+    rng = np.random.default_rng(5)
+    held = 0
+    for _ in range(100):
+        found = shared_offset(wrap(0.5 + 0.2 * rng.normal(size=20)))
+        held += found.low < 0.5 < found.high
+    assert held >= 97
+
+
+def test_turned_classes_point_where_they_are_turned_to() -> None:
+    classes = np.zeros((1, 8))
+    classes[0, 1] = 1.0
+    track = Track(0, np.arange(1), np.zeros(1), np.zeros((1, 2)), body_likelihood=classes)
+    np.testing.assert_allclose(turned(track, "body", np.radians(67.5))["body_likelihood"][0, 2:4], 0.5)
+
+
+def test_smoothing_warns_or_corrects_as_it_is_told() -> None:
+    tracks = misdeclared(people(6, preset="separate"), 1 / 3, 1.0, 1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plain = gt.smooth(tracks, "separate")
+    with pytest.warns(InputWarning, match="position: the noise is 3"):
+        checked = gt.smooth(tracks, "separate", trust="check")
+    with pytest.warns(InputWarning, match="corrected"):
+        learned = gt.smooth(tracks, "separate", trust="learn")
+
+    def honesty(estimates: TrackSet) -> float:
+        squares = []
+        for track, one in zip(tracks, estimates, strict=True):
+            assert track.true_position is not None and one.covariance is not None
+            error = one.position - track.true_position
+            squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(one.covariance[:, :2, :2]), error))
+        return float(np.concatenate(squares).mean() / 2.0)
+
+    assert honesty(checked) == honesty(plain) > 3.0
+    assert 0.8 < honesty(learned) < 1.3
+    with pytest.raises(InputError, match="declared, check or learn"):
+        gt.smooth(tracks, "separate", trust="blindly")  # type: ignore[call-overload]
+
+
+def test_scales_are_of_what_the_data_declare_alone() -> None:
+    likelihood = LikelihoodParameters(position_scale=2.0, body_scale=3.0)
+    given = np.array([0.2, np.nan])
+    np.testing.assert_allclose(likelihood.position_stds(given, 2), [0.4, 0.1])
+    np.testing.assert_allclose(likelihood.kappas("body", np.array([9.0, np.nan]), 2), [1.0, 4.0])
+    np.testing.assert_allclose(likelihood.kappas("head", None, 2), [4.0, 4.0])
