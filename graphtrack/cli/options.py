@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hi
 
 import typer
 
+from graphtrack.cli import of_tables
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -159,6 +160,13 @@ class Reading:
     fps: Fps = None
     format: FormatName = None
     select: Select = None
+    columns: of_tables.Columns = None
+    time_unit: of_tables.TimeUnit = None
+    units: of_tables.Units = None
+    crs: of_tables.Crs = None
+    delimiter: of_tables.Delimiter = None
+    decimal: of_tables.Decimal = None
+    encoding: of_tables.Encoding = None
 
     def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:
         """What a command reads, by the names of its options, for `check_outputs`.
@@ -187,7 +195,13 @@ class Reading:
         told = {name: value for name, value in self.given().items() if name not in _NOT_TOLD}
         return ReadOptions(**{"associate": self._associate, **told})
 
-    def tracks(self, paths: list[Path], rows: Rows | None = None, scene: GivenScene = None) -> TrackSet:
+    def tracks(
+        self,
+        paths: list[Path],
+        rows: Rows | None = None,
+        scene: GivenScene = None,
+        beside: TrackSet | None = None,
+    ) -> TrackSet:
         """Read and select tracks, and print the summary.
 
         Parameters
@@ -195,6 +209,7 @@ class Reading:
         paths : of the files
         rows : those of the one file, where they have been read
         scene : what is known of it where people are without identities
+        beside : tracks with which these are compared: times and local metres count from the same
 
         Raises
         ------
@@ -204,7 +219,7 @@ class Reading:
         from graphtrack.cli.console import console, print_summary, quiet_input_warnings
         from graphtrack.io.reading import read_with, tracks_of_rows
 
-        told = replace(self.options(), scene=scene)
+        told = replace(self.options(), scene=scene, beside=None if beside is None else beside.as_read)
         with quiet_input_warnings():
             tracks = read_with(paths, self.format, told) if rows is None else tracks_of_rows(rows, told)
         print_summary(tracks, ", ".join(str(path) for path in paths))

@@ -83,6 +83,7 @@ def smooth(
     solver = engine_of(chosen, engine)
     if is_streamed(inputs, output, stream, cluster):
         unused = {"--report": report, "--class": reading.classes, "--image-scale": reading.image_scale}
+        unused |= {options.option_name(name): reading.given().get(name) for name in options.of_tables.OPTIONS}
         unused["--format"] = reading.format not in (None, "parquet")
         smooth_streamed(
             check_streamed(inputs, output, unused),
