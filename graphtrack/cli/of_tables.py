@@ -8,7 +8,7 @@ import typer
 
 _TABLES = "Tables with names and units of their own"
 
-OPTIONS = ("columns", "time_unit", "units", "crs", "delimiter", "decimal", "encoding")
+OPTIONS = ("columns", "time_unit", "units", "crs", "delimiter", "decimal", "encoding", "sql")
 """Their names in `graphtrack.io.ReadOptions`."""
 
 Columns = Annotated[
@@ -52,5 +52,15 @@ Encoding = Annotated[
     str | None,
     typer.Option(
         "--encoding", help="Of text that is not UTF-8, such as cp1252 or utf-16-le.", rich_help_panel=_TABLES
+    ),
+]
+Sql = Annotated[
+    str | None,
+    typer.Option(
+        "--sql",
+        metavar="QUERY",
+        help="Read the answer of a query: of a database (DuckDB, SQLite, or a URL for SQLAlchemy), or of a "
+        "table, which is called input. Needs the extra sql, but for SQLite.",
+        rich_help_panel=_TABLES,
     ),
 ]

@@ -13,6 +13,7 @@ import typer
 
 from graphtrack.cli import of_tables
 from graphtrack.errors import InputError
+from graphtrack.remote import place_of
 
 if TYPE_CHECKING:
     from graphtrack.io.options import ReadOptions
@@ -28,7 +29,10 @@ _FILE = {"exists": True, "dir_okay": False}
 Inputs = Annotated[
     list[Path],
     typer.Argument(
-        help="Files with tracks; the format is recognised.", metavar="FILE...", show_default=False
+        help="Files with tracks, or their URLs; the format is recognised.",
+        metavar="FILE...",
+        parser=place_of,
+        show_default=False,
     ),
 ]
 Output = Annotated[
@@ -167,6 +171,7 @@ class Reading:
     delimiter: of_tables.Delimiter = None
     decimal: of_tables.Decimal = None
     encoding: of_tables.Encoding = None
+    sql: of_tables.Sql = None
 
     def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:
         """What a command reads, by the names of its options, for `check_outputs`.

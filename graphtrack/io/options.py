@@ -48,6 +48,8 @@ class ReadOptions:
     crs : the coordinate reference system of its places, such as "EPSG:4326", which become local metres
     delimiter, decimal : marks between the cells of a text file, and before its decimals
     encoding : of a text file that is not UTF-8
+    sql : a query whose answer is the table, of a database of DuckDB or SQLite, a table (called ``input``), or
+        of a database that SQLAlchemy connects to by its URL
     beside : what another table was read as; times and local metres count from the same
     scene : what is then known of how people come, go and are detected: `SceneParameters`, or some of them by
         their names; the others are learned
@@ -74,6 +76,7 @@ class ReadOptions:
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
+    sql: str | None = None
     beside: AsRead | None = None
     scene: GivenScene = None
 

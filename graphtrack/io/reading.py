@@ -24,6 +24,7 @@ from graphtrack.io.marks import as_told
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format, detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
+from graphtrack.remote import place_of
 from graphtrack.table.as_read import merged, restored
 from graphtrack.table.columns import to_columns
 from graphtrack.table.rows import Rows, check_identities, check_rows
@@ -116,11 +117,11 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
         options = replace(options, beside=options.beside or sets[0].as_read)
     if len(sets) == 1:
         return sets[0]
-    return _merged(sets, [Path(one) for one in paths])
+    return _merged(sets, [place_of(one) for one in paths])
 
 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
-    path = _table_of(Path(path))
+    path = _table_of(place_of(path))
     return tracks_of_rows(rows_of_file(path, format, options), options)
 
 
@@ -227,6 +228,8 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
     """The rows of a file, as its reader makes them, in metres and with times."""
+    if options.sql is not None:
+        return rows_of_table(_answer(path, format, options), options)
     source = _opened(path, options)
     layout = options.layout()
     if layout is None:
@@ -238,6 +241,18 @@ def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> 
                 raise
             raise hinted(error) from error
     return rows_of_table(_cells(source, format, layout), options)
+
+
+def _answer(path: str | Path, format: str | None, options: ReadOptions) -> Cells:
+    """The cells that a query gives."""
+    from graphtrack.io.tables.sql import cells_of_query
+
+    told = {"format": format, "delimiter": options.delimiter, "decimal": options.decimal}
+    for name, value in {**told, "encoding": options.encoding}.items():
+        if value is not None:
+            raise InputError(f"{name} with sql", "one of them: a query has its own", path=path)
+    assert options.sql is not None
+    return cells_of_query(place_of(path), options.sql)
 
 
 def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:

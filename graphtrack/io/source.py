@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 
 from graphtrack.errors import InputError
+from graphtrack.remote import place_of
 
 MAX_BYTES = 4 * 2**30
 """The largest input that is read, unpacked: a guard against files that unpack without end."""
@@ -44,7 +45,7 @@ class Source:
         InputError
             If it is missing, not a file, unreadable, empty, larger than `MAX_BYTES` or a broken gzip file.
         """
-        path = Path(path)
+        path = place_of(path)
         try:
             if path.is_dir():
                 raise InputError("a directory", "a file", path=path)
