@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         warm_up,
     )
     from graphtrack.io import ReadOptions, read, write
+    from graphtrack.io.geo import to_geopandas, to_mfjson, to_movingpandas
     from graphtrack.model import Model, Observation, Parameters, Term, presets
     from graphtrack.report.page import write_report
     from graphtrack.scene import SceneParameters
@@ -83,6 +84,9 @@ __all__ = [
     "simulate",
     "smooth",
     "solve",
+    "to_geopandas",
+    "to_mfjson",
+    "to_movingpandas",
     "track_online",
     "warm_up",
     "write",
@@ -116,6 +120,7 @@ _HOMES = {
         "warm_up",
     ),
     "io": ("ReadOptions", "read", "write"),
+    "io.geo": ("to_geopandas", "to_mfjson", "to_movingpandas"),
     "model": ("Model", "Observation", "Parameters", "Term", "presets"),
     "report.page": ("write_report",),
     "simulation.sampling": ("simulate",),

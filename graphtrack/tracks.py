@@ -31,6 +31,7 @@ from graphtrack.channels import checked_channel, checked_inputs, input_of_size
 from graphtrack.display import html_of_track, html_of_tracks, line_of_track, line_of_tracks, listed
 from graphtrack.errors import InputError, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.table.as_read import AsRead, restored
 from graphtrack.table.columns import rows_of_table, to_columns
 from graphtrack.table.rows import Rows, check_identities, in_order
 from graphtrack.table.speeds import with_speeds_checked
@@ -245,11 +246,15 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class TrackSet:
-    """People of one scene: tracks with distinct ids, the camera if it is known, and the reading's summary."""
+    """People of one scene: tracks with distinct ids, the camera if it is known, and the reading's summary.
+
+    Of a table with other names and units than the native one ``as_read`` keeps them for what is written.
+    """
 
     tracks: tuple[Track, ...]
     camera: GroundCamera | None = None
     summary: ReadSummary = field(default_factory=ReadSummary)
+    as_read: AsRead | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tracks", tuple(self.tracks))
@@ -309,11 +314,16 @@ class TrackSet:
             if any(fnmatch.fnmatchcase(track.label, p) or str(track.track_id) == p for p in patterns)
         )
 
-    def to_table(self) -> pd.DataFrame:
-        """One row per person and frame, with the columns of the native format (degrees in ``*_deg``)."""
+    def to_table(self, *, as_read: bool = False) -> pd.DataFrame:
+        """One row per person and frame, with the columns of the native format (degrees in ``*_deg``).
+
+        Parameters
+        ----------
+        as_read : columns have the names and units of the table that was read, where it had others
+        """
         import pandas as pd
 
-        return pd.DataFrame(to_columns(self))
+        return pd.DataFrame(restored(to_columns(self), self.as_read if as_read else None))
 
     @classmethod
     def from_table(cls, table: pd.DataFrame | Mapping[str, Any], *, fps: float | None = None) -> TrackSet:
@@ -365,4 +375,4 @@ class TrackSet:
             inputs = {name.removeprefix(INPUT): channels.pop(name) for name in given}
             tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label, inputs))
         summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
-        return cls(tuple(tracks), rows.camera, summary)
+        return cls(tuple(tracks), rows.camera, summary, rows.as_read)

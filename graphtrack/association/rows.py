@@ -58,7 +58,8 @@ def with_identities(rows: Rows, scene: GivenScene = None) -> Rows:
     identity, probability = np.empty(len(rows), np.int64), np.empty(len(rows))
     identity[detections.row], probability[detections.row] = found.identity, found.probability
     people, false = int(identity.max()) + 1, int((identity < 0).sum())
-    rows = replace(rows, track_id=identity + 1, has_identity=True, labels={})
+    as_read = None if rows.as_read is None else rows.as_read.without_identities()
+    rows = replace(rows, track_id=identity + 1, has_identity=True, labels={}, as_read=as_read)
     # Nobody knows better how noisy they are than who saw them follow each other.
     std = rows.channels.get("position_std", np.full(len(rows), np.nan))
     std = np.where(np.isnan(std), found.scene.position_std, std)

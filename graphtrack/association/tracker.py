@@ -107,6 +107,10 @@ class OnlineTracker:
         self._present: list[int] = []
         self.revised: tuple[Revision, ...] = ()
 
+    def __len__(self) -> int:
+        """The people who are followed."""
+        return len(self._people)
+
     def __repr__(self) -> str:
         return f"OnlineTracker(model {self.model}, {len(self._people)} people, {self._association!r})"
 

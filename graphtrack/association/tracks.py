@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from graphtrack.association.rows import associated
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.reading import rows_of_file
+from graphtrack.io.reading import is_table, rows_of_file, rows_of_frame
 from graphtrack.model import Model
 from graphtrack.scene import GivenScene, known_values
 from graphtrack.table.columns import rows_of_table, to_columns
@@ -74,7 +74,9 @@ def rows_of(
     """
     if isinstance(detections, str | Path):
         return rows_of_file(detections, format, ReadOptions(fps=fps, **options))
-    if isinstance(detections, Mapping) or hasattr(detections, "columns"):
-        return rows_of_table(detections, fps)  # type: ignore[arg-type]
+    if is_table(detections):
+        return rows_of_frame(detections, ReadOptions(fps=fps, **options))
     tracks = TrackSet((detections,)) if isinstance(detections, Track) else detections
-    return rows_of_table(to_columns(tracks if isinstance(tracks, TrackSet) else TrackSet(tuple(tracks))))
+    if not isinstance(tracks, TrackSet):
+        tracks = TrackSet(tuple(tracks))  # type: ignore[arg-type]
+    return rows_of_table(to_columns(tracks))

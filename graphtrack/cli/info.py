@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import print_table
+from graphtrack.cli.console import console, print_table, printable
 from graphtrack.display import counted
+from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.scene import GivenScene
@@ -28,8 +31,17 @@ def info(
         ),
     ] = None,
     json_path: options.Json = None,
+    suggest: Annotated[
+        bool,
+        typer.Option(
+            "--suggest", help="Print a command line that reads the file, from the columns that it has."
+        ),
+    ] = False,
 ) -> None:
     """Say what is in a file: tracks, rates, gaps, channels, speeds, refused rows."""
+    if suggest:
+        _suggest(inputs, reading, json_path)
+        return
     options.check_outputs({"--json": json_path}, reading.inputs(inputs, model))
     tracks = reading.tracks(inputs, scene=_scene(model))
     rows = [describe(track) for track in tracks]
@@ -42,6 +54,21 @@ def info(
 
         with atomic_path(json_path) as temporary:
             temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+
+
+def _suggest(inputs: list[Path], reading: options.SceneReading, json_path: Path | None) -> None:
+    """Print the command line with which a file can be read; what was only supposed is said beside it."""
+    from graphtrack.io.tables.suggestion import suggest
+
+    if len(inputs) != 1 or reading.given() or json_path is not None:
+        raise InputError("--suggest with other options, or several files", "one file, and --suggest alone")
+    found = suggest(inputs[0])
+    words = ["graphtrack", "info", str(inputs[0])]
+    for name, value in found.options.items():
+        words += [options.option_name(name), value]
+    for remark in found.remarks:
+        console.print(f"  note: {remark}", markup=False)
+    print(printable(shlex.join(words), one_line=True))
 
 
 def _scene(model: str | None) -> GivenScene:

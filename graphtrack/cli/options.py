@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hi
 
 import typer
 
+from graphtrack.cli import of_tables
 from graphtrack.errors import InputError
+from graphtrack.remote import place_of
 
 if TYPE_CHECKING:
     from graphtrack.io.options import ReadOptions
@@ -27,7 +29,10 @@ _FILE = {"exists": True, "dir_okay": False}
 Inputs = Annotated[
     list[Path],
     typer.Argument(
-        help="Files with tracks; the format is recognised.", metavar="FILE...", show_default=False
+        help="Files with tracks, or their URLs; the format is recognised.",
+        metavar="FILE...",
+        parser=place_of,
+        show_default=False,
     ),
 ]
 Output = Annotated[
@@ -169,6 +174,14 @@ class Reading:
     fps: Fps = None
     format: FormatName = None
     select: Select = None
+    columns: of_tables.Columns = None
+    time_unit: of_tables.TimeUnit = None
+    units: of_tables.Units = None
+    crs: of_tables.Crs = None
+    delimiter: of_tables.Delimiter = None
+    decimal: of_tables.Decimal = None
+    encoding: of_tables.Encoding = None
+    sql: of_tables.Sql = None
 
     def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:
         """What a command reads, by the names of its options, for `check_outputs`.
@@ -197,7 +210,13 @@ class Reading:
         told = {name: value for name, value in self.given().items() if name not in _NOT_TOLD}
         return ReadOptions(**{"associate": self._associate, **told})
 
-    def tracks(self, paths: list[Path], rows: Rows | None = None, scene: GivenScene = None) -> TrackSet:
+    def tracks(
+        self,
+        paths: list[Path],
+        rows: Rows | None = None,
+        scene: GivenScene = None,
+        beside: TrackSet | None = None,
+    ) -> TrackSet:
         """Read and select tracks, and print the summary.
 
         Parameters
@@ -205,6 +224,7 @@ class Reading:
         paths : of the files
         rows : those of the one file, where they have been read
         scene : what is known of it where people are without identities
+        beside : tracks with which these are compared: times and local metres count from the same
 
         Raises
         ------
@@ -214,7 +234,7 @@ class Reading:
         from graphtrack.cli.console import console, print_summary, quiet_input_warnings
         from graphtrack.io.reading import read_with, tracks_of_rows
 
-        told = replace(self.options(), scene=scene)
+        told = replace(self.options(), scene=scene, beside=None if beside is None else beside.as_read)
         with quiet_input_warnings():
             tracks = read_with(paths, self.format, told) if rows is None else tracks_of_rows(rows, told)
         print_summary(tracks, ", ".join(str(path) for path in paths))

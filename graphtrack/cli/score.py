@@ -124,7 +124,7 @@ def _read(
             yield name, boxes(_boxes(estimates, reading)), boxes(_boxes(truth, reading))
         else:
             found = reading.tracks([estimates])
-            estimated, true = estimated_detections(found), reading.tracks([truth])
+            estimated, true = estimated_detections(found), reading.tracks([truth], beside=found)
             if len(pairs) == 1:
                 kept.append((found, true))
             yield name, estimated, true_detections(true)

@@ -90,6 +90,7 @@ def smooth(
             "--image-scale": reading.image_scale,
         }
         unused["--trust"] = trust not in (None, "declared")
+        unused |= {options.option_name(name): reading.given().get(name) for name in options.of_tables.OPTIONS}
         unused["--format"] = reading.format not in (None, "parquet")
         smooth_streamed(
             check_streamed(inputs, output, unused),

@@ -12,6 +12,7 @@ import typer
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
 from graphtrack.errors import NO_POSITION, InputError, SolveError
+from graphtrack.remote import place_of
 
 if TYPE_CHECKING:
     from graphtrack.cli.stream_behaviour import Asked
@@ -97,7 +98,7 @@ def track(
 
     options.check_outputs(
         {"--output": output, "--state": state},
-        {**reading.inputs([] if input == "-" else [Path(input)], model), "--places": places},
+        {**reading.inputs([] if input == "-" else [place_of(input)], model), "--places": places},
         table=output,
     )
     chosen = Model.named(model)
@@ -121,13 +122,13 @@ def track(
         raise InputError("no output", "a file to write (--output)")
     if state is not None:
         raise InputError("--state with a file", "- as the input: only a stream can be gone on with")
-    rows, are_detections = reading.rows(Path(input))
+    rows, are_detections = reading.rows(place_of(input))
     if are_detections:
         if reading.select:
             raise InputError("--select", "identities to select by; these rows have none")
         _track_detections(rows, output, chosen, engine, kept)
         return
-    tracks = reading.tracks([Path(input)], rows)
+    tracks = reading.tracks([place_of(input)], rows)
     OnlineSmoother(chosen, engine=engine, lag=kept)  # the first one compiles
     start = time.perf_counter()
     found, unseen = [], []

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from graphtrack.errors import InputError
 from graphtrack.io.source import Source
 from graphtrack.table import schema
 
 _MARKS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
-_SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
+_TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}
+"""How a mark is typed after ``--delimiter``."""
+SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 """What Excel writes before a header."""
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _LOOKED_AT = 20
@@ -18,48 +20,44 @@ _FEWEST = 4
 """Numbers in a row from which a table without a header is one."""
 
 
-def other_delimiter(source: Source) -> InputError | None:
+def other_delimiter(source: Source, names: Collection[str] = schema.NAMES) -> InputError | None:
     """The error for a table of the native columns, or of numbers alone, whose cells are not between commas.
+
+    Parameters
+    ----------
+    names : columns of which it has two at least, or all
 
     Returns
     -------
     InputError or None
-        With the marks that are there, what is expected, and how to convert it; None for all else.
+        With the marks that are there, what is expected, and the options that read it; None for all else.
     """
     lines = [(number, line.strip(" ")) for number, line in enumerate(source.lines, 1) if line.strip()]
     lines = lines[: _LOOKED_AT + 2]
-    told = _SEP_LINE.fullmatch(lines[0][1]) if lines else None
+    told = SEP_LINE.fullmatch(lines[0][1]) if lines else None
     lines = lines[1:] if told else lines
     if not lines:
         return None
     number, first = lines[0]
     for mark, name in _MARKS.items():
-        has_header = len(set(_cells(first, mark)) & set(schema.NAMES)) >= 2
+        has_header = len(set(_cells(first, mark)) & set(names)) >= min(2, len(names))
         rows = [_cells(line, mark) for _, line in lines[1 if has_header else 0 :]]
         if has_header or (mark != " " and _are_numbers(rows)):
             decimal = any("," in cell and _NUMBER.fullmatch(cell) for row in rows for cell in row)
-            return _error(source, number, mark, name, has_header=has_header, decimal=decimal, skip=bool(told))
+            return _error(source, number, mark, name, decimal=decimal)
     if told and len(set(_cells(first, ",")) & set(schema.NAMES)) >= 2:
         found = f"the line {told[0]!r}"
-        return InputError(found, "the header in the first line: leave it out", path=source.path, line=1)
+        expected = "the header in the first line; --delimiter , reads it"
+        return InputError(found, expected, path=source.path, line=1)
     return None
 
 
-def _error(
-    source: Source, line: int, mark: str, name: str, *, has_header: bool, decimal: bool, skip: bool
-) -> InputError:
-    options = [f"sep={mark!r}" if mark != " " else r"sep='\\s+'"]
-    options += ["decimal=','"] if decimal else []
-    options += [] if has_header else ["header=None"]
-    options += ["skiprows=1"] if skip else []
-    path = source.path
-    new = path.with_name(f"{path.name.split('.')[0]}-commas.csv")
-    written = f"{str(new)!r}, index=False" + ("" if has_header else ", header=False")
+def _error(source: Source, line: int, mark: str, name: str, *, decimal: bool) -> InputError:
+    options = f"--delimiter {_TYPED[mark]}" + (" --decimal ," if decimal else "")
     return InputError(
         f"{name} between the cells" + (" and decimal commas" if decimal else ""),
-        "commas between the cells" + (" and decimal points" if decimal else "") + "; "
-        f"pandas.read_csv({str(path)!r}, {', '.join(options)}).to_csv({written}) converts it",
-        path=path,
+        f"commas between the cells{' and decimal points' if decimal else ''}; {options} reads it",
+        path=source.path,
         line=line,
     )
 

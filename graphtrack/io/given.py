@@ -10,7 +10,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.io.options import Associate
-from graphtrack.io.reading import read
+from graphtrack.io.reading import is_table, read
 from graphtrack.scene import GivenScene
 from graphtrack.tracks import Track, TrackSet
 
@@ -41,8 +41,8 @@ def tracks_of(given: Given, associate: Associate = "auto", scene: GivenScene = N
         return TrackSet((given,))
     if isinstance(given, str | Path):
         return read(given, associate=associate, scene=scene)
-    if isinstance(given, Mapping) or hasattr(given, "columns"):
-        return TrackSet.from_table(given)  # type: ignore[arg-type]
+    if is_table(given):
+        return TrackSet.from_table(given)
     if isinstance(given, list | tuple) and given:
         if all(isinstance(one, Track) for one in given):
             return TrackSet(tuple(given))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -10,7 +11,10 @@ from graphtrack.bounds import check_frame_rate, check_positive
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.io.layout import Layout, parse_columns
+from graphtrack.io.marks import check_decimal, check_encoding, delimiter_of
 from graphtrack.scene import GivenScene, known_values
+from graphtrack.table.as_read import AsRead
 
 Associate = Literal["auto", "never", "always", "repair"]
 
@@ -36,6 +40,17 @@ class ReadOptions:
     associate : "auto": rows without identities become tracks, see `association`; "always": those with
         identities too, which are forgotten; "repair": these are kept but where the evidence is against them;
         "never": rows without identities are an error
+    columns : of a table with names of its own: name in the native table (``id`` and ``time`` for short,
+        ``lat`` and ``lon``, ``body_rad`` and ``head_rad``) → name in the file, or text such as
+        ``"id=agent,t=timestamp"``
+    time_unit : of numbers in its column of times, "s", "ms", "us" or "ns"; "iso" for text of ISO 8601
+    units : of its lengths, "m", "cm", "mm" or "ft"
+    crs : the coordinate reference system of its places, such as "EPSG:4326", which become local metres
+    delimiter, decimal : marks between the cells of a text file, and before its decimals
+    encoding : of a text file that is not UTF-8
+    sql : a query whose answer is the table, of a database of DuckDB or SQLite, a table (called ``input``), or
+        of a database that SQLAlchemy connects to by its URL
+    beside : what another table was read as; times and local metres count from the same
     scene : what is then known of how people come, go and are detected: `SceneParameters`, or some of them by
         their names; the others are learned
     """
@@ -54,6 +69,15 @@ class ReadOptions:
     ego_calibration: str | Path | None = None
     classes: tuple[str, ...] = ("Pedestrian",)
     associate: Associate = "auto"
+    columns: Mapping[str, str] | str | None = None
+    time_unit: str | None = None
+    units: str | None = None
+    crs: str | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    sql: str | None = None
+    beside: AsRead | None = None
     scene: GivenScene = None
 
     def __post_init__(self) -> None:
@@ -68,3 +92,23 @@ class ReadOptions:
             self, "classes", (self.classes,) if isinstance(self.classes, str) else tuple(self.classes)
         )
         object.__setattr__(self, "scene", known_values(self.scene))
+        if self.columns is not None:
+            object.__setattr__(self, "columns", parse_columns(self.columns))
+        object.__setattr__(self, "delimiter", delimiter_of(self.delimiter))
+        check_decimal(self.decimal)
+        check_encoding(self.encoding)
+        self.layout()
+
+    def layout(self) -> Layout | None:
+        """What is said of a table's columns and units; None: it is the native one.
+
+        Raises
+        ------
+        InputError
+            For what makes no sense together.
+        """
+        said = (self.time_unit, self.units, self.crs)
+        if self.columns is None and not any(said):
+            return None
+        assert not isinstance(self.columns, str)
+        return Layout(self.columns or {}, *said)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,25 +17,42 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import read_homography
+from graphtrack.io.delimiters import other_delimiter
+from graphtrack.io.hints import hinted
+from graphtrack.io.layout import Layout
+from graphtrack.io.marks import as_told
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format, detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
+from graphtrack.remote import place_of
+from graphtrack.table.as_read import merged, restored
 from graphtrack.table.columns import to_columns
 from graphtrack.table.rows import Rows, check_identities, check_rows
 from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from graphtrack.io.tables.cells import Cells
+
 _STAGES, _REPORTED = "stages.json", "tracks.csv"
 """What the folder of a report is known by, and its table of estimates."""
 
 
-def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, **options: Any) -> TrackSet:
-    """Read tracks from one file or several, in any known format.
+def read(
+    path: str | Path | Sequence[str | Path] | pd.DataFrame | Mapping[str, Any],
+    *,
+    format: str | None = None,
+    **options: Any,
+) -> TrackSet:
+    """Read tracks from one file or several, in any known format, or from a table in memory.
 
     Parameters
     ----------
     path : one path, of a file or of a folder that `perception report` wrote, or several whose tracks are
-        merged: ids that clash are renumbered, and tracks without a label get the name of their file
+        merged: ids that clash are renumbered, and tracks without a label get the name of their file. Or a
+        DataFrame (pandas, polars), another table that speaks Arrow, or a mapping name → column
     format : name of the format; None: recognised by the content
     **options : the fields of `ReadOptions`, such as ``fps`` and ``homography``
 
@@ -54,21 +71,57 @@ def read(path: str | Path | Sequence[str | Path], *, format: str | None = None, 
     except TypeError as error:
         known = ", ".join(ReadOptions.__dataclass_fields__)
         raise InputError(f"options {', '.join(options)}", f"some of {known}") from error
-    return read_with([path] if isinstance(path, str | Path) else list(path), format, read_options)
+    if is_table(path):
+        if format is not None:
+            raise InputError(f"format {format!r} of a table", "a file, or no format")
+        return tracks_of_rows(rows_of_frame(path, read_options), read_options)
+    if isinstance(path, str | Path):
+        return read_with([path], format, read_options)
+    return read_with(list(cast("Sequence[str | Path]", path)), format, read_options)
+
+
+def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
+    """Whether something is a table in memory: a DataFrame, what speaks Arrow, or name → column."""
+    return isinstance(given, Mapping) or hasattr(given, "columns") or hasattr(given, "__arrow_c_stream__")
+
+
+def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
+    """The rows of a table in memory; see `read`.
+
+    Raises
+    ------
+    InputError
+        As for a file; lines are rows, from 1.
+    """
+    from graphtrack.io.tables.cells import cells_of_frame
+
+    return rows_of_table(cells_of_frame(table), options)
+
+
+def rows_of_table(cells: Cells, options: ReadOptions) -> Rows:
+    """The rows of a table's cells, in metres and with times."""
+    from graphtrack.io.cameras import place_pixels
+    from graphtrack.io.tables.rows import rows_of_cells
+
+    rows = rows_of_cells(cells, options.layout() or Layout(), fps=options.fps, beside=options.beside)
+    return place_pixels(rows, options)
 
 
 def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOptions) -> TrackSet:
     """`read`, where the options stand together."""
     if not paths:
         raise InputError("no paths", "at least one")
-    sets = [_read_one(one, format, options) for one in paths]
+    sets: list[TrackSet] = []
+    for one in paths:
+        sets.append(_read_one(one, format, options))
+        options = replace(options, beside=options.beside or sets[0].as_read)
     if len(sets) == 1:
         return sets[0]
-    return _merged(sets, [Path(one) for one in paths])
+    return _merged(sets, [place_of(one) for one in paths])
 
 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
-    path = _table_of(Path(path))
+    path = _table_of(place_of(path))
     return tracks_of_rows(rows_of_file(path, format, options), options)
 
 
@@ -157,8 +210,10 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
 
 def boxes_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows | None:
     """The rows of `read_boxes`, with identities or without; None if the format holds no boxes."""
-    source = Source.open(path)
+    source = _opened(path, options)
     chosen = _chosen(source, format)
+    if options.layout() is not None:
+        raise InputError("columns or units with boxes", "boxes as their format has them", path=path)
     return None if chosen.read_boxes is None else chosen.read_boxes(source, options)
 
 
@@ -166,18 +221,77 @@ def _chosen(source: Source, format: str | None) -> Format:
     return detect(source) if format is None else format_named(format)
 
 
+def _opened(path: str | Path, options: ReadOptions) -> Source:
+    """A file whose text is UTF-8 with commas and points, as far as the options say how it is."""
+    return as_told(Source.open(path), options.delimiter, options.decimal, options.encoding)
+
+
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
     """The rows of a file, as its reader makes them, in metres and with times."""
-    source = Source.open(path)
-    return _chosen(source, format).read(source, options)
+    if options.sql is not None:
+        return rows_of_table(_answer(path, format, options), options)
+    source = _opened(path, options)
+    layout = options.layout()
+    if layout is None:
+        chosen = _chosen(source, format)
+        try:
+            return chosen.read(source, options)
+        except InputError as error:
+            if chosen.write_columns is None:  # what other formats hold cannot be told otherwise
+                raise
+            raise hinted(error) from error
+    return rows_of_table(_cells(source, format, layout), options)
+
+
+def _answer(path: str | Path, format: str | None, options: ReadOptions) -> Cells:
+    """The cells that a query gives."""
+    from graphtrack.io.tables.sql import cells_of_query
+
+    told = {"format": format, "delimiter": options.delimiter, "decimal": options.decimal}
+    for name, value in {**told, "encoding": options.encoding}.items():
+        if value is not None:
+            raise InputError(f"{name} with sql", "one of them: a query has its own", path=path)
+    assert options.sql is not None
+    return cells_of_query(place_of(path), options.sql)
+
+
+def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:
+    """The cells of a file that is a table, as they stand."""
+    return _cells(_opened(path, options), None, options.layout() or Layout())
+
+
+def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
+    """The cells of a file that is a table, whatever its columns are called."""
+    from graphtrack.io.tables.cells import cells_of_csv, cells_of_ndjson, cells_of_parquet
+
+    tables = {"parquet": cells_of_parquet, "ndjson": cells_of_ndjson}
+    chosen = format
+    if chosen is None:
+        chosen = next((n for n in tables if format_named(n).looks_like(source.head, source.path)), "csv")
+    elif format_named(chosen).write_columns is None:
+        found = f"columns, units or a crs for the format {chosen}"
+        raise InputError(found, "a table: csv, parquet or ndjson")
+    if layout.by_number and chosen != "csv":
+        raise InputError("numbers for columns", "their names", path=source.path)
+    if chosen != "csv":
+        return tables[chosen](source)
+    cells = cells_of_csv(source, header=not layout.by_number)
+    if len(cells.columns) < 2:
+        other = other_delimiter(source, set(layout.columns.values()))
+        if other is not None:
+            raise other
+    return cells
 
 
 def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
     tracks: list[Track] = []
     taken: set[int] = set()
+    numbered: list[dict[int, int]] = []
     renumbered = 0
+    _check_kinds(sets, paths)
     for tracks_of_file, path in zip(sets, paths, strict=True):
         # The file's own ids stay with it, so that a new one never takes the place of one to come.
+        numbered.append({})
         free = _free_ids(taken | {track.track_id for track in tracks_of_file}, len(tracks_of_file))
         for track in tracks_of_file:
             identity = track.track_id
@@ -185,6 +299,7 @@ def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
                 identity = next(free)
                 renumbered += 1
             taken.add(identity)
+            numbered[-1][track.track_id] = identity
             tracks.append(replace(track, track_id=identity, label=track.label or _stem(path)))
     summary = sets[0].summary
     for other in sets[1:]:
@@ -192,11 +307,21 @@ def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
     notes = list(summary.notes)
     if renumbered:
         notes.append(f"{renumbered} tracks renumbered because files use the same ids")
+    as_read = merged([(one.as_read, ids) for one, ids in zip(sets, numbered, strict=True)])
     camera = sets[0].camera
     if any(other.camera != camera for other in sets[1:]):
         camera = None
         notes.append("the files have different cameras, so none is kept")
-    return TrackSet(tuple(tracks), camera, replace(summary, notes=tuple(notes)))
+    return TrackSet(tuple(tracks), camera, replace(summary, notes=tuple(notes)), as_read)
+
+
+def _check_kinds(sets: Sequence[TrackSet], paths: Sequence[Path]) -> None:
+    """Refuse files of one table each of which some have numbers for identities and others text."""
+    kinds = [bool(one.as_read.names) for one in sets if one.as_read is not None]
+    if len(kinds) == len(sets) and len({*kinds}) > 1:
+        number, text = paths[kinds.index(False)], paths[kinds.index(True)]
+        found = f"identities that are numbers in {number} and text in {text}"
+        raise InputError(found, "one kind in all files", path=text)
 
 
 def _free_ids(used: Set[int], most: int) -> Iterator[int]:
@@ -252,7 +377,8 @@ def write_detections(tracks: TrackSet, path: str | Path) -> None:
     InputError
         If the place cannot be written to, or its ending is of another format than the native table.
     """
+    as_read = tracks.as_read and tracks.as_read.without_identities()
     columns = to_columns(tracks)
     order = np.argsort(columns["frame"], kind="stable")
     columns = {name: values[order] for name, values in columns.items() if name != "label"}
-    write_table(columns | {"track_id": np.full(len(order), -1)}, path)
+    write_table(restored(columns | {"track_id": np.full(len(order), -1)}, as_read), path)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.io.delimiters import other_delimiter
+from graphtrack.io.hints import names_columns, which_columns
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
 from graphtrack.table.rows import Rows
@@ -109,9 +110,10 @@ def detect(source: Source) -> Format:
     is_text = b"\0" not in source.head or source.utf16 is not None
     if is_text and (error := other_delimiter(source)) is not None:
         raise error
-    raise InputError(
-        "content of no known format", "one of " + ", ".join(f.name for f in formats()), path=source.path
-    )
+    known = ", ".join(f.name for f in formats())
+    first = next((line for line in source.lines if line.strip()), "") if is_text else ""
+    hint = f"; {which_columns(str(source.path))}" if names_columns(first) else ""
+    raise InputError("content of no known format", f"one of {known}{hint}", path=source.path)
 
 
 def format_for_writing(path: Path) -> Format:

@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 
 from graphtrack.errors import InputError
+from graphtrack.remote import place_of
 
 MAX_BYTES = 4 * 2**30
 """The largest input that is read, unpacked: a guard against files that unpack without end."""
@@ -19,11 +20,12 @@ HEAD_BYTES = 8192
 """How much of a file the formats may look at to recognise it."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """One input file in memory, gunzipped if it was packed.
+    """One input file in memory, gunzipped if it was packed; UTF-16 with its mark at the beginning as UTF-8.
 
     Attributes
     ----------
@@ -43,7 +45,7 @@ class Source:
         InputError
             If it is missing, not a file, unreadable, empty, larger than `MAX_BYTES` or a broken gzip file.
         """
-        path = Path(path)
+        path = place_of(path)
         try:
             if path.is_dir():
                 raise InputError("a directory", "a file", path=path)
@@ -59,6 +61,8 @@ class Source:
             raise InputError(str(error), "a readable file", path=path) from error
         if data.startswith(_GZIP_MAGIC):
             data = _gunzip(data, path)
+        if data.startswith(_UTF16_MARKS):
+            data = _from_utf16(data)
         if not data:
             raise InputError("an empty file", "rows", path=path)
         return cls(path, data)
@@ -70,10 +74,8 @@ class Source:
 
     @cached_property
     def utf16(self) -> str | None:
-        """The name of the UTF-16 encoding that the content seems to have; None for any other."""
-        if self.data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            return "UTF-16"
-        # Without a mark at the beginning: of most characters one byte is null, and always the same one.
+        """The name of the UTF-16 encoding that the content seems to have, without a mark; None for others."""
+        # Of most characters one byte is null, and always the same one.
         first, second = self.head[::2], self.head[1::2]
         for nulls, others, name in ((second, first, "UTF-16LE"), (first, second, "UTF-16BE")):
             if nulls.count(0) > 0.8 * len(nulls) and 0 not in others:
@@ -90,7 +92,7 @@ class Source:
             On binary files and other encodings, with the line of the first bad byte.
         """
         if self.utf16 is not None:
-            expected = f"UTF-8 text, such as iconv -f {self.utf16} -t UTF-8 makes of it"
+            expected = f"UTF-8 text, or UTF-16 with a mark at its beginning; --encoding {self.utf16} reads it"
             raise InputError("UTF-16 text", expected, path=self.path, line=1)
         null = self.data.find(b"\0")
         if null >= 0:
@@ -100,7 +102,10 @@ class Source:
         except UnicodeDecodeError as error:
             byte = self.data[min(error.start, len(self.data) - 1)]
             raise InputError(
-                f"the byte 0x{byte:02x}", "UTF-8 text", path=self.path, line=self._line(error.start)
+                f"the byte 0x{byte:02x}",
+                "UTF-8 text, or --encoding with the name of another, such as cp1252",
+                path=self.path,
+                line=self._line(error.start),
             ) from error
 
     @cached_property
@@ -142,6 +147,15 @@ def _read_limited(stream: io.BufferedIOBase, path: Path) -> bytes:
     if len(data) > MAX_BYTES:
         raise InputError(f"more than {MAX_BYTES} bytes", "a smaller file", path=path)
     return data
+
+
+def _from_utf16(data: bytes) -> bytes:
+    """The text as UTF-8; as it is where it is none, and where it is XML, which says its encoding itself."""
+    try:
+        text = data.decode("utf-16")
+        return data if text.lstrip().startswith("<") else text.encode()
+    except UnicodeError:
+        return data
 
 
 def _gunzip(data: bytes, path: Path) -> bytes:

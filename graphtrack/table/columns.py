@@ -77,7 +77,7 @@ def _cells(track: Track, column: schema.Column) -> FloatArray:
 def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = None) -> Rows:
     """The rows of a DataFrame, or of name → column; `TrackSet.from_table` says what may stand there."""
     check_frame_rate(fps)
-    table = _frame(table)
+    table = frame_of(table)
     names = [str(name) for name in table.columns]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -104,11 +104,22 @@ def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = N
     return rows
 
 
-def _frame(table: Any) -> pd.DataFrame:
+def frame_of(table: Any) -> pd.DataFrame:
+    """A DataFrame of pandas from one, from another table that speaks Arrow (polars), or from name → column.
+
+    Raises
+    ------
+    InputError
+        For anything else, and for columns that are none or of different lengths.
+    """
     import pandas as pd
 
     if isinstance(table, pd.DataFrame):
         return table
+    if hasattr(table, "__arrow_c_stream__"):
+        import pyarrow as pa
+
+        return pa.table(table).to_pandas()
     if not isinstance(table, Mapping):
         raise InputError(f"a {type(table).__name__}", "a DataFrame, or a dict of columns")
     columns = {str(name): pd.Series(column) for name, column in _arrays(table)}

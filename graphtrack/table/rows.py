@@ -15,6 +15,7 @@ from graphtrack.bounds import bounds_of, out_of_bounds
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.table.as_read import AsRead
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,7 @@ class Rows:
     refused : reason → number of rows left out so far
     notes : what was assumed or repaired, one sentence each
     has_identity : False: the file does not say of whom a row is, and ``track_id`` is −1 throughout
+    as_read : names and units of a table that has others than the native one
     """
 
     path: Path
@@ -46,6 +48,7 @@ class Rows:
     refused: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     has_identity: bool = True
+    as_read: AsRead | None = None
 
     def __len__(self) -> int:
         return len(self.track_id)
@@ -148,7 +151,7 @@ def check_identities(rows: Rows) -> None:
     if not rows.has_identity:
         raise InputError(
             "rows without identities",
-            "a track_id for each; graphtrack smooth, track and gt.associate find out who is who",
+            "a track_id for each (--columns id=…); smooth --associate and gt.associate find it out",
             path=rows.path,
             line=rows.line_of(0) if len(rows) else None,
         )

@@ -71,8 +71,8 @@ class Speeds:
         n = len(self.fast)
         return (
             f"{n} of {self.n_tracks} tracks move faster than {FASTEST:g} m/s (median {usual:.3g}, "
-            f"greatest {greatest:.3g}): check the unit of the positions (metres), the frame rate (fps), and "
-            "for pixels the homography or metres_per_pixel"
+            f"greatest {greatest:.3g}): check the unit of the positions (metres, or units), "
+            "the frame rate (fps), and for pixels the homography or metres_per_pixel"
         )
 
 

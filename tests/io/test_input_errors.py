@@ -132,6 +132,8 @@ def test_encodings(sample: Sample, tmp_path: Path) -> None:
     assert io.read(path, **sample.options).n_frames == plain.n_frames
     if sample.format != "caviar":  # XML says its encoding itself, and UTF-16 is one of them
         path.write_bytes(data.decode().encode("utf-16"))
+        assert io.read(path, **sample.options).n_frames == plain.n_frames
+        path.write_bytes(data.decode().encode("utf-16-be"))
         assert refused(path, format=sample.format).found == "UTF-16 text"
         path.write_bytes(data[:-1] + b"\xe9\n")
         assert refused(path, format=sample.format).found == "the byte 0xe9"

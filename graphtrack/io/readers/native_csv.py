@@ -23,7 +23,9 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table import schema
+from graphtrack.table.as_read import restored
 from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.moments import date_texts
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 
@@ -178,7 +180,7 @@ class _LineFinder:
 
 def write(tracks: TrackSet, path: Path) -> None:
     """Write the native table; numbers have the digits that read back to the same double."""
-    write_columns(to_columns(tracks), path)
+    write_columns(restored(to_columns(tracks), tracks.as_read), path)
 
 
 def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
@@ -198,7 +200,9 @@ def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
 
 
 def _clean(values: NDArray[Any]) -> NDArray[Any]:
-    """Labels without line breaks, None where they are empty; numbers as they are."""
+    """Labels without line breaks, None where they are empty; dates as text; numbers as they are."""
+    if values.dtype.kind == "M":
+        return date_texts(values)
     if values.dtype != object:
         return values
     return np.array(

@@ -17,6 +17,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table import schema
+from graphtrack.table.as_read import restored
 from graphtrack.table.columns import from_columns, to_columns
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
@@ -113,7 +114,7 @@ def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDA
 
 def write(tracks: TrackSet, path: Path) -> None:
     """Write the native table; missing numbers become null."""
-    write_columns(to_columns(tracks), path)
+    write_columns(restored(to_columns(tracks), tracks.as_read), path)
 
 
 def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:

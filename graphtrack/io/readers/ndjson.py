@@ -23,7 +23,9 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.source import Source, mostly
 from graphtrack.table import schema
+from graphtrack.table.as_read import restored
 from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.moments import date_texts
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 
@@ -302,13 +304,17 @@ def _columns(rows: list[_Row], keys: Iterable[str]) -> dict[str, NDArray[Any]]:
 
 def write(tracks: TrackSet, path: Path) -> None:
     """Write the native table; numbers have the digits that read back to the same double."""
-    write_columns(to_columns(tracks), path)
+    _write(restored(to_columns(tracks), tracks.as_read), path)
 
 
 def write_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
     """Write columns of the native table; without identities each object has the ``track_id`` −1."""
     if "track_id" not in table:
         table = {"track_id": np.full(len(table["frame"]), -1), **table}
+    _write(table, path)
+
+
+def _write(table: Mapping[str, NDArray[Any]], path: Path) -> None:
     columns = {name: _values(cells) for name, cells in table.items()}
     opened: Callable[..., Any] = gzip.open if path.name.lower().endswith(".gz") else open
     with opened(path, "wt", encoding="ascii", newline="\n") as stream:
@@ -317,7 +323,9 @@ def write_columns(table: Mapping[str, NDArray[Any]], path: Path) -> None:
 
 
 def _values(cells: NDArray[Any]) -> list[Any]:
-    """A column as JSON has it: null where a number is NaN or a label empty."""
+    """A column as JSON has it: null where a number is NaN or a label empty; dates are text."""
+    if cells.dtype.kind == "M":
+        cells = date_texts(cells)
     return [None if value != value or value == "" else value for value in cells.tolist()]
 
 

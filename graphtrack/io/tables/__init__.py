@@ -1,0 +1,1 @@
+"""Tables with other names, units and kinds of values than the native one, as their owner says they are."""

@@ -1,0 +1,207 @@
+"""Points in time as tables have them: counts of a unit, ISO 8601 text, dates; computed with are seconds.
+
+Of dates and of epochs the seconds count from the midnight (UTC) before the first, since a double that counts
+from 1970 has no digits left below a microsecond.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+
+NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+"""Nanoseconds of the units of time."""
+
+_UNIT_OF = {count: unit for unit, count in NANOSECONDS.items()}
+_DAY = 86_400 * 10**9
+EPOCH = 1e8
+"""Seconds from which a number counts from 1970: three years are longer than a recording."""
+
+_ISO = re.compile(
+    r"(\d{4}-\d{2}-\d{2})([T ])(\d{2}:\d{2}(?::\d{2})?)(?:[.,](\d{1,9}))?\s*(Z|[+-]\d{2}(?::?\d{2})?)?",
+    re.ASCII,
+)
+_YEARS = range(1700, 2200)
+"""What nanoseconds from 1970 in 64 bits reach."""
+
+
+@dataclass(frozen=True)
+class TimeScale:
+    """How a file says its times.
+
+    Attributes
+    ----------
+    kind : "number": counts of a unit; "text": ISO 8601; "date": values of a type for dates
+    unit : nanoseconds of a count, or of the unit of a date's type
+    whole : whether the counts are whole numbers, and are to be again
+    origin : nanoseconds since 1970, or since the file's own beginning, at t = 0
+    between, digits, zone : of text: what stands between day and time, digits after the second, and what ends
+        it ("", "Z" or such as "+01:00"); of dates the name of the zone, "" where they have none
+    """
+
+    kind: Literal["number", "text", "date"]
+    unit: int = 10**9
+    whole: bool = False
+    origin: int = 0
+    between: str = "T"
+    digits: int = 0
+    zone: str = ""
+
+    def restored(self, t: FloatArray) -> Any:
+        """Times (n,) in seconds as the file has them."""
+        if self.kind == "number" and not self.whole:
+            return (self.origin / 1e9 + t) * (1e9 / self.unit)
+        since = self.origin + np.rint(t * 1e9).astype(np.int64)
+        if self.kind == "text":
+            return self._as_text(since)
+        counts = (since + self.unit // 2) // self.unit
+        if self.kind == "number":
+            return counts
+        dates = counts.astype(f"M8[{_UNIT_OF[self.unit]}]")
+        if not self.zone:
+            return dates
+        import pandas as pd
+
+        return pd.DatetimeIndex(dates).tz_localize("UTC").tz_convert(self.zone)
+
+    def _as_text(self, since: NDArray[np.int64]) -> NDArray[Any]:
+        digit = 10 ** (9 - self.digits)
+        since = (since + digit // 2) // digit * digit + _offset(self.zone)
+        texts = np.datetime_as_string(since.astype("M8[ns]"))
+        end = len("2000-01-01T00:00:00") + (self.digits + 1 if self.digits else 0)
+        return np.array([text[:end].replace("T", self.between) + self.zone for text in texts], dtype=object)
+
+
+def from_nanoseconds(since: NDArray[np.int64], beside: TimeScale | None) -> tuple[FloatArray, int]:
+    """Seconds (n,) from nanoseconds, and the origin, in nanoseconds, that they count from."""
+    origin = beside.origin if beside is not None else int(since.min()) // _DAY * _DAY if len(since) else 0
+    return (since - origin) / 1e9, origin
+
+
+def from_numbers(
+    values: NDArray[Any], unit: str, beside: TimeScale | None = None
+) -> tuple[FloatArray, TimeScale]:
+    """Seconds (n,) from counts of a unit; those of an epoch from the midnight before the first.
+
+    Parameters
+    ----------
+    values : (n,) int64 or float, NaN where there is none
+    unit : one of `NANOSECONDS`
+    beside : of a table whose times count from the same
+    """
+    each = NANOSECONDS[unit]
+    whole = values.dtype.kind in "iu"
+    known = values if whole else values[np.isfinite(values)]
+    epoch = bool(len(known)) and float(np.median(known)) * (each / 1e9) >= EPOCH
+    if not epoch:
+        # Between whole seconds there are times, which a gap that is filled may need.
+        scale = TimeScale("number", each, whole and unit != "s")
+        return (values.astype(float) if unit == "s" else values / (10**9 / each)), scale
+    if whole:
+        seconds, origin = from_nanoseconds(values.astype(np.int64) * each, beside)
+    else:
+        origin = beside.origin if beside is not None else int(known.min() * (each / 1e9)) // 86_400 * _DAY
+        # The difference of two doubles of one size is exact; what a product would lose is not lost.
+        seconds = (values - origin / each) * (each / 1e9)
+    return seconds, TimeScale("number", each, whole, origin)
+
+
+def from_dates(values: NDArray[Any], zone: str, beside: TimeScale | None) -> tuple[FloatArray, TimeScale]:
+    """Seconds (n,) from ``datetime64`` in UTC; NaN where there is none."""
+    unit = np.datetime_data(values.dtype)[0]
+    empty = np.isnat(values)
+    since = values.astype("M8[ns]").astype(np.int64)
+    seconds, origin = from_nanoseconds(since[~empty], beside)
+    found = np.full(len(values), np.nan)
+    found[~empty] = seconds
+    return found, TimeScale("date", NANOSECONDS.get(unit, 1), origin=origin, zone=zone)
+
+
+def date_texts(values: Any) -> NDArray[Any]:
+    """Dates as ISO 8601, for files without a type for them."""
+    if isinstance(values, np.ndarray):
+        return np.datetime_as_string(values).astype(object)
+    return np.array([one.isoformat() for one in values], dtype=object)
+
+
+def is_iso(text: str) -> bool:
+    """Whether a text is a date and a time, as ISO 8601 has them."""
+    return _ISO.fullmatch(text.strip()) is not None
+
+
+class NotIso(ValueError):
+    """The row (from 0) of a text that is no time, and what was expected."""
+
+    def __init__(self, row: int, expected: str) -> None:
+        self.row, self.expected = row, expected
+        super().__init__(row, expected)
+
+
+def from_text(texts: list[str], beside: TimeScale | None) -> tuple[FloatArray, TimeScale]:
+    """Seconds (n,) from ISO 8601 dates and times, such as 2026-11-23T10:00:00.04+01:00; NaN for an empty one.
+
+    Without a zone they are taken as they stand, as if they were UTC.
+
+    Raises
+    ------
+    NotIso
+        For the first that is none, or that has no zone where others do.
+    """
+    since, known, digits = np.zeros(len(texts), np.int64), np.zeros(len(texts), bool), 0
+    between, zone = "T", None
+    days: list[str] = []
+    parts: list[int] = []
+    for row, text in enumerate(texts):
+        if not text.strip():
+            continue
+        match = _ISO.fullmatch(text.strip())
+        if match is None or int(match[1][:4]) not in _YEARS:
+            raise NotIso(row, "a date and time as in 2026-11-23T10:00:00.04 (ISO 8601)")
+        if zone is None:
+            between, zone = match[2], match[5] or ""
+        if bool(match[5]) != bool(zone):
+            raise NotIso(row, f"a time {'with' if zone else 'without'} a zone, as the first one is")
+        fraction = match[4] or ""
+        digits = max(digits, len(fraction))
+        days.append(f"{match[1]}T{match[3]}")
+        parts.append(int(fraction.ljust(9, "0")) - _offset(match[5] or ""))
+        known[row] = True
+    try:
+        whole = np.array(days, dtype="M8[ns]").astype(np.int64)
+    except ValueError:
+        row = int(np.flatnonzero(known)[next(i for i, day in enumerate(days) if not _is_day(day))])
+        raise NotIso(row, "a date and time that there is") from None
+    since[known] = whole + np.array(parts, dtype=np.int64)
+    seconds, origin = from_nanoseconds(since[known], beside)
+    found = np.full(len(texts), np.nan)
+    found[known] = seconds
+    return found, TimeScale("text", origin=origin, between=between, digits=digits, zone=zone or "")
+
+
+def _is_day(text: str) -> bool:
+    try:
+        np.datetime64(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _offset(zone: str) -> int:
+    """Nanoseconds that clocks of a zone are ahead of UTC."""
+    if zone in ("", "Z"):
+        return 0
+    digits = zone[1:].replace(":", "").ljust(4, "0")
+    return (-1 if zone[0] == "-" else 1) * (int(digits[:2]) * 60 + int(digits[2:])) * 60 * 10**9
+
+
+def check_time_unit(unit: str | None) -> None:
+    """Raise InputError for a unit of time that is none."""
+    if unit is not None and unit != "iso" and unit not in NANOSECONDS:
+        raise InputError(f"time_unit = {unit!r}", f"one of {', '.join(NANOSECONDS)}, iso")

@@ -1,0 +1,191 @@
+"""One table in many forms: each has a way through, and the line that is suggested takes it, as printed."""
+
+from __future__ import annotations
+
+import gzip
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import command
+import numpy as np
+import pandas as pd
+import pytest
+
+from graphtrack import io
+from graphtrack.cli.options import Reading
+from graphtrack.errors import InputError
+from graphtrack.tracks import TrackSet
+
+STEPS = 12
+T = np.arange(STEPS) / 10
+PEOPLE = {"7": (1.5 + 1.25 * T, -0.25 + 0.1 * T), "12": (4.0 - 1.1 * T, 2.0 - 0.3 * T)}
+UNIX = 1_763_892_000
+START = np.datetime64("2025-11-23T10:00:00", "ms")
+
+
+def table(**columns: object) -> pd.DataFrame:
+    """The table; ``columns`` are its own names for id, frame, t, x and y, None for those that it has not."""
+    names = {"id": "track_id", "frame": "frame", "t": "t", "x": "x", "y": "y"} | columns
+    parts = []
+    for who, (x, y) in PEOPLE.items():
+        cells = {"id": int(who), "frame": np.arange(STEPS), "t": T, "x": np.round(x, 6), "y": np.round(y, 6)}
+        parts.append(pd.DataFrame({name: cells[key] for key, name in names.items() if name is not None}))
+    return pd.concat(parts, ignore_index=True)
+
+
+def text(frame: pd.DataFrame, **options: object) -> bytes:
+    return frame.to_csv(index=False, **options).encode()
+
+
+PLAIN = {"id": "person", "frame": None, "t": "time", "x": "pos_x", "y": "pos_y"}
+
+
+def times(name: str, values: Callable[[pd.Series], object]) -> pd.DataFrame:
+    frame = table(**PLAIN | {"t": name})
+    frame[name] = values(frame[name])
+    return frame
+
+
+def scaled(factor: float, **columns: object) -> pd.DataFrame:
+    frame = table(**PLAIN | columns)
+    places = list(frame.columns[-2:])
+    frame[places] = (frame[places] * factor).round(9)
+    return frame
+
+
+def wide() -> pd.DataFrame:
+    frame = pd.DataFrame({"time": T})
+    for who, (x, y) in PEOPLE.items():
+        frame[f"x_{who}"], frame[f"y_{who}"] = x, y
+    return frame
+
+
+def degrees() -> pd.DataFrame:
+    pyproj = pytest.importorskip("pyproj")
+    frame = table(**PLAIN | {"x": "longitude", "y": "latitude"})
+    local = "+proj=tmerc +lat_0=48.13 +lon_0=11.57 +k=1 +datum=WGS84 +units=m"
+    to_degrees = pyproj.Transformer.from_crs(local, "EPSG:4326", always_xy=True)
+    frame["longitude"], frame["latitude"] = to_degrees.transform(frame.longitude, frame.latitude)
+    return frame
+
+
+def named(frame: pd.DataFrame, column: str) -> pd.DataFrame:
+    return frame.assign(**{column: frame[column].map({7: "anna", 12: "björn"})})
+
+
+def parquet(frame: pd.DataFrame) -> bytes:
+    path = Path("made.parquet")
+    frame.to_parquet(path)
+    return path.read_bytes()
+
+
+VARIANTS: dict[str, Callable[[], bytes]] = {
+    "the native table": lambda: text(table()),
+    "other names": lambda: text(table(id="agent_id", frame="frame_id", t="timestamp", x="pos_x", y="pos_y")),
+    "units in brackets": lambda: text(table(id="Person", t="Time [s]", x="X [m]", y="Y [m]")),
+    "upper case": lambda: text(table(id="ID", frame="FRAME", t="TIME", x="X", y="Y")),
+    "camel case": lambda: text(table(id="trackId", frame="frameNumber", t="timeStamp", x="posX", y="posY")),
+    "semicolons": lambda: text(table(), sep=";"),
+    "semicolons and decimal commas": lambda: text(table(**PLAIN), sep=";", decimal=","),
+    "tabs": lambda: text(table(**PLAIN), sep="\t"),
+    "vertical bars": lambda: text(table(**PLAIN), sep="|"),
+    "spaces": lambda: re.sub(rb",", b"   ", text(table(**PLAIN))),
+    "a line for Excel": lambda: b"sep=;\r\n" + text(table(**PLAIN), sep=";"),
+    "UTF-16": lambda: text(table(**PLAIN), sep="\t").decode().encode("utf-16"),
+    "UTF-16 without a mark": lambda: text(table(**PLAIN)).decode().encode("utf-16-le"),
+    "Windows' letters": lambda: text(named(table(**PLAIN), "person")).decode().encode("cp1252"),
+    "text identities": lambda: text(named(table(**PLAIN), "person")),
+    "ISO times": lambda: text(times("datetime", lambda t: [f"{START + round(1e3 * s)}" for s in t])),
+    "ISO times with a zone": lambda: text(
+        times("timestamp", lambda t: [f"{START + round(1e3 * s)}+01:00".replace("T", " ") for s in t])
+    ),
+    "unix seconds": lambda: text(times("timestamp", lambda t: (UNIX + t).map("{:.3f}".format))),
+    "unix milliseconds": lambda: text(
+        times("timestamp", lambda t: (UNIX * 1000 + (t * 1000).round()).astype(int))
+    ),
+    "unix microseconds": lambda: text(times("ts", lambda t: UNIX * 10**6 + (t * 1e6).round().astype(int))),
+    "unix nanoseconds": lambda: text(times("stamp", lambda t: UNIX * 10**9 + (t * 1e9).round().astype(int))),
+    "milliseconds in the name": lambda: text(times("time_ms", lambda t: (t * 1000).round().astype(int))),
+    "milliseconds by their steps": lambda: text(times("time", lambda t: (t * 1000).round().astype(int))),
+    "frames and no times": lambda: text(table(id="person", t=None)),
+    "no header": lambda: text(table(frame=None)[["track_id", "t", "x", "y"]], header=False),
+    "a column of row numbers": lambda: table(**PLAIN).to_csv().encode(),
+    "columns besides": lambda: text(table(**PLAIN).assign(note="a, b", speed=1.0, colour="red")),
+    "centimetres": lambda: text(scaled(100.0, x="x_cm", y="y_cm")),
+    "millimetres": lambda: text(scaled(1000.0, x="X [mm]", y="Y [mm]")),
+    "feet": lambda: text(scaled(1.0 / 0.3048, x="x (ft)", y="y (ft)")),
+    "millimetres by their speeds": lambda: text(scaled(1000.0)),
+    "degrees": lambda: text(degrees()),
+    "wide": lambda: text(wide()),
+    "NDJSON": lambda: table(**PLAIN).to_json(orient="records", lines=True).encode(),
+    "Parquet with dates": lambda: parquet(
+        times("timestamp", lambda t: pd.to_datetime(START) + pd.to_timedelta(t, unit="s"))
+    ),
+    "packed": lambda: gzip.compress(text(table(**PLAIN))),
+    "names with commas": lambda: text(table(**PLAIN | {"id": "person, id", "x": "x, [m]", "y": "y, [m]"})),
+}
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run_suggested(path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[TrackSet, str]:
+    """What the suggested line reads, run as it was printed, and the line."""
+    done = command.run("info", path, "--suggest", program="graphtrack")
+    assert done.returncode == 0, done.stderr
+    (line,) = done.stdout.splitlines()
+    read: list[TrackSet] = []
+    tracks_of = Reading.tracks
+
+    def kept(*arguments: object, **options: object) -> TrackSet:
+        read.append(tracks_of(*arguments, **options))  # type: ignore[arg-type]
+        return read[-1]
+
+    monkeypatch.setattr(Reading, "tracks", kept)
+    program, *arguments = shlex.split(line)
+    done = command.run(*arguments, program=program)
+    assert done.returncode == 0, done.stderr
+    return read[0], line
+
+
+@pytest.mark.parametrize("variant", VARIANTS.values(), ids=VARIANTS)
+def test_every_variant_is_read_by_the_line_that_is_suggested(
+    variant: Callable[[], bytes], here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = here / "some walks.csv"
+    path.write_bytes(variant())
+    try:
+        as_it_stands: TrackSet | None = io.read(path)
+    except InputError as error:
+        as_it_stands = None
+        assert "--" in str(error), error
+    tracks, line = run_suggested(path, monkeypatch)
+    assert len(tracks) == len(PEOPLE)
+    for track, (x, y) in zip(tracks, PEOPLE.values(), strict=True):
+        np.testing.assert_allclose(track.position, np.column_stack([x, y]), atol=1e-5)
+        step = 0.04 if "--fps" in line else 0.1
+        np.testing.assert_allclose(np.diff(track.t), step, atol=1e-6)
+        assert track.label in ("", "anna", "björn", "7", "12")
+    if as_it_stands is not None and not any("faster than" in note for note in as_it_stands.summary.notes):
+        assert "--" not in line
+
+
+def test_what_cannot_be_read_is_told_with_what_is_missing(here: Path) -> None:
+    for content, said in (
+        ("person,time,speed\n1,0,1\n1,1,1\n", "no columns that are places"),
+        ("person,x,y\n1,0,1\n1,1,1\n", "no column that is a time"),
+        ("person,time,x,y\n1,0,left,1\n1,1,right,1\n", "'left'"),
+        ("", "empty"),
+    ):
+        (here / "table.csv").write_text(content)
+        done = command.run("info", "table.csv", "--suggest", program="graphtrack")
+        assert done.returncode == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1, (
+            done.stderr
+        )
+    done = command.run("info", "table.csv", "--suggest", "--fps", 5, program="graphtrack")
+    assert done.returncode == 2 and "--suggest" in done.stderr
