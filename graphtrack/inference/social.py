@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from graphtrack.behaviour.evidence import PairEvidence, pair_evidence
+from graphtrack.behaviour.facing import facing
 from graphtrack.behaviour.groups import groups_of
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.people import People, people_of
@@ -62,21 +63,16 @@ def without_group(found: Solution | Failure) -> Solution | Failure:
 
 
 def with_neighbours(tracks: TrackSet, people: People, evidence: PairEvidence) -> TrackSet:
-    """The tracks, each with where its companions in conversation are, and how surely there are any.
+    """The tracks, each with the direction of the o-space, and how surely there is a conversation.
 
-    Everybody near counts by the square of the probability of being of one group, so that somebody who may be
-    in either of two groups is not torn to one of them.
+    That is by where everybody near stands, who counts by the probability of being of one group.
     """
-    p = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds)) * (1.0 - evidence.walking)
-    one = np.concatenate([evidence.left, evidence.right])
-    other = np.concatenate([evidence.right, evidence.left])
-    weight = np.tile(p**2, 2)
-    total = np.bincount(one, weight, minlength=len(people))
+    together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds)) * (1.0 - evidence.walking)
     surest = np.zeros(len(people))
-    np.maximum.at(surest, one, np.tile(p, 2))
-    sums = [np.bincount(one, weight * people.position[other, k], minlength=len(people)) for k in (0, 1)]
-    mean = np.column_stack(sums) / np.where(total > 1e-9, total, np.nan)[:, None]
-    values = np.column_stack([mean, np.where(total > 1e-9, surest, np.nan)])
+    np.maximum.at(surest, evidence.left, together)
+    np.maximum.at(surest, evidence.right, together)
+    faced = facing(people.position, evidence.left, evidence.right, evidence.odds, DEFAULT)
+    values = np.column_stack([faced, surest])
     frame, identity = people.frame[people.frame_of], people.ids[people.person]
 
     def told(track: Track) -> Track:

@@ -1,4 +1,4 @@
-"""A member of a conversation faces the others, weakly, and some do not."""
+"""A member of a conversation faces its o-space, weakly, and turns seldom; some do not."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import BODY, HEAD, Field
 from graphtrack.model.observation import States
+from graphtrack.model.parameters import frame_weights
 from graphtrack.model.term import Term, Variable
 from graphtrack.tracks import Track
 
@@ -20,108 +21,152 @@ if TYPE_CHECKING:
     from graphtrack.model.kernels.packing import PackedTracks
 
 GROUP = "group"
-"""The input: where companions in conversation are on average, x and y, and how surely there are any."""
+"""The input: the direction of the o-space, x and y of a vector as long as that is sure, 0 to 1, and the
+probability that there is a conversation."""
+
+SLOW = 0.05
+"""rad/s up to which a turn is a drift, which costs by its square."""
+LEAST_TURN, GREATEST_TURN = 0.01, 0.05
+"""Radians within which a drift from a frame to the next is, however near or far that is."""
 
 
 @compiled
-def add_faces_group_body(
-    body_cos: float,
-    body_sin: float,
+def add_faces_group(
+    place: int,
+    cos: float,
+    sin: float,
     group_weight: float,
     group_cos: float,
     group_sin: float,
-    group_body_kappa: float,
+    kappa: float,
     group_outliers: float,
     exact: bool,
     gradient: FloatArray,
     hessian: FloatArray,
 ) -> float:
-    """−w·log(ε + (1 − ε)·e^−κ(1 − cos Δ)) of the body; of its curvature the part that is never negative."""
-    close = body_cos * group_cos + body_sin * group_sin
-    across = body_sin * group_cos - body_cos * group_sin
-    kappa = group_body_kappa
+    """−w·log(ε + (1 − ε)·e^−κ(1 − cos Δ)) of an angle; of its curvature the part that is never negative."""
+    close = cos * group_cos + sin * group_sin
+    across = sin * group_cos - cos * group_sin
     inside = (1.0 - group_outliers) * math.exp(-kappa * (1.0 - close))
     share = inside / (group_outliers + inside)
-    gradient[BODY] += group_weight * share * kappa * across
+    gradient[place] += group_weight * share * kappa * across
     round_part = kappa * close - (1.0 - share) * (kappa * across) ** 2 if exact else kappa
-    hessian[BODY, BODY] += group_weight * share * round_part
+    hessian[place, place] += group_weight * share * round_part
     return -group_weight * math.log(group_outliers + inside)
 
 
 @compiled
-def add_faces_group_head(
-    head_cos: float,
-    head_sin: float,
-    group_weight: float,
-    group_cos: float,
-    group_sin: float,
-    group_head_kappa: float,
-    group_outliers: float,
+def add_holds(
+    cos_before: float,
+    sin_before: float,
+    cos: float,
+    sin: float,
+    place: int,
+    group_hold: float,
+    group_drift: float,
+    hold: float,
     exact: bool,
+    gradient_before: FloatArray,
     gradient: FloatArray,
+    hessian_before: FloatArray,
     hessian: FloatArray,
+    transition: FloatArray,
 ) -> float:
-    """−w·log(ε + (1 − ε)·e^−κ(1 − cos Δ)) of the head; of its curvature the part that is never negative."""
-    close = head_cos * group_cos + head_sin * group_sin
-    across = head_sin * group_cos - head_cos * group_sin
-    kappa = group_head_kappa
-    inside = (1.0 - group_outliers) * math.exp(-kappa * (1.0 - close))
-    share = inside / (group_outliers + inside)
-    gradient[HEAD] += group_weight * share * kappa * across
-    round_part = kappa * close - (1.0 - share) * (kappa * across) ** 2 if exact else kappa
-    hessian[HEAD, HEAD] += group_weight * share * round_part
-    return -group_weight * math.log(group_outliers + inside)
+    """w·λ·(√(δ² + 2·(1 − cos Δ)) − δ) between an angle and itself a frame before: about λ·|Δ|."""
+    close = cos_before * cos + sin_before * sin
+    across = sin * cos_before - cos * sin_before
+    size = math.sqrt(group_drift * group_drift + 2.0 * max(1.0 - close, 0.0))
+    weight = group_hold * hold / size
+    pull = weight * across
+    curvature = weight * (close - (across / size) ** 2) if exact else weight
+    gradient[place] += pull
+    gradient_before[place] -= pull
+    hessian[place, place] += curvature
+    hessian_before[place, place] += curvature
+    transition[place, place] -= curvature
+    return group_hold * hold * (size - group_drift)
+
+
+def _faces(name: Variable) -> Kernel:
+    names = {"place": name.upper(), "cos": f"{name}_cos", "sin": f"{name}_sin", "kappa": f"group_{name}_kappa"}
+    return Kernel(add_faces_group, gate="group_weight", variables=(name,), names=names)
+
+
+def _holds(name: Variable) -> Kernel:
+    names = {"place": name.upper(), "hold": f"group_{name}_hold"}
+    for part in ("cos", "sin"):
+        names |= {part: f"{name}_{part}", f"{part}_before": f"{name}_{part}_before"}
+    return Kernel(add_holds, gate="group_hold", variables=(name,), before=(name,), names=names)
 
 
 class FacesGroup(Term):
-    """−w·log(ε + (1 − ε)·e^−κ(1 − cos Δ)) of body and head, Δ from the bearing of the other members.
+    """Body and head of a member face the o-space, and are held.
 
-    The bearing is that from where somebody was seen; the weight w is the probability of the group, with the
-    frame's own. Without the input `GROUP` there is none.
+    −w·log(ε + (1 − ε)·e^−κ(1 − cos Δ)) of body and head, Δ from the direction of the o-space; and
+    w·λ·√(δ² + 2·(1 − cos Δ)) of their turns from frame to frame: whoever converses holds still, then turns at
+    once. The weight w is the probability of a conversation, in the first with the frame's own and that of the
+    direction. Without the input `GROUP` there is none.
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
-    reads = ("social.body_kappa", "social.head_kappa", "social.outliers", "coupling.correlation_time")
+    reads = tuple(
+        f"social.{name}"
+        for name in ("body_kappa", "head_kappa", "outliers", "correlation_time", "body_hold", "head_hold")
+    )
     fields = (
         Field("group_weight", "probability of the conversation with the frame's weight"),
-        Field("group_cos", "of the bearing of its other members"),
+        Field("group_cos", "of the bearing of its o-space"),
         Field("group_sin", ""),
+        Field("group_hold", "probability of the conversation; 0 at the first frame"),
+        Field("group_drift", "radians up to which a turn is a drift"),
     )
     shared = (
         Field("group_body_kappa", "concentration of bodies about the bearing"),
         Field("group_head_kappa", "of heads"),
         Field("group_outliers", "share of members who face elsewhere"),
+        Field("group_body_hold", "cost of a radian's turn"),
+        Field("group_head_hold", ""),
     )
-    kernels = (
-        Kernel(add_faces_group_body, gate="group_weight", variables=("body",)),
-        Kernel(add_faces_group_head, gate="group_weight", variables=("head",)),
-    )
-
-    def _pull(self, position: FloatArray, group: FloatArray, dt: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) weight, none on the spot or where nothing is known; (n, 2) direction of the bearing."""
-        away = group[:, :2] - position
-        far = np.linalg.norm(away, axis=1)
-        weight = np.where(far > 1e-6, group[:, 2], 0.0) * self.parameters.coupling.weights(dt)
-        known = np.isfinite(far) & np.isfinite(weight)
-        angle = np.arctan2(np.where(known, away[:, 1], 0.0), np.where(known, away[:, 0], 1.0))
-        return np.where(known, weight, 0.0), unit(angle)
+    kernels = (_faces("body"), _faces("head"), _holds("body"), _holds("head"))
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Σ over frames, of body and head."""
-        social = self.parameters.social
-        weight, bearing = self._pull(track.position, track.input(GROUP, 3), track.dt)
+        social, dt = self.parameters.social, track.dt
+        sure, bearing, weight = _told(track.input(GROUP, 3))
+        facing = sure * frame_weights(dt, social.correlation_time)
         total = 0.0
-        for angle, kappa in ((states.body, social.body_kappa), (states.head, social.head_kappa)):
+        for angle, kappa, hold in (
+            (states.body, social.body_kappa, social.body_hold),
+            (states.head, social.head_kappa, social.head_hold),
+        ):
             close = np.sum(unit(angle) * bearing, axis=1)
             inside = (1.0 - social.outliers) * np.exp(-kappa * (1.0 - close))
-            total -= float(np.sum(np.where(weight > 0.0, weight * np.log(social.outliers + inside), 0.0)))
+            total -= float(np.sum(np.where(facing > 0.0, facing * np.log(social.outliers + inside), 0.0)))
+            chord = 2.0 * np.sin(0.5 * np.diff(angle))
+            drift = _drift(dt)[1:]
+            total += float(np.sum(weight[1:] * hold * (np.hypot(drift, chord) - drift)))
         return total
 
     def pack(self, packed: PackedTracks) -> None:
         """Weights and bearings of the frames, and the parameters."""
-        social, shared = self.parameters.social, packed.shared
-        weight, bearing = self._pull(packed.position, packed.input(GROUP, 3), packed.dt)
-        packed.records["group_weight"] = weight
-        packed.records["group_cos"], packed.records["group_sin"] = bearing.T
+        social, records, shared = self.parameters.social, packed.records, packed.shared
+        sure, bearing, weight = _told(packed.input(GROUP, 3))
+        records["group_weight"] = sure * frame_weights(packed.dt, social.correlation_time)
+        records["group_cos"], records["group_sin"] = bearing.T
+        records["group_hold"] = np.where(packed.dt > 0.0, weight, 0.0)
+        records["group_drift"] = _drift(packed.dt)
         shared["group_body_kappa"], shared["group_head_kappa"] = social.body_kappa, social.head_kappa
         shared["group_outliers"] = social.outliers
+        shared["group_body_hold"], shared["group_head_hold"] = social.body_hold, social.head_hold
+
+
+def _told(group: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n,) weight of the direction, (n, 2) the direction, (n,) of the conversation; 0 where there is none."""
+    known = np.isfinite(group).all(axis=1)
+    x, y, weight = np.where(known[:, None], group, 0.0).T
+    return weight * np.hypot(x, y), unit(np.arctan2(y, x)), weight
+
+
+def _drift(dt: FloatArray) -> FloatArray:
+    """Radians up to which the turn of a frame is a drift."""
+    return np.clip(SLOW * dt, LEAST_TURN, GREATEST_TURN)
