@@ -82,7 +82,9 @@ def abreast(people: People, left: IntArray, right: IntArray) -> tuple[FloatArray
     way = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
     along = np.sum(apart * way, axis=1)
     across = apart[:, 0] * way[:, 1] - apart[:, 1] * way[:, 0]
-    return np.hypot(across, ALONG * along), np.sum((people.velocity[right] - people.velocity[left]) ** 2, axis=1)
+    return np.hypot(across, ALONG * along), np.sum(
+        (people.velocity[right] - people.velocity[left]) ** 2, axis=1
+    )
 
 
 def walking_odds(people: People, left: IntArray, right: IntArray, parameters: GroupParameters) -> FloatArray:

@@ -17,9 +17,7 @@ _LEAST = 20
 """Pairs in frames, of those who walk together and of those who do not, below which nothing is learned."""
 
 
-def fit_walking(
-    people: People, label: IntArray, used: BoolArray, start: GroupParameters
-) -> GroupParameters:
+def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupParameters) -> GroupParameters:
     """Learn how far apart and how alike two walk who do so together, and others who walk near each other.
 
     Means and standard deviations of labelled pairs of walkers within reach. Chance puts others anywhere there.

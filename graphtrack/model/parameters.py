@@ -252,11 +252,11 @@ class SocialParameters(_Group):
     body_hold, head_hold : what a turn of a radian costs: members turn seldom, and then by much
     """
 
-    body_kappa: float = _number(2.9, 0.0, 1e4)
-    head_kappa: float = _number(2.3, 0.0, 1e4)
+    body_kappa: float = _number(5.1, 0.0, 1e4)
+    head_kappa: float = _number(3.7, 0.0, 1e4)
     outliers: float = _share(0.05, 0.999)
-    correlation_time: float = _number(15.0, 0.0, 1e4, "s", learned=False)
-    body_hold: float = _number(3.0, 0.0, 1e3, "1/rad")
+    correlation_time: float = _number(120.0, 0.0, 1e4, "s", learned=False)
+    body_hold: float = _number(1.0, 0.0, 1e3, "1/rad")
     head_hold: float = _number(3.0, 0.0, 1e3, "1/rad")
 
 

@@ -88,7 +88,12 @@ def add_holds(
 
 
 def _faces(name: Variable) -> Kernel:
-    names = {"place": name.upper(), "cos": f"{name}_cos", "sin": f"{name}_sin", "kappa": f"group_{name}_kappa"}
+    names = {
+        "place": name.upper(),
+        "cos": f"{name}_cos",
+        "sin": f"{name}_sin",
+        "kappa": f"group_{name}_kappa",
+    }
     return Kernel(add_faces_group, gate="group_weight", variables=(name,), names=names)
 
 
