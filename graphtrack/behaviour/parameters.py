@@ -50,7 +50,7 @@ RINGS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.6)
 
 @dataclass(frozen=True)
 class FacingWeights:
-    """What somebody so many centimetres from the o-space ahead of a body adds to the log odds that it is there.
+    """What somebody so many centimetres from the o-space ahead of a body adds to its log odds.
 
     Attributes
     ----------

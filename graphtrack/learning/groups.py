@@ -132,7 +132,7 @@ def _pairs(people: People, label: IntArray, parameters: GroupParameters) -> _Pai
 
 
 def _faced(tracks: TrackSet, people: People, parameters: GroupParameters, used: BoolArray) -> GroupParameters:
-    """With where bodies face learned, if there are any: from groups by places alone, and by all that is known."""
+    """With where bodies face learned, if any are known: by places alone, and by all there is."""
     standing = used & (walks(people, parameters) < 0.5) & (np.linalg.norm(people.body, axis=1) > _CLEAR)
     if not standing.any():
         return parameters

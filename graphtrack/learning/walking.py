@@ -20,7 +20,7 @@ _LEAST = 20
 def fit_walking(people: People, label: IntArray, used: BoolArray, start: GroupParameters) -> GroupParameters:
     """Learn how far apart and how alike two walk who do so together, and others who walk near each other.
 
-    Means and standard deviations of labelled pairs of walkers within reach. Chance puts others anywhere there.
+    Means and standard deviations of labelled pairs of walkers within reach; others are anywhere in it.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import BODY, HEAD, Field
+from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import States
 from graphtrack.model.parameters import frame_weights
 from graphtrack.model.term import Term, Variable
@@ -167,7 +167,7 @@ class FacesGroup(Term):
 
 def _told(group: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n,) weight of the direction, (n, 2) the direction, (n,) of the conversation; 0 where there is none."""
-    known = np.isfinite(group).all(axis=1)
+    known = np.asarray(np.isfinite(group).all(axis=1))
     x, y, weight = np.where(known[:, None], group, 0.0).T
     return weight * np.hypot(x, y), unit(np.arctan2(y, x)), weight
 
