@@ -62,14 +62,6 @@ def scale_of(group: Any, name: str) -> Scale | None:
     return scale
 
 
-def frame_weights(dt: FloatArray | float | None, correlation_time: float) -> FloatArray:
-    """How much evidence counts ``dt`` seconds after the frame before (0, None: the first), where what is off
-    about it persists for ``correlation_time`` seconds: min(1, dt/correlation_time)."""
-    dt = np.asarray(0.0 if dt is None else dt, dtype=float)
-    short = (dt > 0.0) & (dt < correlation_time)
-    return np.divide(dt, correlation_time, out=np.ones_like(dt), where=short)
-
-
 @dataclass(frozen=True)
 class MotionParameters(_Group):
     """White-noise acceleration and intentional motion (MODEL terms 1 and 5).
@@ -138,7 +130,9 @@ class CouplingParameters(_Group):
 
     def weights(self, dt: FloatArray | float | None) -> FloatArray:
         """How much a coupling counts at frames ``dt`` seconds after the ones before (0, None: the first)."""
-        return frame_weights(dt, self.correlation_time)
+        dt = np.asarray(0.0 if dt is None else dt, dtype=float)
+        short = (dt > 0.0) & (dt < self.correlation_time)
+        return np.divide(dt, self.correlation_time, out=np.ones_like(dt), where=short)
 
 
 @dataclass(frozen=True)
@@ -248,14 +242,15 @@ class SocialParameters(_Group):
     ----------
     body_kappa, head_kappa : von Mises concentration of bodies and of heads about the bearing of the o-space
     outliers : share of members who face elsewhere; with groups that were found, those who are in none
-    correlation_time : seconds over which deviations from the bearing persist; see `CouplingParameters`
+    correlation_time : seconds over which deviations from the bearing persist: it counts when it is new, and
+        dt/correlation_time times later on
     body_hold, head_hold : what a turn of a radian costs: members turn seldom, and then by much
     """
 
     body_kappa: float = _number(5.1, 0.0, 1e4)
     head_kappa: float = _number(3.7, 0.0, 1e4)
     outliers: float = _share(0.05, 0.999)
-    correlation_time: float = _number(120.0, 0.0, 1e4, "s", learned=False)
+    correlation_time: float = _number(60.0, 0.0, 1e4, "s", learned=False)
     body_hold: float = _number(1.0, 0.0, 1e3, "1/rad")
     head_hold: float = _number(3.0, 0.0, 1e3, "1/rad")
 

@@ -20,8 +20,9 @@ from graphtrack.model.terms.body_follows_motion import (
     add_motion_over,
     add_motion_quarters,
 )
-from graphtrack.model.terms.faces_group import add_faces_group, add_holds
+from graphtrack.model.terms.faces_group import add_faces_group
 from graphtrack.model.terms.head_follows_body import add_head_follows_body
+from graphtrack.model.terms.holds_still import add_holds
 from graphtrack.model.terms.intentional_motion import add_steered_motion
 from graphtrack.model.terms.motion import add_first_velocity, add_motion
 from graphtrack.model.terms.place import add_place
@@ -78,8 +79,8 @@ FRAME = np.dtype(
         ("body_information", float),  # Fisher information of what was seen of the body, and of the head
         ("head_information", float),
         ("place_weight", float),  # |strength| with the frame's weight
-        ("group_weight", float),  # probability of the conversation with the frame's weight
-        ("group_cos", float),  # of the bearing of its o-space
+        ("group_weight", float),  # of the direction of the o-space
+        ("group_cos", float),  # of that direction
         ("group_sin", float),
         ("group_hold", float),  # probability of the conversation; 0 at the first frame
         ("group_drift", float),  # radians up to which a turn is a drift
@@ -100,7 +101,7 @@ SHARED = np.dtype(
         ("place_y", float),
         ("place_radius", float),  # metres
         ("place_sign", float),  # 1: people are drawn to it, −1: kept from it
-        ("group_body_kappa", float),  # concentration of bodies about the bearing
+        ("group_body_kappa", float),  # concentration of bodies about the direction
         ("group_head_kappa", float),  # of heads
         ("group_outliers", float),  # share of members who face elsewhere
         ("group_body_hold", float),  # cost of a radian's turn
