@@ -144,9 +144,7 @@ def pair_values(people: People, parameters: GroupParameters) -> PairValues:
         return found
     odds = found.place[:, 0] + found.look[:, 0] + found.walking[:, 0]
     faced = facing(people.position, found.left, found.right, odds, parameters)
-    return _values(
-        replace(people, body=people.body + np.maximum(unknown, 0.0)[:, None] * faced), parameters
-    )
+    return _values(replace(people, body=people.body + np.maximum(unknown, 0.0)[:, None] * faced), parameters)
 
 
 def _values(people: People, parameters: GroupParameters) -> PairValues:
