@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from graphtrack.behaviour.facing import facing
 from graphtrack.behaviour.features import pair_features
 from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.behaviour.people import IntArray, People
@@ -16,10 +17,12 @@ _SLOW = np.array([False, True, False, False, True])
 """Which of the features are averaged over ``look_seconds``."""
 _SPEED_STEP = 0.1
 """m/s over which standing becomes walking."""
-_ALONG = 1.5
+ALONG = 1.5
 """Those who walk together are side by side: a metre along their way counts as so many across it."""
 _MOST = 6.0
 """Log odds that one frame of walking says at most."""
+_UNSURE = 0.01
+"""How much shorter than 1 the expected direction of a body is that is looked for among the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,19 +74,26 @@ def conversation_odds(
     return quick, slow
 
 
-def walking_odds(people: People, left: IntArray, right: IntArray, parameters: GroupParameters) -> FloatArray:
-    """Log odds, (n,), that two who walk do so together: how near, side by side and alike they go."""
+def abreast(people: People, left: IntArray, right: IntArray) -> tuple[FloatArray, FloatArray]:
+    """How far apart two walk, (n,) metres, those along their way counted more; square of their velocities'
+    difference, (n,) m²/s²."""
     apart = people.position[right] - people.position[left]
     way = people.velocity[right] + people.velocity[left]
     way = way / np.maximum(np.linalg.norm(way, axis=1), 1e-9)[:, None]
     along = np.sum(apart * way, axis=1)
     across = apart[:, 0] * way[:, 1] - apart[:, 1] * way[:, 0]
-    far = np.hypot(across, _ALONG * along)
+    return np.hypot(across, ALONG * along), np.sum(
+        (people.velocity[right] - people.velocity[left]) ** 2, axis=1
+    )
+
+
+def walking_odds(people: People, left: IntArray, right: IntArray, parameters: GroupParameters) -> FloatArray:
+    """Log odds, (n,), that two who walk do so together: how near, side by side and alike they go."""
+    far, square = abreast(people, left, right)
     mean, std = parameters.walking_distance, parameters.walking_distance_std
     near = -0.5 * ((far - mean) / std) ** 2 - np.log(
         np.sqrt(2.0 * np.pi) * std * 2.0 * np.pi * np.maximum(far, 0.2)
     )
-    square = np.sum((people.velocity[right] - people.velocity[left]) ** 2, axis=1)
     alike, other = parameters.walking_speed_std, parameters.others_speed_std
     same = -0.5 * square * (1.0 / alike**2 - 1.0 / other**2) + 2.0 * np.log(other / alike)
     prior = np.log(parameters.walking_share / (1.0 - parameters.walking_share))
@@ -126,8 +136,18 @@ class PairValues:
 
 
 def pair_values(people: People, parameters: GroupParameters) -> PairValues:
-    """What each frame says of all pairs."""
+    """What each frame says of all pairs; bodies face where the others stand, as far as they are unknown."""
     people = with_bodies(people, parameters.head_spread)
+    found = _values(people, parameters)
+    unknown = 1.0 - np.linalg.norm(people.body, axis=1)
+    if not (unknown > _UNSURE).any():
+        return found
+    odds = found.place[:, 0] + found.look[:, 0] + found.walking[:, 0]
+    faced = facing(people.position, found.left, found.right, odds, parameters)
+    return _values(replace(people, body=people.body + np.maximum(unknown, 0.0)[:, None] * faced), parameters)
+
+
+def _values(people: People, parameters: GroupParameters) -> PairValues:
     left, right, features = pair_features(people, parameters.stride)
     shares = known_shares(people, left, right)
     quick, slow = conversation_odds(shares, features, parameters)

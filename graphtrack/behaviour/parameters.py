@@ -44,6 +44,35 @@ class ConversationWeights:
         return np.array([self.shared, self.crowd, self.far, self.rank, self.look])
 
 
+RINGS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.6)
+"""Metres from an o-space, in the order of the fields of `FacingWeights`."""
+
+
+@dataclass(frozen=True)
+class FacingWeights:
+    """What somebody so many centimetres from the o-space ahead of a body adds to its log odds.
+
+    Attributes
+    ----------
+    at_0, at_30, at_60, at_90, at_120, at_160 : for each person at that distance
+    """
+
+    at_0: float = number(0.0, -50.0, 50.0)
+    at_30: float = number(0.0, -50.0, 50.0)
+    at_60: float = number(0.0, -50.0, 50.0)
+    at_90: float = number(0.0, -50.0, 50.0)
+    at_120: float = number(0.0, -50.0, 50.0)
+    at_160: float = number(0.0, -50.0, 50.0)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
+    @property
+    def of_rings(self) -> FloatArray:
+        """(6,) in the order of `RINGS`."""
+        return np.array([self.at_0, self.at_30, self.at_60, self.at_90, self.at_120, self.at_160])
+
+
 @dataclass(frozen=True)
 class GroupParameters:
     """Who is in a group with whom.
@@ -51,6 +80,7 @@ class GroupParameters:
     Attributes
     ----------
     places, bodies, heads : weights where positions alone are known, with the bodies, and with the heads too
+    companions, others : where a body faces by where companions, and others, stand
     stride : metres to the o-space ahead of a body
     place_seconds : over which what places and bodies say is averaged
     look_seconds : over which looks, and the crowd, are averaged
@@ -68,6 +98,8 @@ class GroupParameters:
     places: ConversationWeights = field(default_factory=ConversationWeights)
     bodies: ConversationWeights = field(default_factory=ConversationWeights)
     heads: ConversationWeights = field(default_factory=ConversationWeights)
+    companions: FacingWeights = field(default_factory=FacingWeights)
+    others: FacingWeights = field(default_factory=FacingWeights)
     stride: float = number(0.65, 0.0, 3.0, "m")
     place_seconds: float = number(6.0, 0.0, 600.0, "s")
     look_seconds: float = number(20.0, 0.0, 600.0, "s")
@@ -106,7 +138,7 @@ class GroupParameters:
         """
         given = dict(tables)
         parts = {}
-        for name in ("places", "bodies", "heads"):
+        for name in ("places", "bodies", "heads", "companions", "others"):
             if name in given:
                 table = given.pop(name)
                 if not isinstance(table, dict):

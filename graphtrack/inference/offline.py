@@ -131,7 +131,7 @@ def solve_tracks(
         again = partial(
             solve_tracks, model=model, engine=engine, jobs=jobs, options=options, progress=progress
         )
-        return solve_in_turn(tracks, again)
+        return solve_in_turn(tracks, again, model.parameters.social.correlation_time)
     make_ready(WHOLE, solver_rehearsal(model, engine, tracks.camera))
     if engine == "chain":
         found: list[Solution | Failure] = []

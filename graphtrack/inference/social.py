@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from graphtrack.behaviour.evidence import PairEvidence, pair_evidence
+from graphtrack.behaviour.facing import facing
 from graphtrack.behaviour.groups import groups_of
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.people import People, people_of
@@ -26,7 +27,7 @@ def lacks_groups(tracks: TrackSet) -> bool:
 
 
 def solve_in_turn(
-    tracks: TrackSet, solve: Callable[[TrackSet], list[Solution | Failure]]
+    tracks: TrackSet, solve: Callable[[TrackSet], list[Solution | Failure]], correlation_time: float
 ) -> list[Solution | Failure]:
     """Solve tracks with the groups of their estimates, until the groups stay as they are.
 
@@ -44,7 +45,7 @@ def solve_in_turn(
         if now == before:
             break
         before = now
-        found = solve(with_neighbours(tracks, people, evidence))
+        found = solve(with_neighbours(tracks, people, evidence, correlation_time))
     return [without_group(one) for one in found]
 
 
@@ -61,28 +62,46 @@ def without_group(found: Solution | Failure) -> Solution | Failure:
     return replace(found, track=replace(found.track, inputs=left))
 
 
-def with_neighbours(tracks: TrackSet, people: People, evidence: PairEvidence) -> TrackSet:
-    """The tracks, each with where its companions in conversation are, and how surely there are any.
+def with_neighbours(
+    tracks: TrackSet, people: People, evidence: PairEvidence, correlation_time: float
+) -> TrackSet:
+    """The tracks, each with the direction of the o-space, and how surely there is a conversation.
 
-    Everybody near counts by the square of the probability of being of one group, so that somebody who may be
-    in either of two groups is not torn to one of them.
+    That is by where everybody near stands, who counts by the probability of being of one group.
     """
-    p = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds)) * (1.0 - evidence.walking)
-    one = np.concatenate([evidence.left, evidence.right])
-    other = np.concatenate([evidence.right, evidence.left])
-    weight = np.tile(p**2, 2)
-    total = np.bincount(one, weight, minlength=len(people))
+    together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds)) * (1.0 - evidence.walking)
     surest = np.zeros(len(people))
-    np.maximum.at(surest, one, np.tile(p, 2))
-    sums = [np.bincount(one, weight * people.position[other, k], minlength=len(people)) for k in (0, 1)]
-    mean = np.column_stack(sums) / np.where(total > 1e-9, total, np.nan)[:, None]
-    values = np.column_stack([mean, np.where(total > 1e-9, surest, np.nan)])
+    np.maximum.at(surest, evidence.left, together)
+    np.maximum.at(surest, evidence.right, together)
+    faced = facing(people.position, evidence.left, evidence.right, evidence.odds, DEFAULT)
+    values = np.column_stack([surest[:, None] * faced, surest])
     frame, identity = people.frame[people.frame_of], people.ids[people.person]
 
     def told(track: Track) -> Track:
         group = np.full((len(track), 3), np.nan)
         mine = identity == track.track_id
         group[np.searchsorted(track.frame, frame[mine])] = values[mine]
+        group[:, :2] *= counts(group[:, :2], track.dt, correlation_time)[:, None]
         return with_group(track, group)
 
     return tracks.map(told)
+
+
+def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> FloatArray:
+    """How much of its length each of successive directions counts, (n,), 0 to 1.
+
+    One that is new counts in full, later on dt/correlation_time times: deviations from it persist.
+
+    Parameters
+    ----------
+    toward : (n, 2) vectors as long as their directions are sure; NaN where nothing is known
+    dt : (n,) seconds since the frame before
+    """
+    toward = np.nan_to_num(toward)
+    before = np.vstack([np.zeros((1, 2)), toward[:-1]])
+    length, old = np.linalg.norm(toward, axis=1), np.linalg.norm(before, axis=1)
+    grown = np.maximum(length - old, 0.0) / np.maximum(length, 1e-9)
+    both = np.maximum(length * old, 1e-9)
+    turned = np.where(old > 0.0, 1.0 - np.sum(toward * before, axis=1) / both, 0.0)
+    known = dt / correlation_time if correlation_time > 0.0 else np.ones(len(dt))
+    return np.asarray(np.minimum(known + grown + turned, 1.0))

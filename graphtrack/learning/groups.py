@@ -18,6 +18,8 @@ from graphtrack.behaviour.smoothing import averaged
 from graphtrack.errors import InputError
 from graphtrack.evaluation.groups import GroupScore, score_groups
 from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.learning.facing import fit_facing
+from graphtrack.learning.walking import fit_walking
 from graphtrack.table.groups import UNLABELLED, GroupLabels
 from graphtrack.tracks import Track, TrackSet
 
@@ -26,6 +28,8 @@ _APART = 12.0
 _RIDGE = 20.0
 _CAUTION = np.arange(-2.0, 2.01, 0.5)
 _BLOCKS = 4
+_CLEAR = 0.5
+"""Length of the expected direction of bodies from which facing is learned."""
 _SIGNS = np.array([1.0, -1.0, -1.0, -1.0, 1.0])
 """Which way each feature can only speak: see `ConversationWeights`."""
 
@@ -62,7 +66,8 @@ def fit_groups(
     """Learn the weights of conversations by the likelihood of labelled pairs, and the caution by F1.
 
     Weights are of one sign each, pulled to 0 (ridge), and learned from a frame in `_APART` seconds. The
-    caution has the best F1 (mean of T = 2/3 and T = 1) over parts of the time left out in turn.
+    caution has the best F1 (mean of T = 2/3 and T = 1) over parts of the time left out in turn. How people
+    walk together is learned where enough do.
 
     Parameters
     ----------
@@ -80,16 +85,19 @@ def fit_groups(
     labelled = label != UNLABELLED
     low, high = float(t[labelled].min()), float(t[labelled].max())
     split = high - hold_out * (high - low) if hold_out > 0.0 else np.inf
-    parameters = start
+    parameters = walked = fit_walking(people, label, np.asarray(labelled & (t <= split)), start)
     for name, hide in _HIDDEN.items():
         shown = with_bodies(people_of(hide(track) for track in tracks), start.head_spread)
         if (name == "heads" and not shown.head.any()) or (name != "places" and not shown.body.any()):
             continue
         pairs = _pairs(shown, label, parameters)
         used = _thinned(pairs.t, split)
+        if walked != start and not pairs.together[used].any():  # they all walk
+            continue
         weights = _weights(pairs, used)
         caution = _caution(shown, label, pairs, parameters, name, split)
         parameters = parameters.with_weights(name, replace(weights, caution=caution))
+    parameters = _faced(tracks, people, parameters, np.asarray(labelled & np.isin(t, _chosen(t, split))))
     before, after = (label.copy() for _ in range(2))
     before[t > split], after[t <= split] = UNLABELLED, UNLABELLED
     held = _scored(people, parameters, after) if (after != UNLABELLED).any() else None
@@ -123,15 +131,30 @@ def _pairs(people: People, label: IntArray, parameters: GroupParameters) -> _Pai
     return _Pairs(means[use], together[use], t[use])
 
 
+def _faced(tracks: TrackSet, people: People, parameters: GroupParameters, used: BoolArray) -> GroupParameters:
+    """With where bodies face learned, if any are known: by places alone, and by all there is."""
+    standing = used & (walks(people, parameters) < 0.5) & (np.linalg.norm(people.body, axis=1) > _CLEAR)
+    if not standing.any():
+        return parameters
+    known = [people_of(_HIDDEN["places"](track) for track in tracks), people]
+    evidence = [pair_evidence(one, parameters) for one in known]
+    companions, others = fit_facing(people, evidence, standing, parameters)
+    return replace(parameters, companions=companions, others=others)
+
+
 def _thinned(t: FloatArray, split: float) -> BoolArray:
     """Which pairs are learned from."""
-    times = np.unique(t[t <= split])
+    return np.isin(t, _chosen(t, split))
+
+
+def _chosen(t: FloatArray, split: float) -> list[float]:
+    """The times that are learned from."""
     chosen, last = [], -np.inf
-    for one in times.tolist():
+    for one in np.unique(t[t <= split]).tolist():
         if one - last >= _APART - 1e-6:
             chosen.append(one)
             last = one
-    return np.isin(t, chosen)
+    return chosen
 
 
 def _weights(pairs: _Pairs, used: BoolArray) -> ConversationWeights:

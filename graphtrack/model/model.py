@@ -25,6 +25,7 @@ from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.faces_group import FacesGroup
 from graphtrack.model.terms.gait import GaitOffsets
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
+from graphtrack.model.terms.holds_still import HoldsStill
 from graphtrack.model.terms.intentional_motion import IntentionalMotion
 from graphtrack.model.terms.motion import Motion
 from graphtrack.model.terms.place import PlacePrior
@@ -53,6 +54,7 @@ presets: dict[str, tuple[type[Term], ...]] = {
         HeadFollowsBody,
         GaitOffsets,
         FacesGroup,
+        HoldsStill,
     ),
 }
 """Name → the terms of the model: positions only; orientations too, each for itself; the body coupled to the

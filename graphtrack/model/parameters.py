@@ -250,19 +250,25 @@ class PlaceParameters(_Group):
 
 @dataclass(frozen=True)
 class SocialParameters(_Group):
-    """Members of a conversation face the others, in the presets that have groups.
+    """Members of a conversation face its o-space and hold still, in the presets that have groups.
 
-    Learned from SALSA's rows up to t = 1000 s: concentrations about the bearing of the true fellow members.
+    Learned from SALSA's rows up to t = 1000 s; see docs/behaviour.md.
 
     Attributes
     ----------
-    body_kappa, head_kappa : von Mises concentration of bodies and of heads about the bearing of the others
+    body_kappa, head_kappa : von Mises concentration of bodies and of heads about the bearing of the o-space
     outliers : share of members who face elsewhere; with groups that were found, those who are in none
+    correlation_time : seconds over which deviations from the bearing persist: it counts when it is new, and
+        dt/correlation_time times later on
+    body_hold, head_hold : what a turn of a radian costs: members turn seldom, and then by much
     """
 
-    body_kappa: float = _number(2.9, 0.0, 1e4)
-    head_kappa: float = _number(2.3, 0.0, 1e4)
+    body_kappa: float = _number(5.1, 0.0, 1e4)
+    head_kappa: float = _number(3.7, 0.0, 1e4)
     outliers: float = _share(0.05, 0.999)
+    correlation_time: float = _number(60.0, 0.0, 1e4, "s", learned=False)
+    body_hold: float = _number(1.0, 0.0, 1e3, "1/rad")
+    head_hold: float = _number(3.0, 0.0, 1e3, "1/rad")
 
 
 @dataclass(frozen=True)

@@ -138,13 +138,14 @@ def judge_head(
     problem: Problem, track: int, states: FloatArray, body: FloatArray, modes: Modes, row: FloatArray
 ) -> None:
     """Log likelihoods (n, ROW) of what was seen of the head at each offset from the body."""
-    offset = problem.offsets[track]
+    offset, threshold = problem.offsets[track], problem.shared[0].speed_threshold
     row[:] = 0.0
     for k in range(len(states)):
         frame = problem.records[offset + k]
         coupling = frame.head_aligned_kappa
-        # What neither motion nor body is seen for would judge the head by itself.
-        if coupling == 0.0 or not (is_seen(frame) or frame.body_information > 0.0):
+        # Of whom neither motion nor body is known, as of those who stand, the head would be judged by itself.
+        moves = squared_excess(states[k, VX], states[k, VY], threshold) > 0.0 and is_seen(frame)
+        if coupling == 0.0 or not (moves or frame.body_information > 0.0):
             continue
         share = coupling / (coupling + frame.head_information)
         add_seen(

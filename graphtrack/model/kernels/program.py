@@ -20,8 +20,9 @@ from graphtrack.model.terms.body_follows_motion import (
     add_motion_over,
     add_motion_quarters,
 )
-from graphtrack.model.terms.faces_group import add_faces_group_body, add_faces_group_head
+from graphtrack.model.terms.faces_group import add_faces_group
 from graphtrack.model.terms.head_follows_body import add_head_follows_body
+from graphtrack.model.terms.holds_still import add_holds
 from graphtrack.model.terms.intentional_motion import add_steered_motion
 from graphtrack.model.terms.motion import add_first_velocity, add_motion
 from graphtrack.model.terms.place import add_place
@@ -78,9 +79,11 @@ FRAME = np.dtype(
         ("body_information", float),  # Fisher information of what was seen of the body, and of the head
         ("head_information", float),
         ("place_weight", float),  # |strength| with the frame's weight
-        ("group_weight", float),  # probability of the conversation with the frame's weight
-        ("group_cos", float),  # of the bearing of its other members
+        ("group_weight", float),  # of the direction of the o-space
+        ("group_cos", float),  # of that direction
         ("group_sin", float),
+        ("group_hold", float),  # probability of the conversation; 0 at the first frame
+        ("group_drift", float),  # radians up to which a turn is a drift
         ("body_anchor", float),  # concentration that holds a first orientation to its initial value
         ("head_anchor", float),
     ]
@@ -98,14 +101,16 @@ SHARED = np.dtype(
         ("place_y", float),
         ("place_radius", float),  # metres
         ("place_sign", float),  # 1: people are drawn to it, −1: kept from it
-        ("group_body_kappa", float),  # concentration of bodies about the bearing
+        ("group_body_kappa", float),  # concentration of bodies about the direction
         ("group_head_kappa", float),  # of heads
         ("group_outliers", float),  # share of members who face elsewhere
+        ("group_body_hold", float),  # cost of a radian's turn
+        ("group_head_hold", float),
     ]
 )
 """What all frames of a job share."""
 
-LINKS = ("motion_information", "body_turn_kappa", "head_turn_kappa", "steer_gain")
+LINKS = ("motion_information", "body_turn_kappa", "head_turn_kappa", "steer_gain", "group_hold")
 """Gates of what links a frame to the one before."""
 
 SWITCHED = ("motion_body_kappa", "head_body_kappa", "steer_gain")
@@ -251,7 +256,8 @@ def add_own(
             hessian,
         )
     if frame.group_weight > 0.0:
-        cost += add_faces_group_body(
+        cost += add_faces_group(
+            BODY,
             turns[k, 0],
             turns[k, 1],
             frame.group_weight,
@@ -264,7 +270,8 @@ def add_own(
             hessian,
         )
     if frame.group_weight > 0.0:
-        cost += add_faces_group_head(
+        cost += add_faces_group(
+            HEAD,
             turns[k, 2],
             turns[k, 3],
             frame.group_weight,
@@ -301,6 +308,7 @@ def add_links(
     place = problem.offsets[track] + k
     frame, before, state = problem.records[place], states[k - 1], states[k]
     cost = 0.0
+    shared = problem.shared[0]
     if frame.motion_information > 0.0 and not frame.steer_gain > 0.0:
         cost += add_motion(
             before,
@@ -355,6 +363,40 @@ def add_links(
             frame.steer_place,
             frame.steer_cross,
             frame.steer_spread,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.group_hold > 0.0:
+        cost += add_holds(
+            turns[k - 1, 0],
+            turns[k - 1, 1],
+            turns[k, 0],
+            turns[k, 1],
+            BODY,
+            frame.group_hold,
+            frame.group_drift,
+            shared.group_body_hold,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.group_hold > 0.0:
+        cost += add_holds(
+            turns[k - 1, 2],
+            turns[k - 1, 3],
+            turns[k, 2],
+            turns[k, 3],
+            HEAD,
+            frame.group_hold,
+            frame.group_drift,
+            shared.group_head_hold,
             exact,
             gradient_before,
             gradient,
@@ -452,6 +494,40 @@ def add_frame(
             frame.steer_place,
             frame.steer_cross,
             frame.steer_spread,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.group_hold > 0.0:
+        cost += add_holds(
+            turns[k - 1, 0],
+            turns[k - 1, 1],
+            body_cos,
+            body_sin,
+            BODY,
+            frame.group_hold,
+            frame.group_drift,
+            shared.group_body_hold,
+            exact,
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
+            transition,
+        )
+    if frame.group_hold > 0.0:
+        cost += add_holds(
+            turns[k - 1, 2],
+            turns[k - 1, 3],
+            head_cos,
+            head_sin,
+            HEAD,
+            frame.group_hold,
+            frame.group_drift,
+            shared.group_head_hold,
             exact,
             gradient_before,
             gradient,
@@ -581,7 +657,8 @@ def add_frame(
             hessian,
         )
     if frame.group_weight > 0.0:
-        cost += add_faces_group_body(
+        cost += add_faces_group(
+            BODY,
             body_cos,
             body_sin,
             frame.group_weight,
@@ -594,7 +671,8 @@ def add_frame(
             hessian,
         )
     if frame.group_weight > 0.0:
-        cost += add_faces_group_head(
+        cost += add_faces_group(
+            HEAD,
             head_cos,
             head_sin,
             frame.group_weight,
@@ -620,6 +698,7 @@ def cut(frame: Any) -> None:
     frame.body_turn_kappa = 0.0
     frame.head_turn_kappa = 0.0
     frame.steer_gain = 0.0
+    frame.group_hold = 0.0
 
 
 @compiled
@@ -674,7 +753,8 @@ def add_over(
             add_motion_over(state, frame.motion_body_kappa, shared.speed_threshold, cos, sin, body[g])
         if frame.group_weight > 0.0:
             for i in range(len(cos)):
-                body[g, i] += add_faces_group_body(
+                body[g, i] += add_faces_group(
+                    BODY,
                     cos[i],
                     sin[i],
                     frame.group_weight,
@@ -688,7 +768,8 @@ def add_over(
                 )
         if frame.group_weight > 0.0:
             for i in range(len(cos)):
-                head[g, i] += add_faces_group_head(
+                head[g, i] += add_faces_group(
+                    HEAD,
                     cos[i],
                     sin[i],
                     frame.group_weight,
@@ -770,7 +851,8 @@ def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: Flo
             )
         if frame.group_weight > 0.0:
             for i in range(4):
-                body[i] += add_faces_group_body(
+                body[i] += add_faces_group(
+                    BODY,
                     turns[0, i],
                     turns[1, i],
                     frame.group_weight,
@@ -784,7 +866,8 @@ def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: Flo
                 )
         if frame.group_weight > 0.0:
             for i in range(4):
-                head[i] += add_faces_group_head(
+                head[i] += add_faces_group(
+                    HEAD,
                     turns[2, i],
                     turns[3, i],
                     frame.group_weight,

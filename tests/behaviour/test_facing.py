@@ -1,0 +1,112 @@
+"""Where bodies face by where the others stand, and how people walk together: found, and learned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import graphtrack as gt
+from graphtrack.behaviour.evidence import pair_evidence
+from graphtrack.behaviour.facing import facing
+from graphtrack.behaviour.learned import DEFAULT
+from graphtrack.behaviour.people import People, people_of
+from graphtrack.geometry.angles import difference, mean_absolute_error, unit
+from graphtrack.learning.groups import fit_groups
+from graphtrack.simulation.party import Party
+from graphtrack.simulation.party import party as simulated
+from graphtrack.table.groups import GroupLabels, GroupStep
+from graphtrack.tracks import Track, TrackSet
+
+
+def circle(count: int, centre: tuple[float, float] = (0.0, 0.0), radius: float = 0.8) -> TrackSet:
+    """People who stand on a circle and face its centre."""
+    angle = 2.0 * np.pi * np.arange(count) / count
+    place = np.array(centre) + radius * unit(angle)
+    frame = np.arange(3, dtype=np.int64)
+    return TrackSet(
+        tuple(
+            Track(k, frame, 2.0 * frame, np.tile(place[k], (3, 1)), body=np.full(3, angle[k] + np.pi))
+            for k in range(count)
+        )
+    )
+
+
+def hidden(tracks: TrackSet) -> TrackSet:
+    return tracks.map(lambda track: replace(track, body=None, head=None))
+
+
+def faced(people: People) -> np.ndarray:
+    evidence = pair_evidence(people, DEFAULT)
+    return facing(people.position, evidence.left, evidence.right, evidence.odds, DEFAULT)
+
+
+def test_those_on_a_circle_face_its_centre() -> None:
+    people = people_of(hidden(circle(5)))
+    found = faced(people)
+    inwards = np.arctan2(-people.position[:, 1], -people.position[:, 0])
+    assert np.abs(difference(np.arctan2(found[:, 1], found[:, 0]), inwards)).max() < 0.15
+    assert (np.linalg.norm(found, axis=1) <= 1.0).all()
+
+
+def test_nobody_near_tells_nothing() -> None:
+    apart = TrackSet((*circle(1), *(replace(track, track_id=9) for track in circle(1, (30.0, 0.0)))))
+    assert (faced(people_of(hidden(apart))) == 0.0).all()
+
+
+def test_the_scene_may_be_turned_and_moved() -> None:
+    people = people_of(hidden(circle(4)))
+    turn = np.array([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]])
+    elsewhere = replace(people, position=people.position @ turn.T + (50.0, -3.0))
+    np.testing.assert_allclose(faced(elsewhere), faced(people) @ turn.T, atol=0.01)
+
+
+def labels_of(made: Party) -> GroupLabels:
+    ids = [track.track_id for track in made.tracks]
+    steps = []
+    for frame, row in enumerate(made.group.T.tolist()):
+        groups: dict[int, set[int]] = {}
+        for one, group in zip(ids, row, strict=True):
+            if group >= 0:
+                groups.setdefault(group, set()).add(one)
+        steps.append(GroupStep(float(frame), tuple(frozenset(g) for g in groups.values()), frame + 1))
+    return GroupLabels("frame", tuple(steps), Path("party"))
+
+
+def test_what_is_learned_faces_as_people_do() -> None:
+    made, other = (simulated(np.random.default_rng(seed), people=10, steps=120, fps=0.5) for seed in (1, 2))
+    learned = fit_groups(made.tracks, labels_of(made), hold_out=0.0).parameters
+    people = people_of(hidden(other.tracks))
+    evidence = pair_evidence(people, learned)
+    found = facing(people.position, evidence.left, evidence.right, evidence.odds, learned)
+    body = np.stack([track.true_body for track in other.tracks], axis=1)[people.frame_of, people.person]
+    inside = other.group.T[people.frame_of, people.person] >= 0
+    angle = np.arctan2(found[:, 1], found[:, 0])
+    assert mean_absolute_error(angle[inside], body[inside]) < 0.8
+
+
+def walking_pairs(rng: np.random.Generator, apart: float, alike: float) -> tuple[TrackSet, GroupLabels]:
+    """Pairs side by side, who meet others that go the other way or faster."""
+    tracks, pairs = [], []
+    frame = np.arange(30, dtype=np.int64)
+    t = 0.4 * frame
+    for k in range(8):
+        speed, y = rng.uniform(0.9, 1.4) * (1 if k % 2 else -1), 1.8 * k
+        for side in range(2):
+            own = speed + 0.5 * alike * rng.standard_normal()
+            x = -0.5 * speed * t[-1] + own * t
+            tracks.append(Track(2 * k + side, frame, t, np.column_stack([x, np.full(30, y + apart * side)])))
+        pairs.append(frozenset((2 * k, 2 * k + 1)))
+    return TrackSet(tuple(tracks)), GroupLabels("always", (GroupStep(0.0, tuple(pairs), 1),), Path("pairs"))
+
+
+def test_how_people_walk_together_is_learned() -> None:
+    tracks, labels = walking_pairs(np.random.default_rng(0), 1.1, 0.05)
+    found = fit_groups(tracks, labels, hold_out=0.0)
+    assert abs(found.parameters.walking_distance - 1.1) < 0.15
+    assert found.parameters.walking_speed_std < 0.2 < found.parameters.others_speed_std
+    assert found.parameters.places == DEFAULT.places
+    assert found.learned_from.pair_f1 > 0.95
+    again = gt.groups(tracks, found.parameters)
+    assert set(again.to_table()["kind"]) == {"walking"}
