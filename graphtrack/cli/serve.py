@@ -96,10 +96,10 @@ def serve(
     from graphtrack.model import Model
 
     try:
-        from graphtrack.service.run import run
+        from graphtrack.cli.service.run import run
     except ModuleNotFoundError as error:
         raise InputError(f"no {error.name}", "pip install 'graphtrack[serve]'") from error
-    from graphtrack.service.settings import Answers, Limits, Service
+    from graphtrack.cli.service.settings import Answers, Limits, Service
 
     chosen = Model.named(model)
     check_lag(lag, online_engine(chosen, engine))

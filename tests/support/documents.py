@@ -19,8 +19,8 @@ import perception.cli
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = {"graphtrack": graphtrack.cli.main, "perception": perception.cli.main}
-NOT_RUN = ("make ", "pip ")
-"""What sets the program up: CI has done so before."""
+NOT_RUN = ("make ", "pip ", "graphtrack serve ")
+"""What sets the program up, as CI has done before, and what goes on until it is told to stop."""
 SLOW = ("graphtrack reproduce ",)
 SHORTER = {
     "graphtrack simulate -o tracks.csv": "--steps 60",

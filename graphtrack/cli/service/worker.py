@@ -18,10 +18,10 @@ from typing import Any
 
 from graphtrack.cli.live import Listener, track_stream, warm_up
 from graphtrack.cli.saving import Answering
+from graphtrack.cli.service.settings import Answers, Limits
 from graphtrack.errors import GraphtrackError
 from graphtrack.inference.online import online_engine
 from graphtrack.model import Model
-from graphtrack.service.settings import Answers, Limits
 
 DONE, ASIDE = b"#", b"!"
 """How a line begins after a row's answers, and one that is none."""

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 import uvicorn
 
 from graphtrack.cli.console import console
+from graphtrack.cli.service.app import application
+from graphtrack.cli.service.settings import Service
 from graphtrack.errors import InputError
-from graphtrack.service.app import application
-from graphtrack.service.settings import Service
 
 _GRACE = 20
 """Seconds that streams have, when the service stops, to say and keep what they know."""

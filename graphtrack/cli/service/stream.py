@@ -12,9 +12,9 @@ from collections import deque
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
-from graphtrack.service.metrics import Metrics
-from graphtrack.service.settings import Service
-from graphtrack.service.worker import ASIDE, DONE, WARM, work
+from graphtrack.cli.service.metrics import Metrics
+from graphtrack.cli.service.settings import Service
+from graphtrack.cli.service.worker import ASIDE, DONE, WARM, work
 
 PROCESSES = multiprocessing.get_context("forkserver")
 _LONGEST_ANSWER = 1 << 24
@@ -131,7 +131,7 @@ def prepare(service: Service) -> None:
     """Have the processes' parent ready, with all code loaded; compile what there is none of."""
     os.environ[WARM] = json.dumps(service.answers.model.to_dict())
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # streams are what runs beside each other
-    PROCESSES.set_forkserver_preload(["graphtrack.service.worker"])
+    PROCESSES.set_forkserver_preload(["graphtrack.cli.service.worker"])
     first = PROCESSES.Process(target=nothing)
     first.start()
     first.join()

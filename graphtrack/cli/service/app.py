@@ -14,9 +14,9 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from graphtrack.service.metrics import Metrics
-from graphtrack.service.settings import STREAM_NAME, Service
-from graphtrack.service.stream import Stream, open_stream, prepare
+from graphtrack.cli.service.metrics import Metrics
+from graphtrack.cli.service.settings import STREAM_NAME, Service
+from graphtrack.cli.service.stream import Stream, open_stream, prepare
 
 _NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
 """HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
