@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 # That is kept, whatever the caller's environment says: hundreds of tests begin a program of their own.
 unexport PYTHONDONTWRITEBYTECODE
 PIP := $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt
-PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal --durations 20 --durations-min 5
 .PHONY: demo docs load test lint compiled-solver compiled-others checked test-all bench notebooks pictures claims clean
 .DELETE_ON_ERROR:
 

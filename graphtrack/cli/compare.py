@@ -6,9 +6,10 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from graphtrack.cli import options
 from graphtrack.cli.console import console, input_warnings_as_notes, print_table, progress_bar
@@ -25,6 +26,24 @@ FIGURES = ("errors.png", "nees.png")
 RELIABILITY = "reliability.png"
 
 _TRACKERS = "Trackers, from detections without identities"
+
+
+class CompareCommand(TyperCommand):
+    """The command, for which ``--calibration`` without a file means `--reliability`.
+
+    A calibration is a camera's file and what a forecaster is judged by, and both are asked for by that name.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line."""
+        after = [*args[1:], "--"]
+        return super().parse_args(
+            ctx,
+            [
+                "--reliability" if one == "--calibration" and following.startswith("-") else one
+                for one, following in zip(args, after, strict=True)
+            ],
+        )
 
 
 def named(methods: str | None) -> list[str]:
@@ -92,8 +111,8 @@ def compare(
         bool,
         typer.Option(
             "--reliability",
-            help="How honest uncertainties are: NEES and coverage of 50, 90 and 95 % intervals for position, "
-            "velocity, body and head; with --figures a figure of it.",
+            help="How honest uncertainties are (also as --calibration, without a file): NEES and coverage "
+            "of 50, 90 and 95 % intervals for position, velocity, body, head; with --figures a figure of it.",
         ),
     ] = False,
     truth: Annotated[

@@ -60,7 +60,7 @@ def start(
 app.command("smooth")(expanded(smooth.smooth))
 app.command("track")(expanded(track.track))
 app.command("serve")(expanded(serve.serve))
-app.command("compare")(expanded(compare.compare))
+app.command("compare", cls=compare.CompareCommand)(expanded(compare.compare))
 app.command("score")(expanded(score.score))
 app.command("groups")(expanded(groups.groups))
 app.command("attention")(expanded(attention.attention))

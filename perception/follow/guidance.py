@@ -12,13 +12,13 @@ from scipy.special import logit
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.model import Model, Observation, Parameters
-from graphtrack.model.parameters import MotionParameters
+from graphtrack.model.parameters import MotionParameters, steady
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from perception.follow.world import BoxCamera
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate, Proposal
 
-GUIDE_MODEL = Model("position", Parameters(MotionParameters(acceleration_density=0.01)))
+GUIDE_MODEL = Model("position", steady(Parameters(MotionParameters(acceleration_density=0.01))))
 """People who walk on: white noise of 0.01 m²/s³ is what takes rendered walkers off their course within one or
 two seconds. The package's own models expect people who turn and run, and soon say nothing of where one is."""
 

@@ -159,7 +159,7 @@ def test_learning_that_does_harm_is_said_in_the_terminal_and_in_the_report(
     # Those learned from hardly move, those held out do: whatever is learned, it is wrong for them.
     calm = gt.Parameters(motion=MotionParameters(acceleration_density=1e-3))
     rng = np.random.default_rng(0)
-    slow = gt.simulate(gt.Model("position", calm), n_tracks=4, n_steps=40, rng=rng)
+    slow = gt.simulate(gt.Model("position", calm), n_tracks=4, n_steps=40, rng=rng, pace=None)
     _, held = split_tracks(list(slow), 0.25, 0, 20_000)
     lively = replace(next(iter(gt.read("people.csv"))), track_id=held[0].track_id)
     mixed = slow.with_tracks(lively if track.track_id == lively.track_id else track for track in slow)
