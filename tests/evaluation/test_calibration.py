@@ -110,7 +110,7 @@ def test_a_comparison_has_it_for_each_method_and_quantity(tmp_path, monkeypatch,
     assert [row["nees"] for row in kept["calibration"]] == [row["nees"] for row in found.calibration]
 
 
-@pytest.mark.parametrize("after", [[], ["--jobs", "1"]])
+@pytest.mark.parametrize("after", [[], ["--seed", "1"]])
 def test_calibration_without_a_file_asks_for_reliability(after, tmp_path, monkeypatch, capsys):
     from graphtrack.io import write
 
