@@ -14,9 +14,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(library, "1")
 
-# The same examples at every run, so that CI fails on a change and not by chance.
+# The same examples at every run and no deadlines, so that CI fails on a change and not by chance.
 # HYPOTHESIS_PROFILE=default explores.
-settings.register_profile("repeatable", derandomize=True)
+settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 

@@ -118,6 +118,7 @@ def test_in_too_small_a_box_motion_keeps_its_reliability() -> None:
     assert len({one.cues["reliability colour"] for one in found}) > 1
 
 
+@pytest.mark.slow
 def test_every_person_of_a_folder_is_judged_with_every_seed(tmp_path: Path) -> None:
     folder = tmp_path / "caviar"
     (folder / "frames" / "lobby").mkdir(parents=True)

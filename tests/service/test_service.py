@@ -137,6 +137,7 @@ def test_a_stream_goes_on_where_its_connection_ended(service):
         assert connection.recv(timeout=60) == whole[0]
 
 
+@pytest.mark.slow
 def test_a_killed_service_goes_on(tmp_path):
     sent, found = rows(30), []
     with serving("--state", str(tmp_path)) as first, first.connect("lasting") as connection:
@@ -177,6 +178,7 @@ def test_one_connection_a_stream_and_so_many_streams(service):
     assert service.request("POST", "/v1/streams/..%2Fetc", "")[0] == 404
 
 
+@pytest.mark.slow
 def test_those_who_misbehave_hurt_nobody_else(service):
     with service.connect("good") as good:
         with service.connect("oversized") as bad:
@@ -249,6 +251,7 @@ def wait_until(holds):
     raise AssertionError("it never held")
 
 
+@pytest.mark.slow
 def test_a_token_is_asked_for_and_people_are_bounded():
     with serving("--max-people", "2", "--forget-after", "1", GRAPHTRACK_TOKEN="secret") as service:
         assert service.request("GET", "/health")[0] == 200

@@ -168,6 +168,7 @@ def test_impossible_times_are_refused(every: float) -> None:
         sampled(crowd(), every)
 
 
+@pytest.mark.slow
 def test_the_command_writes_detections_and_the_truth_that_judges_them(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     gt.write(crowd(25), "exact.csv")

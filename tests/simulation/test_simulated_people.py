@@ -49,6 +49,7 @@ def test_bodies_that_follow_motion_leave_the_head_alone_in_joint_body() -> None:
     assert abs(apart("joint-body")) < 0.25 and apart("joint") > 0.9
 
 
+@pytest.mark.slow
 def test_people_walk_at_their_pace_all_the_time() -> None:
     for preset in ("position", "separate", "joint", "intentional", "full"):
         for fps in (2.5, 20.0):
