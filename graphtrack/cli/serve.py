@@ -87,8 +87,7 @@ def serve(
     ] = 30.0,
 ) -> None:
     """Serve streams of rows over WebSocket and HTTP, with health and metrics."""
-    from graphtrack.cli.stream_forecast import STEP
-    from graphtrack.cli.track import asked_of
+    from graphtrack.cli.track import asked_of, horizon_of
     from graphtrack.errors import InputError
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.inference.online import check_lag, online_engine
@@ -112,7 +111,7 @@ def serve(
         fps,
         None if homography is None else GroundCamera.from_homography(read_homography(homography)),
         asked=asked_of(groups, attention, places),
-        horizon=None if forecast is None else (forecast, min(STEP, forecast)),
+        horizon=horizon_of(forecast),
         save_every=save_every,
     )
     limits = Limits(max_streams, max_people, forget_after, max_rate, max_line, patience)

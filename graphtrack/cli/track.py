@@ -108,7 +108,7 @@ def track(
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
         _refuse_with_stream({"output": output} | reading.given())
-        horizon, asked = _horizon(forecast), asked_of(groups, attention, places)
+        horizon, asked = horizon_of(forecast), asked_of(groups, attention, places)
         _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked)
         return
     if forecast is not None:
@@ -194,7 +194,7 @@ def _seconds(lag: str) -> float | None:
         raise InputError(f"--lag {lag}", "a number of seconds, or none") from None
 
 
-def _horizon(forecast: float | None) -> tuple[float, float] | None:
+def horizon_of(forecast: float | None) -> tuple[float, float] | None:
     """The horizon and step of forecasts; InputError for what is none."""
     if forecast is None:
         return None
