@@ -121,8 +121,10 @@ class Streams:
         state.unlink()
 
 
-def refusal(streams: Streams, refused: Refused) -> JSONResponse:
-    """The answer to a request that is not taken."""
+def refusal(request: Request, refused: Exception) -> Response:
+    """The answer to a request over HTTP that is not taken."""
+    assert isinstance(refused, Refused)
+    streams: Streams = request.app.state.streams
     streams.metrics.refused.labels(refused.status).inc()
     return JSONResponse({"error": refused.reason}, refused.status)
 
@@ -160,9 +162,9 @@ async def _exchange(websocket: WebSocket, stream: Stream, patience: float) -> tu
                     await stream.take(line)
 
     async def answers() -> tuple[int, str]:
-        async for message in stream.answers():
+        async for answer in stream.answers():
             try:
-                await asyncio.wait_for(websocket.send_text(message.text), patience)
+                await asyncio.wait_for(websocket.send_text(answer), patience)
             except TimeoutError:
                 return _UNREAD, f"answers were not read for {patience:g} s"
             except (WebSocketDisconnect, RuntimeError):
@@ -210,12 +212,8 @@ class Answered(Response):
 async def by_http(request: Request) -> Response:
     """A whole stream, or its next piece where states are kept: NDJSON in the body, NDJSON back as it goes."""
     streams: Streams = request.app.state.streams
-    try:
-        name = streams.checked_name(request)
-        opened = streams.opened(name)
-        stream = await opened.__aenter__()
-    except Refused as refused:
-        return refusal(streams, refused)
+    opened = streams.opened(streams.checked_name(request))
+    stream = await opened.__aenter__()
 
     async def rows() -> None:
         left, longest = b"", streams.service.limits.line_bytes
@@ -233,8 +231,8 @@ async def by_http(request: Request) -> Response:
     async def answers() -> AsyncGenerator[bytes, None]:
         feeding = asyncio.create_task(rows())
         try:
-            async for message in stream.answers():
-                yield message.text.encode() + b"\n"
+            async for answer in stream.answers():
+                yield answer.encode() + b"\n"
             await feeding
         finally:
             feeding.cancel()
@@ -248,20 +246,14 @@ async def by_http(request: Request) -> Response:
 async def listed(request: Request) -> Response:
     """The streams that are open."""
     streams: Streams = request.app.state.streams
-    try:
-        streams.check(request)
-    except Refused as refused:
-        return refusal(streams, refused)
+    streams.check(request)
     return JSONResponse({"streams": streams.names()})
 
 
 async def forgotten(request: Request) -> Response:
     """Forget what is kept of a stream."""
     streams: Streams = request.app.state.streams
-    try:
-        await streams.forget(streams.checked_name(request))
-    except Refused as refused:
-        return refusal(streams, refused)
+    await streams.forget(streams.checked_name(request))
     return Response(status_code=204)
 
 
@@ -274,10 +266,7 @@ async def health(request: Request) -> Response:
 async def metrics(request: Request) -> Response:
     """Counters in Prometheus' text format."""
     streams: Streams = request.app.state.streams
-    try:
-        streams.check(request)
-    except Refused as refused:
-        return refusal(streams, refused)
+    streams.check(request)
     return Response(streams.metrics.text(), media_type="text/plain; version=0.0.4")
 
 
@@ -299,6 +288,6 @@ def application(service: Service, ready: Callable[[], None]) -> Starlette:
         Route(one, forgotten, methods=["DELETE"]),
         WebSocketRoute(one, by_websocket),
     ]
-    app = Starlette(routes=routes, lifespan=lifespan)
+    app = Starlette(routes=routes, lifespan=lifespan, exception_handlers={Refused: refusal})
     app.state.streams = Streams(service, Metrics())
     return app

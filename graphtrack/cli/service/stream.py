@@ -10,7 +10,6 @@ import socket
 import time
 from collections import deque
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
 
 from graphtrack.cli.service.metrics import Metrics
 from graphtrack.cli.service.settings import Service
@@ -19,13 +18,6 @@ from graphtrack.cli.service.worker import ASIDE, DONE, WARM, work
 PROCESSES = multiprocessing.get_context("forkserver")
 _LONGEST_ANSWER = 1 << 24
 _ERROR = b'"error"'
-
-
-@dataclass(frozen=True)
-class Message:
-    """A line for the client: an answer, or what was said aside (a note, where a saved stream goes on)."""
-
-    text: str
 
 
 class Stream:
@@ -51,11 +43,6 @@ class Stream:
         self._arrived: deque[float] = deque()
         self._budget, self._counted = self._limits.rows_per_second, time.monotonic()
 
-    @property
-    def waiting(self) -> int:
-        """Rows that came and are not answered yet."""
-        return len(self._arrived)
-
     async def take(self, line: bytes) -> None:
         """Hand a row on; waits while the process, or the client's right to rows, is behind."""
         await self._keep_to_rate()
@@ -64,15 +51,15 @@ class Stream:
         self._writer.write(line.rstrip(b"\r\n") + b"\n")
         await self._writer.drain()
 
-    async def answers(self) -> AsyncIterator[Message]:
-        """What is to be told to the client, until the process has said everything."""
+    async def answers(self) -> AsyncIterator[str]:
+        """Lines for the client, until the process has said everything: answers, and what was said aside."""
         while line := await self._reader.readline():
             if line.startswith(DONE):
                 self._count(int(line[1:]))
             else:
                 if _ERROR in line and not line.startswith(ASIDE):
                     self._metrics.refused_rows.inc()
-                yield Message(line.removeprefix(ASIDE).decode().rstrip("\n"))
+                yield line.removeprefix(ASIDE).decode().rstrip("\n")
 
     def no_more(self) -> None:
         """Say that no more rows come."""
