@@ -277,7 +277,8 @@ def test_every_experiment_runs(name: str, data_dir: Path) -> None:
     settings = Settings(quick=True, seed=1, data=data_dir)
     found = experiment.run(settings, progress)
     assert found.name == name
-    assert found.tables[-1].title.startswith("Paper / ours")
+    if not experiment.source.startswith("no paper's"):
+        assert found.tables[-1].title.startswith("Paper / ours")
     assert all(table.rows for table in found.tables)
     json.dumps([table.to_dict() for table in found.tables], allow_nan=False)
     # A search may end before its last evaluation.

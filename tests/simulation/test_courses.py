@@ -8,7 +8,7 @@ import pytest
 from graphtrack.geometry.angles import difference
 from graphtrack.simulation.courses import sample_course
 
-DRAWS = 40_000
+DRAWS = 20_000
 
 
 def by_quadrature(t: np.ndarray, diffusion: float, pull: np.ndarray, bins: int = 72) -> np.ndarray:
@@ -72,7 +72,7 @@ def test_without_pulls_an_angle_diffuses_from_anywhere() -> None:
 
 def test_a_narrow_pull_is_resolved() -> None:
     t = np.array([0.0, 1.0])
-    pull = np.full((DRAWS, 2), 1e4 * np.exp(0.7j))
+    pull = np.full((DRAWS // 10, 2), 1e4 * np.exp(0.7j))
     courses = sample_course(t, 0.5, pull, np.random.default_rng(4))
     np.testing.assert_allclose(np.mean((courses - 0.7) ** 2, axis=0), 1e-4, rtol=0.1)
 

@@ -14,6 +14,7 @@ from graphtrack.evaluation.reproduce import (
     chen_classes,
     chen_joint,
     honesty,
+    meetings,
 )
 from graphtrack.evaluation.reproduce.experiment import Experiment, Reproduction, Settings, Table
 
@@ -30,6 +31,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
             chen_joint,
             chen_classes,
             honesty,
+            meetings,
         )
     }
 )
