@@ -253,6 +253,17 @@ def online_engines(results: Results) -> Measured:
     return found
 
 
+# Who is who where people meet.
+
+
+def meetings(results: Results) -> Measured:
+    """Switches offline and online, with little and more noise, by what is given."""
+    cells = [(way, std) for way in ("offline", "online") for std in (0.05, 0.1)]
+    rows = {(row[""], row["σ (m)"], row["of"]): row["switches"] for row in results.rows("Identity switches")}
+    evidence = ("positions", "and body", "and head", "and both")
+    return {one: [rows[way, std, one] for way, std in cells] for one in evidence}
+
+
 CLAIMS: Sequence[Claim] = (
     Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
     Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"),
@@ -267,5 +278,6 @@ CLAIMS: Sequence[Claim] = (
     Claim("docs/papers.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
     Claim("docs/engine.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
     Claim("README.md", "chen-classes", online_engines, "| engine | | body, head, online"),
+    Claim("docs/tracking.md", "meetings", meetings, "| switches, 120 meetings |"),
     *PIXELS,
 )
