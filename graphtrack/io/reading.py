@@ -22,7 +22,14 @@ from graphtrack.io.hints import hinted
 from graphtrack.io.layout import Layout
 from graphtrack.io.marks import as_told
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format, detect, format_for_writing, format_named, formats
+from graphtrack.io.registry import (
+    Format,
+    detect,
+    format_for_writing,
+    format_named,
+    format_taking,
+    formats,
+)
 from graphtrack.io.source import Source
 from graphtrack.remote import place_of
 from graphtrack.table.as_read import merged, restored
@@ -240,7 +247,19 @@ def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> 
             if chosen.write_columns is None:  # what other formats hold cannot be told otherwise
                 raise
             raise hinted(error) from error
+    taking = format_taking(source, format)
+    if taking is not None:
+        _check_taken(taking, options, source.path)
+        return taking.read(source, options)
     return rows_of_table(_cells(source, format, layout), options)
+
+
+def _check_taken(taking: Format, options: ReadOptions, path: Path) -> None:
+    """Refuse options of tables that a format does not know."""
+    for name in ("columns", "time_unit", "units", "crs"):
+        if getattr(options, name) is not None and name not in taking.takes:
+            known = " or ".join(f"--{one}" for one in taking.takes)
+            raise InputError(f"--{name.replace('_', '-')} for the format {taking.name}", known, path=path)
 
 
 def _answer(path: str | Path, format: str | None, options: ReadOptions) -> Cells:

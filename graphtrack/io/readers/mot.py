@@ -11,7 +11,8 @@ import numpy as np
 from graphtrack import bounds
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.cameras import PERSON_HEIGHT, camera_or_scale, known_camera, on_ground
+from graphtrack.io.boxes import placed_boxes, with_scores
+from graphtrack.io.cameras import PERSON_HEIGHT
 from graphtrack.io.numbers import Numbers, parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
@@ -74,28 +75,9 @@ def read(source: Source, options: ReadOptions) -> Rows:
         without identity).
     """
     rows = read_boxes(source, options)
-    left, top, width, height = rows.channels["box"].T
-    rows = rows.with_channels(pixel=np.column_stack([left + width / 2.0, top + height]))
     fps, note = _frame_rate(source.path, options)
-    rows = _placed(rows, options).with_notes(*note).with_times(fps)
+    rows = placed_boxes(rows, options).with_notes(*note).with_times(fps)
     return with_scores(rows).without("box", "confidence")
-
-
-def with_scores(rows: Rows) -> Rows:
-    """Detections with the channel ``score`` (n,), from their confidences; rows with identities as they are.
-
-    A detector's confidences are of any kind. Those from 0 on are taken as they are. Where some are negative,
-    such as log odds and distances from a separating plane (the DPM of MOT16), the score of all is
-    1 / (1 + exp(-confidence)), which keeps their order; a note says so. -1 throughout says nothing.
-    """
-    confidence = rows.channels["confidence"]
-    if rows.has_identity or (confidence == -1.0).all():
-        return rows
-    if not (confidence < 0.0).any():
-        return rows.with_channels(score=confidence)
-    note = "some confidences are negative: scores are 1 / (1 + exp(-confidence))"
-    logistic = 0.5 * (1.0 + np.tanh(0.5 * confidence))  # exp would overflow
-    return rows.with_channels(score=logistic).with_notes(note)
 
 
 def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
@@ -172,20 +154,6 @@ def _of_classes(rows: Rows, table: Numbers, options: ReadOptions) -> Rows:
         if name not in options.classes:
             rows = rows.keep(rows.channels["number"] != k, f"of class {name}")
     return rows.without("number")
-
-
-def _placed(rows: Rows, options: ReadOptions) -> Rows:
-    pixel = rows.channels["pixel"]
-    if "position" in rows.channels:
-        camera, notes = known_camera(options, pixel)
-        return rows.with_camera(camera).with_notes(*notes, "positions are columns 8 and 9, in metres")
-    seen = np.asarray(np.isfinite(pixel).all(axis=1))
-    if len(seen) and not seen.any():
-        raise InputError("neither boxes nor metres", "one of them", path=rows.path)
-    if not len(rows):
-        return rows.with_channels(position=pixel)
-    camera, notes = camera_or_scale(options, pixel, rows.channels["box"][seen, 3])
-    return on_ground(rows, camera, notes)
 
 
 def _frame_rate(path: Path, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
