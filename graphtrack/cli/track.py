@@ -32,7 +32,8 @@ def track(
         typer.Option(
             "--output",
             "-o",
-            help="File to write: .csv, .csv.gz, .parquet, .ndjson or .txt (MOT); with -, none.",
+            help="File to write: .csv, .csv.gz, .parquet, .ndjson, .txt (MOT), .nc and others (graphtrack "
+            "formats); with -, none.",
         ),
     ] = None,
     model: options.BestModelName = None,

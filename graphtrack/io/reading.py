@@ -18,6 +18,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import read_homography
 from graphtrack.io.delimiters import other_delimiter
+from graphtrack.io.folders import sequence_file, table_in
 from graphtrack.io.hints import hinted
 from graphtrack.io.layout import Layout
 from graphtrack.io.marks import as_told
@@ -43,9 +44,6 @@ if TYPE_CHECKING:
 
     from graphtrack.io.tables.cells import Cells
 
-_STAGES, _REPORTED = "stages.json", "tracks.csv"
-"""What the folder of a report is known by, and its table of estimates."""
-
 
 def read(
     path: str | Path | Sequence[str | Path] | pd.DataFrame | Mapping[str, Any],
@@ -57,9 +55,10 @@ def read(
 
     Parameters
     ----------
-    path : one path, of a file or of a folder that `perception report` wrote, or several whose tracks are
-        merged: ids that clash are renumbered, and tracks without a label get the name of their file. Or a
-        DataFrame (pandas, polars), another table that speaks Arrow, or a mapping name → column
+    path : one path, of a file or of a folder that `perception report` wrote or that is a sequence of
+        MOTChallenge, or several whose tracks are merged: ids that clash are renumbered, and tracks without a
+        label get the name of their file. Or a DataFrame (pandas, polars), another table that speaks Arrow, or
+        a mapping name → column
     format : name of the format; None: recognised by the content
     **options : the fields of `ReadOptions`, such as ``fps`` and ``homography``
 
@@ -128,13 +127,7 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
 
 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
-    path = _table_of(place_of(path))
     return tracks_of_rows(rows_of_file(path, format, options), options)
-
-
-def _table_of(path: Path) -> Path:
-    """The estimates in a folder that `perception report` wrote; other paths stay as they are."""
-    return path / _REPORTED if (path / _STAGES).is_file() else path
 
 
 def has_detections(rows: Rows, options: ReadOptions) -> bool:
@@ -206,7 +199,7 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
     """
     rows = boxes_of_file(path, format, options)
     if rows is None:
-        chosen = _chosen(Source.open(path), format)
+        chosen = _chosen(_opened(path, options), format)
         names = ", ".join(one.name for one in formats() if one.read_boxes is not None)
         found = f"the format {chosen.name}, of which no boxes are read"
         raise InputError(found, f"a format with boxes: {names}", path=path)
@@ -230,11 +223,24 @@ def _chosen(source: Source, format: str | None) -> Format:
 
 def _opened(path: str | Path, options: ReadOptions) -> Source:
     """A file whose text is UTF-8 with commas and points, as far as the options say how it is."""
-    return as_told(Source.open(path), options.delimiter, options.decimal, options.encoding)
+    return as_told(
+        Source.open(table_in(place_of(path))), options.delimiter, options.decimal, options.encoding
+    )
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
-    """The rows of a file, as its reader makes them, in metres and with times."""
+    """The rows of a file, as its reader makes them, in metres and with times.
+
+    Parameters
+    ----------
+    path : of the file, or of a folder that stands for one, such as a sequence of MOTChallenge
+    """
+    rows = _rows_of_file(path, format, options)
+    file = sequence_file(place_of(path))
+    return rows if file is None else rows.with_notes(f"read {file.relative_to(path)} of the sequence")
+
+
+def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
     if options.sql is not None:
         return rows_of_table(_answer(path, format, options), options)
     source = _opened(path, options)

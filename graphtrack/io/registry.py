@@ -55,6 +55,7 @@ class Format:
     write_columns : (columns of the native table, path) → None, likewise; for tables, which can do without
         identities
     beside : path → the places beside it where the reader looks for more by itself
+    is_read : False: only written; what it makes is read otherwise, if at all
     takes : options of tables, fields of `ReadOptions`, that the reader itself understands
     read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
         pixels, NaN where a row has none; for formats that hold boxes
@@ -68,6 +69,7 @@ class Format:
     write: Callable[[TrackSet, Path], None] | None = None
     write_columns: Callable[[Mapping[str, NDArray[Any]], Path], None] | None = None
     beside: Callable[[Path], tuple[Path, ...]] = lambda path: ()
+    is_read: bool = True
     takes: tuple[str, ...] = ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
 
@@ -118,7 +120,7 @@ def detect(source: Source) -> Format:
     is_text = b"\0" not in source.head or source.utf16 is not None
     if is_text and (error := other_delimiter(source)) is not None:
         raise error
-    known = ", ".join(f.name for f in formats())
+    known = ", ".join(f.name for f in formats() if f.is_read)
     first = next((line for line in source.lines if line.strip()), "") if is_text else ""
     hint = f"; {which_columns(str(source.path))}" if names_columns(first) else ""
     raise InputError("content of no known format", f"one of {known}{hint}", path=source.path)

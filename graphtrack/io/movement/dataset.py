@@ -79,7 +79,7 @@ def to_movement(tracks: TrackSet) -> Any:
     score = grid.filled("score", ())
     variables["confidence"] = ((TIME, KEYPOINTS, INDIVIDUALS), score[:, None, :])
     for name, further in FURTHER.items():
-        if any(getattr(track, name) is not None for track in tracks):
+        if name != "score" and any(getattr(track, name) is not None for track in tracks):
             shape = next(getattr(one, name).shape[1:] for one in tracks if getattr(one, name) is not None)
             variables[name] = ((TIME, INDIVIDUALS, *further), grid.filled(name, shape))
     if "covariance" in variables:

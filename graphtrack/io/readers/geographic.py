@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -26,7 +27,10 @@ def _unread(source: Source, options: ReadOptions) -> Rows:
 
 def _write_geopackage(tracks: TrackSet, path: Path) -> None:
     """Write points as the layer of the file's name."""
-    to_geopandas(tracks).to_file(path, driver="GPKG", layer=path.stem, engine="pyogrio")
+    with warnings.catch_warnings():
+        # A ground of one's own has no coordinate reference system.
+        warnings.filterwarnings("ignore", "'crs' was not provided", UserWarning)
+        to_geopandas(tracks).to_file(path, driver="GPKG", layer=path.stem, engine="pyogrio")
 
 
 def _write_geoparquet(tracks: TrackSet, path: Path) -> None:
@@ -35,11 +39,11 @@ def _write_geoparquet(tracks: TrackSet, path: Path) -> None:
 
 
 def _written(name: str, description: str, suffix: str, write: Callable[[TrackSet, Path], None]) -> Format:
-    return Format(name, description, (suffix,), _by_no_content, _unread, write)
+    return Format(name, description, (suffix,), _by_no_content, _unread, write, is_read=False)
 
 
 FORMATS = (
-    _written("geopackage", "points of a GeoPackage, written (extra geo)", ".gpkg", _write_geopackage),
-    _written("geoparquet", "points as GeoParquet, written (extra geo)", ".geoparquet", _write_geoparquet),
-    _written("mfjson", "OGC Moving Features JSON, written", ".mfjson", to_mfjson),
+    _written("geopackage", "points of a GeoPackage (extra geo)", ".gpkg", _write_geopackage),
+    _written("geoparquet", "points as GeoParquet (extra geo)", ".geoparquet", _write_geoparquet),
+    _written("mfjson", "OGC Moving Features JSON", ".mfjson", to_mfjson),
 )

@@ -75,7 +75,8 @@ def read(source: Source, options: ReadOptions) -> Rows:
     columns = {_OWN.get(name, name): values for name, values in table.items() if name not in _FACING}
     if rate is None and "t" not in columns:
         raise InputError("no fps in the table metadata", "frames a second (--fps)", path=source.path)
-    if "body_deg" not in columns and all(name in table for name in _FACING):
+    # Of tracks that were written here those columns say what is known of the body.
+    if set(columns) == {*_OWN.values()} and all(name in table for name in _FACING):
         columns["body_deg"] = _degrees(table["ori_x"], table["ori_y"])
     ignored = schema.unknown([name for name in names if name not in (*_OWN, *_FACING)])
     return from_columns(

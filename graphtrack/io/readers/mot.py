@@ -161,10 +161,18 @@ def _frame_rate(path: Path, options: ReadOptions) -> tuple[float, tuple[str, ...
         return options.fps, ()
     for info in beside(path):
         if info.is_file():
-            match = re.search(r"(?m)^frameRate\s*=\s*(\d{1,6}(?:\.\d+)?)\s*$", Source.open(info).text)
-            if match is not None and float(match[1]) > 0.0:
-                return float(match[1]), (f"frame rate {match[1]} Hz from seqinfo.ini",)
+            text = Source.open(info).text
+            rate, width, height = (_setting(text, name) for name in ("frameRate", "imWidth", "imHeight"))
+            if rate is not None:
+                size = f" and images of {width} × {height}" if width and height else ""
+                return float(rate), (f"frame rate {rate} Hz{size} from seqinfo.ini",)
     return DEFAULT_FPS, (f"no frame rate is given: {DEFAULT_FPS:g} Hz assumed",)
+
+
+def _setting(text: str, name: str) -> str | None:
+    """A number above 0 of a ``seqinfo.ini``, as it stands."""
+    match = re.search(rf"(?m)^{name}\s*=\s*(\d{{1,6}}(?:\.\d+)?)\s*$", text)
+    return match[1] if match is not None and float(match[1]) > 0.0 else None
 
 
 def write(tracks: TrackSet, path: Path) -> None:
