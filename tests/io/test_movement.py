@@ -244,7 +244,7 @@ def in_space(poses: Any) -> Any:
         (lambda poses: poses.assign_coords(individuals=["a", "a"]), {"units": "m"}, "'a' twice"),
         (lambda poses: poses * np.nan, {"units": "m"}, "nobody"),
         (lambda poses: poses, {"units": "m", "crs": "EPSG:25832"}, "crs"),
-        (lambda poses: poses.assign(position=poses["position"].astype(str).str.upper() + "x"), {"units": "m"}, "no array"),
+        (lambda poses: poses.map(lambda one: one.astype(str) + "x"), {"units": "m"}, "no array"),
         (lambda poses: poses.assign(position=1e12 * poses["position"]), {"units": "m"}, "within"),
     ],
 )  # fmt: skip
