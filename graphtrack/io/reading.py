@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
@@ -22,6 +20,7 @@ from graphtrack.io.folders import sequence_file, table_in
 from graphtrack.io.hints import hinted
 from graphtrack.io.layout import Layout
 from graphtrack.io.marks import as_told
+from graphtrack.io.merging import merged_tracks
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import (
     Format,
@@ -33,7 +32,7 @@ from graphtrack.io.registry import (
 )
 from graphtrack.io.source import Source
 from graphtrack.remote import place_of
-from graphtrack.table.as_read import merged, restored
+from graphtrack.table.as_read import restored
 from graphtrack.table.columns import to_columns
 from graphtrack.table.rows import Rows, check_identities, check_rows
 from graphtrack.table.speeds import with_speeds_checked
@@ -123,7 +122,7 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
         options = replace(options, beside=options.beside or sets[0].as_read)
     if len(sets) == 1:
         return sets[0]
-    return _merged(sets, [place_of(one) for one in paths])
+    return merged_tracks(sets, [place_of(one) for one in paths])
 
 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
@@ -306,59 +305,6 @@ def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
         if other is not None:
             raise other
     return cells
-
-
-def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
-    tracks: list[Track] = []
-    taken: set[int] = set()
-    numbered: list[dict[int, int]] = []
-    renumbered = 0
-    _check_kinds(sets, paths)
-    for tracks_of_file, path in zip(sets, paths, strict=True):
-        # The file's own ids stay with it, so that a new one never takes the place of one to come.
-        numbered.append({})
-        free = _free_ids(taken | {track.track_id for track in tracks_of_file}, len(tracks_of_file))
-        for track in tracks_of_file:
-            identity = track.track_id
-            if identity in taken:
-                identity = next(free)
-                renumbered += 1
-            taken.add(identity)
-            numbered[-1][track.track_id] = identity
-            tracks.append(replace(track, track_id=identity, label=track.label or _stem(path)))
-    summary = sets[0].summary
-    for other in sets[1:]:
-        summary = summary.merged(other.summary)
-    notes = list(summary.notes)
-    if renumbered:
-        notes.append(f"{renumbered} tracks renumbered because files use the same ids")
-    as_read = merged([(one.as_read, ids) for one, ids in zip(sets, numbered, strict=True)])
-    camera = sets[0].camera
-    if any(other.camera != camera for other in sets[1:]):
-        camera = None
-        notes.append("the files have different cameras, so none is kept")
-    return TrackSet(tuple(tracks), camera, replace(summary, notes=tuple(notes)), as_read)
-
-
-def _check_kinds(sets: Sequence[TrackSet], paths: Sequence[Path]) -> None:
-    """Refuse files of one table each of which some have numbers for identities and others text."""
-    kinds = [bool(one.as_read.names) for one in sets if one.as_read is not None]
-    if len(kinds) == len(sets) and len({*kinds}) > 1:
-        number, text = paths[kinds.index(False)], paths[kinds.index(True)]
-        found = f"identities that are numbers in {number} and text in {text}"
-        raise InputError(found, "one kind in all files", path=text)
-
-
-def _free_ids(used: Set[int], most: int) -> Iterator[int]:
-    """Ids that are not used: those after the highest, or where they would end too soon, from 0 on."""
-    first = max(used) + 1
-    return (k for k in count(first if first + most <= LARGEST_ID else 0) if k not in used)
-
-
-def _stem(path: Path) -> str:
-    # A name need not be UTF-8, but what is written of it must.
-    name = path.name.encode(errors="surrogateescape").decode(errors="replace")
-    return name.split(".")[0] or name
 
 
 def write(
