@@ -19,7 +19,8 @@ from graphtrack.geometry.angles import difference
 from graphtrack.tracks import Track, TrackSet
 
 xarray = pytest.importorskip("xarray", reason="the extra movement has it")
-pytest.importorskip("h5netcdf", reason="the extra movement has it")
+for name in ("h5netcdf", "h5py"):
+    pytest.importorskip(name, reason="the extra movement has it")
 
 POSES = Path(__file__).parent / "made_elsewhere" / "movement.nc.gz"
 """What movement 0.15 wrote: two people, seen from above, who walk on circles of 50 pixels, counter-clockwise

@@ -35,12 +35,23 @@ def read(source: Source, options: ReadOptions) -> Rows:
     """
     xarray = package("xarray", EXTRA)
     engine = "scipy" if source.data.startswith(_CLASSIC) else "h5netcdf"
-    package(engine, EXTRA)
+    if engine == "h5netcdf":
+        _check_packages()
     return rows_of_dataset(_loaded(xarray, source, engine), options, source.path)
+
+
+def _check_packages() -> None:
+    for name in ("h5netcdf", "h5py"):
+        package(name, EXTRA)
 
 
 def _loaded(xarray: Any, source: Source, engine: str) -> Any:
     try:
+        if engine == "h5netcdf":
+            # Which complains once more, at its end, of a file that cannot be opened.
+            with package("h5py", EXTRA).File(io.BytesIO(source.data), "r") as file:
+                file.visititems(lambda name, item: list(item.attrs) and None)
+                list(file.attrs.items())
         with xarray.open_dataset(io.BytesIO(source.data), engine=engine, decode_timedelta=False) as dataset:
             return dataset.load()
     except Exception as error:  # what HDF5 says of files that are none is of many kinds
@@ -51,7 +62,7 @@ def _loaded(xarray: Any, source: Source, engine: str) -> Any:
 
 def write(tracks: TrackSet, path: Path) -> None:
     """Write `to_movement`'s dataset as netCDF 4."""
-    package("h5netcdf", EXTRA)
+    _check_packages()
     to_movement(tracks).to_netcdf(path, engine="h5netcdf")
 
 
