@@ -30,7 +30,10 @@ if TYPE_CHECKING:
         warm_up,
     )
     from graphtrack.io import ReadOptions, read, write
+    from graphtrack.io.detections import from_supervision, from_ultralytics
     from graphtrack.io.geo import to_geopandas, to_mfjson, to_movingpandas
+    from graphtrack.io.movement.dataset import from_movement, to_movement
+    from graphtrack.io.pedpy import from_pedpy, to_pedpy
     from graphtrack.model import Model, Observation, Parameters, Term, presets
     from graphtrack.report.page import write_report
     from graphtrack.scene import SceneParameters
@@ -77,6 +80,10 @@ __all__ = [
     "associate",
     "compare",
     "forecast",
+    "from_movement",
+    "from_pedpy",
+    "from_supervision",
+    "from_ultralytics",
     "groups",
     "presets",
     "read",
@@ -86,7 +93,9 @@ __all__ = [
     "solve",
     "to_geopandas",
     "to_mfjson",
+    "to_movement",
     "to_movingpandas",
+    "to_pedpy",
     "track_online",
     "warm_up",
     "write",
@@ -120,7 +129,10 @@ _HOMES = {
         "warm_up",
     ),
     "io": ("ReadOptions", "read", "write"),
+    "io.detections": ("from_supervision", "from_ultralytics"),
     "io.geo": ("to_geopandas", "to_mfjson", "to_movingpandas"),
+    "io.movement.dataset": ("from_movement", "to_movement"),
+    "io.pedpy": ("from_pedpy", "to_pedpy"),
     "model": ("Model", "Observation", "Parameters", "Term", "presets"),
     "report.page": ("write_report",),
     "simulation.sampling": ("simulate",),

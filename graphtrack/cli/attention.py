@@ -43,6 +43,7 @@ def attention(
     from graphtrack.behaviour.looks import attention_columns, summary_of
     from graphtrack.behaviour.places import read_places
     from graphtrack.io.groups import write_columns
+    from graphtrack.table.as_read import with_names
 
     options.check_outputs(
         {
@@ -58,7 +59,7 @@ def attention(
     tracks = estimated(reading.tracks(inputs), model)
     found = find(tracks, known, online=online)
     columns = attention_columns(found)
-    write_columns(columns, output)
+    write_columns(with_names(columns, tracks.as_read), output)
     console.print(
         f"wrote {output}: {counted(len(columns['frame']), 'row')}; {counted(len(found), 'track')}, "
         f"{counted(len(known), 'place')}",

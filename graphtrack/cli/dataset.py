@@ -12,6 +12,7 @@ import typer
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
 from graphtrack.display import counted
 from graphtrack.errors import InputError
+from graphtrack.io.folders import table_in
 
 LARGE = 512 * 2**20
 """Bytes of a Parquet file from which it is streamed without being asked to."""
@@ -21,7 +22,7 @@ def is_streamed(inputs: list[Path], output: Path, asked: bool | None, cluster: s
     """Whether an input is streamed: if asked to, on a cluster, and where it is a folder or a large file."""
     if asked is not None:
         return asked or cluster is not None
-    if cluster is not None or any(path.is_dir() for path in inputs):
+    if cluster is not None or any(table_in(path).is_dir() for path in inputs):
         return True
     return len(inputs) == 1 and _is_large(inputs[0]) and _is_parquet(inputs[0]) and _is_parquet(output)
 

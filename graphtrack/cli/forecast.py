@@ -56,7 +56,8 @@ def forecast(
 ) -> None:
     """Where each person will be, with the uncertainty: at every time from what was seen until then."""
     from graphtrack.behaviour.forecast.recorded import forecast as forecast_tracks
-    from graphtrack.io.reading import check_table_name
+    from graphtrack.io.reading import check_table_name, write_table
+    from graphtrack.table.as_read import with_names
 
     options.check_outputs(
         {"--output": output}, {**reading.inputs(inputs), "--parameters": [parameters] if parameters else []}
@@ -73,7 +74,7 @@ def forecast(
         parameters=parameters,
         seed=seed,
     )
-    found.write(output)
+    write_table(with_names(found.columns, tracks.as_read), output)
     if found.too_short:
         needed = "two frames" if history is None else f"{history:g} s"
         who = counted(len(found.too_short), "track")

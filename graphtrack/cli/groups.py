@@ -55,6 +55,7 @@ def groups(
     """Find who stands in conversation with whom, and who walks together, in every frame."""
     from graphtrack.behaviour.groups import groups as find
     from graphtrack.io.groups import write_columns
+    from graphtrack.table.as_read import with_names
 
     options.check_outputs(
         {"--output": output, "--json": json_path},
@@ -63,8 +64,9 @@ def groups(
     check_csv(output)
     chosen = parameters_of(parameters)
     labels = None if truth is None else read_quietly(truth)
-    found = find(estimated(reading.tracks(inputs), model), chosen, online=online)
-    write_columns(found.columns(), output)
+    tracks = estimated(reading.tracks(inputs), model)
+    found = find(tracks, chosen, online=online)
+    write_columns(with_names(found.columns(), tracks.as_read), output)
     count = counted(int(found.group.max(initial=-1)) + 1, "group")
     most = {frame: len(one) for frame, one in found.members().items()}
     console.print(

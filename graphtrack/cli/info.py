@@ -124,7 +124,7 @@ def formats() -> None:
     from graphtrack.io import formats as all_formats
 
     rows = [
-        {"format": one.name, "written": "yes" if one.write else "", "what": one.description}
+        {"format": one.name, "written": ", ".join(one.suffixes) if one.write else "", "what": one.description}
         for one in all_formats()
     ]
     print_table("Formats", rows)

@@ -28,6 +28,7 @@ from graphtrack.cli.state_file import StateFile
 from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds, text_of
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour
 from graphtrack.cli.stream_forecast import FrameForecasts
+from graphtrack.cli.stream_names import StreamNames
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
@@ -84,6 +85,7 @@ def track_stream(
     asked: Asked | None = None,
     listener: Listener = Listener(),
     bounds: StreamBounds = StreamBounds(),
+    names: StreamNames = StreamNames(),
 ) -> tuple[int, int]:
     """Answer every row of standard input.
 
@@ -99,6 +101,7 @@ def track_stream(
     asked : groups and attention that are told; None: neither
     listener : is told what is no answer
     bounds : of people with identities
+    names : of the columns, and the unit of time, of rows and answers
 
     Returns
     -------
@@ -145,28 +148,29 @@ def track_stream(
     known = {"never": False, "always": True}.get(associate)
     warm_up(model, chosen, behaviour=asked is not None)
     if state is None:
-        lines, rows, _ = answering(lines_of(stream, 1), known)
-        return _answer(lines, rows, None, listener)
+        lines, rows, _ = answering(names.native_lines(lines_of(stream, 1)), known)
+        return _answer(lines, rows, None, listener, names)
     with closing(StateFile(state, save_every)) as file:
         settings = settings_of(model, chosen, lag, fps, camera)
         lines = iter(())
         if file.entries:
             known = bool(saved_setting(file, "detections")) if known is None else known
         else:
-            lines = lines_of(stream, 1)
+            lines = names.native_lines(lines_of(stream, 1))
         lines, rows, restore = answering(lines, known)
         # GTSAM does not give away what iSAM2 knows: it has to see every row again.
         every = None if chosen == "isam2" else save_every
         settings |= {"detections": True} if isinstance(rows, Scenes) else {}
         settings |= {} if horizon is None else {"forecast": list(horizon)}
         settings |= {} if asked is None else asked.settings()
+        settings |= {} if names == StreamNames() else names.settings()
         saving = Saving(file, rows, settings, every)
         if file.entries:
-            _go_on(saving, rows, restore, state, len(file.entries), listener)
-            lines = lines_of(stream, rows.line + 1)
+            _go_on(saving, rows, restore, state, len(file.entries), listener, names)
+            lines = names.native_lines(lines_of(stream, rows.line + 1))
         else:
             saving.begin()
-        answered = _answer(lines, rows, saving, listener)
+        answered = _answer(lines, rows, saving, listener, names)
         saving.finish()
     return answered
 
@@ -187,7 +191,13 @@ def _first_is_detection(lines: Lines) -> tuple[Lines, bool]:
 
 
 def _go_on(
-    saving: Saving, people: Answering, restore: Restore, state: Path, entries: int, listener: Listener
+    saving: Saving,
+    people: Answering,
+    restore: Restore,
+    state: Path,
+    entries: int,
+    listener: Listener,
+    names: StreamNames,
 ) -> None:
     """Bring people to where the last run ended, say where that is, and answer what it may not have."""
     with progress_bar(entries, "rows") as advance:
@@ -198,10 +208,12 @@ def _go_on(
     last = f"; the answer to row {people.rows} is given again" if again else ""
     console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
     for row in again:
-        give(row)
+        give(names.restored(row))
 
 
-def _answer(lines: Lines, people: Answering, saving: Saving | None, listener: Listener) -> tuple[int, int]:
+def _answer(
+    lines: Lines, people: Answering, saving: Saving | None, listener: Listener, names: StreamNames
+) -> tuple[int, int]:
     before, wrong = people.rows, 0
     # What there is by now stays: the collector need not look at it again while rows wait.
     gc.collect()
@@ -213,12 +225,12 @@ def _answer(lines: Lines, people: Answering, saving: Saving | None, listener: Li
                     saving.take(number, line)
                 for row in people.answers(number, line):
                     wrong += "error" in row
-                    give(row)
+                    give(names.restored(row))
                 listener.answered(people)
                 if saving is not None:
                     saving.tend()
             for row in people.finish():
-                give(row)
+                give(names.restored(row))
     finally:
         gc.unfreeze()
     return people.rows - before, wrong

@@ -37,7 +37,12 @@ Inputs = Annotated[
 ]
 Output = Annotated[
     Path,
-    typer.Option("--output", "-o", help="File to write: .csv, .csv.gz, .parquet, .ndjson or .txt (MOT)."),
+    typer.Option(
+        "--output",
+        "-o",
+        help="File to write: .csv, .csv.gz, .parquet, .ndjson, .txt (MOT), .nc and others; see 'graphtrack "
+        "formats'.",
+    ),
 ]
 ModelName = Annotated[
     str,
@@ -191,9 +196,10 @@ class Reading:
         paths : files with tracks, or folders of them
         model : a preset's name, or a model file
         """
+        from graphtrack.io.folders import table_in
         from graphtrack.io.registry import files_beside
 
-        paths, given = list(paths), self.given()
+        paths, given = [table_in(path) for path in paths], self.given()
         named: dict[str, Paths] = {"the input": paths, "--model": model_file(model)}
         named |= {option_name(name): given[name] for name in _CAMERA_FILES if name in given}
         named["a file beside the input"] = [place for path in paths for place in files_beside(path)]

@@ -32,7 +32,8 @@ def track(
         typer.Option(
             "--output",
             "-o",
-            help="File to write: .csv, .csv.gz, .parquet, .ndjson or .txt (MOT); with -, none.",
+            help="File to write: .csv, .csv.gz, .parquet, .ndjson, .txt (MOT), .nc and others (graphtrack "
+            "formats); with -, none.",
         ),
     ] = None,
     model: options.BestModelName = None,
@@ -218,7 +219,7 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 
 
-_OF_A_STREAM = ("fps", "homography", "point_pairs_unit", "associate")
+_OF_A_STREAM = ("fps", "homography", "point_pairs_unit", "associate", "columns", "time_unit")
 
 
 def _refuse_with_stream(given: Mapping[str, object]) -> None:
@@ -238,10 +239,12 @@ def _track_stream(
     asked: Asked | None,
 ) -> None:
     from graphtrack.cli.live import track_stream
+    from graphtrack.cli.stream_names import StreamNames
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.io.cameras import read_homography
 
     given = reading.options()
+    layout = given.layout()
     camera = None
     if reading.homography is not None:
         camera = GroundCamera.from_homography(read_homography(reading.homography))
@@ -256,6 +259,7 @@ def _track_stream(
         associate=given.associate,
         horizon=horizon,
         asked=asked,
+        names=StreamNames() if layout is None else StreamNames.of(layout),
     )
     if wrong:
         console.print(f"error: {wrong} of {rows} rows could not be used", markup=False)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
+from graphtrack.io.extras import package
 from graphtrack.table.as_read import AsRead
 from graphtrack.table.moments import TimeScale
 from graphtrack.table.plane import WGS84
@@ -28,7 +28,7 @@ def to_geopandas(tracks: TrackSet) -> Any:
     InputError
         If the package geopandas is not there.
     """
-    geopandas = _package("geopandas")
+    geopandas = package("geopandas", "geo")
     table = tracks.to_table(as_read=True)
     first, second, crs = _places(tracks)
     known = np.isfinite(first)
@@ -47,7 +47,7 @@ def to_movingpandas(tracks: TrackSet) -> Any:
     InputError
         If the package movingpandas is not there.
     """
-    movingpandas = _package("movingpandas")
+    movingpandas = package("movingpandas", "geo")
     points = to_geopandas(tracks)
     rows = points.index.to_numpy()  # those with a place
     if _dates(tracks) is None:
@@ -94,15 +94,6 @@ def to_mfjson(tracks: TrackSet, path: str | Path) -> None:
         content["crs"] = crs
     with atomic_path(Path(path)) as temporary:
         temporary.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
-
-
-def _package(name: str) -> Any:
-    from importlib import import_module
-
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise InputError(f"no package {name}", "the extra: pip install 'graphtrack[geo]'") from error
 
 
 def _joined(values: list[NDArray[Any]]) -> NDArray[Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from graphtrack.display import counted, listed
 from graphtrack.errors import InputError
+from graphtrack.io.folders import sequence_file, table_in
 from graphtrack.io.registry import files_beside
 
 
@@ -14,7 +15,8 @@ def paired_files(estimates: Sequence[Path], truth: Sequence[Path]) -> dict[str, 
     """Pairs of files by the name of their sequence, which is that of the file without its ending.
 
     One file on either side is a pair, whatever its name. A folder stands for the files in it, without hidden
-    ones, and without what a reader finds beside a file by itself, such as a calibration.
+    ones, and without what a reader finds beside a file by itself, such as a calibration; but one that is a
+    sequence of MOTChallenge, or is in such a folder, for itself.
 
     Raises
     ------
@@ -37,11 +39,12 @@ def paired_files(estimates: Sequence[Path], truth: Sequence[Path]) -> dict[str, 
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    return [file for path in paths for file in (_files_in(path) if path.is_dir() else [path])]
+    return [file for path in paths for file in (_files_in(path) if table_in(path).is_dir() else [path])]
 
 
 def _files_in(folder: Path) -> list[Path]:
     files = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    files += sorted(path for path in folder.iterdir() if sequence_file(path) is not None)
     beside = {place for path in files for place in files_beside(path)}
     found = [path for path in files if path not in beside]
     if not found:

@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import read_homography
 from graphtrack.io.delimiters import other_delimiter
+from graphtrack.io.folders import sequence_file, table_in
 from graphtrack.io.hints import hinted
 from graphtrack.io.layout import Layout
 from graphtrack.io.marks import as_told
+from graphtrack.io.merging import merged_tracks
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format, detect, format_for_writing, format_named, formats
+from graphtrack.io.registry import (
+    Format,
+    detect,
+    format_for_writing,
+    format_named,
+    format_taking,
+    formats,
+)
 from graphtrack.io.source import Source
 from graphtrack.remote import place_of
-from graphtrack.table.as_read import merged, restored
+from graphtrack.table.as_read import restored
 from graphtrack.table.columns import to_columns
 from graphtrack.table.rows import Rows, check_identities, check_rows
 from graphtrack.table.speeds import with_speeds_checked
@@ -35,9 +42,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from graphtrack.io.tables.cells import Cells
-
-_STAGES, _REPORTED = "stages.json", "tracks.csv"
-"""What the folder of a report is known by, and its table of estimates."""
 
 
 def read(
@@ -50,9 +54,10 @@ def read(
 
     Parameters
     ----------
-    path : one path, of a file or of a folder that `perception report` wrote, or several whose tracks are
-        merged: ids that clash are renumbered, and tracks without a label get the name of their file. Or a
-        DataFrame (pandas, polars), another table that speaks Arrow, or a mapping name → column
+    path : one path, of a file or of a folder that `perception report` wrote or that is a sequence of
+        MOTChallenge, or several whose tracks are merged: ids that clash are renumbered, and tracks without a
+        label get the name of their file. Or a DataFrame (pandas, polars), another table that speaks Arrow, or
+        a mapping name → column
     format : name of the format; None: recognised by the content
     **options : the fields of `ReadOptions`, such as ``fps`` and ``homography``
 
@@ -117,17 +122,11 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
         options = replace(options, beside=options.beside or sets[0].as_read)
     if len(sets) == 1:
         return sets[0]
-    return _merged(sets, [place_of(one) for one in paths])
+    return merged_tracks(sets, [place_of(one) for one in paths])
 
 
 def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
-    path = _table_of(place_of(path))
     return tracks_of_rows(rows_of_file(path, format, options), options)
-
-
-def _table_of(path: Path) -> Path:
-    """The estimates in a folder that `perception report` wrote; other paths stay as they are."""
-    return path / _REPORTED if (path / _STAGES).is_file() else path
 
 
 def has_detections(rows: Rows, options: ReadOptions) -> bool:
@@ -199,7 +198,7 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
     """
     rows = boxes_of_file(path, format, options)
     if rows is None:
-        chosen = _chosen(Source.open(path), format)
+        chosen = _chosen(_opened(path, options), format)
         names = ", ".join(one.name for one in formats() if one.read_boxes is not None)
         found = f"the format {chosen.name}, of which no boxes are read"
         raise InputError(found, f"a format with boxes: {names}", path=path)
@@ -223,11 +222,24 @@ def _chosen(source: Source, format: str | None) -> Format:
 
 def _opened(path: str | Path, options: ReadOptions) -> Source:
     """A file whose text is UTF-8 with commas and points, as far as the options say how it is."""
-    return as_told(Source.open(path), options.delimiter, options.decimal, options.encoding)
+    return as_told(
+        Source.open(table_in(place_of(path))), options.delimiter, options.decimal, options.encoding
+    )
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
-    """The rows of a file, as its reader makes them, in metres and with times."""
+    """The rows of a file, as its reader makes them, in metres and with times.
+
+    Parameters
+    ----------
+    path : of the file, or of a folder that stands for one, such as a sequence of MOTChallenge
+    """
+    rows = _rows_of_file(path, format, options)
+    file = sequence_file(place_of(path))
+    return rows if file is None else rows.with_notes(f"read {file.relative_to(path)} of the sequence")
+
+
+def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
     if options.sql is not None:
         return rows_of_table(_answer(path, format, options), options)
     source = _opened(path, options)
@@ -240,7 +252,19 @@ def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> 
             if chosen.write_columns is None:  # what other formats hold cannot be told otherwise
                 raise
             raise hinted(error) from error
+    taking = format_taking(source, format)
+    if taking is not None:
+        _check_taken(taking, options, source.path)
+        return taking.read(source, options)
     return rows_of_table(_cells(source, format, layout), options)
+
+
+def _check_taken(taking: Format, options: ReadOptions, path: Path) -> None:
+    """Refuse options of tables that a format does not know."""
+    for name in ("columns", "time_unit", "units", "crs"):
+        if getattr(options, name) is not None and name not in taking.takes:
+            known = " or ".join(f"--{one}" for one in taking.takes)
+            raise InputError(f"--{name.replace('_', '-')} for the format {taking.name}", known, path=path)
 
 
 def _answer(path: str | Path, format: str | None, options: ReadOptions) -> Cells:
@@ -281,59 +305,6 @@ def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
         if other is not None:
             raise other
     return cells
-
-
-def _merged(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
-    tracks: list[Track] = []
-    taken: set[int] = set()
-    numbered: list[dict[int, int]] = []
-    renumbered = 0
-    _check_kinds(sets, paths)
-    for tracks_of_file, path in zip(sets, paths, strict=True):
-        # The file's own ids stay with it, so that a new one never takes the place of one to come.
-        numbered.append({})
-        free = _free_ids(taken | {track.track_id for track in tracks_of_file}, len(tracks_of_file))
-        for track in tracks_of_file:
-            identity = track.track_id
-            if identity in taken:
-                identity = next(free)
-                renumbered += 1
-            taken.add(identity)
-            numbered[-1][track.track_id] = identity
-            tracks.append(replace(track, track_id=identity, label=track.label or _stem(path)))
-    summary = sets[0].summary
-    for other in sets[1:]:
-        summary = summary.merged(other.summary)
-    notes = list(summary.notes)
-    if renumbered:
-        notes.append(f"{renumbered} tracks renumbered because files use the same ids")
-    as_read = merged([(one.as_read, ids) for one, ids in zip(sets, numbered, strict=True)])
-    camera = sets[0].camera
-    if any(other.camera != camera for other in sets[1:]):
-        camera = None
-        notes.append("the files have different cameras, so none is kept")
-    return TrackSet(tuple(tracks), camera, replace(summary, notes=tuple(notes)), as_read)
-
-
-def _check_kinds(sets: Sequence[TrackSet], paths: Sequence[Path]) -> None:
-    """Refuse files of one table each of which some have numbers for identities and others text."""
-    kinds = [bool(one.as_read.names) for one in sets if one.as_read is not None]
-    if len(kinds) == len(sets) and len({*kinds}) > 1:
-        number, text = paths[kinds.index(False)], paths[kinds.index(True)]
-        found = f"identities that are numbers in {number} and text in {text}"
-        raise InputError(found, "one kind in all files", path=text)
-
-
-def _free_ids(used: Set[int], most: int) -> Iterator[int]:
-    """Ids that are not used: those after the highest, or where they would end too soon, from 0 on."""
-    first = max(used) + 1
-    return (k for k in count(first if first + most <= LARGEST_ID else 0) if k not in used)
-
-
-def _stem(path: Path) -> str:
-    # A name need not be UTF-8, but what is written of it must.
-    name = path.name.encode(errors="surrogateescape").decode(errors="replace")
-    return name.split(".")[0] or name
 
 
 def write(

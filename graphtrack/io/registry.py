@@ -22,6 +22,9 @@ from graphtrack.tracks import TrackSet
 FORMAT_MODULES = (
     "native_parquet",
     "ndjson",
+    "movement",
+    "jupedsim",
+    "geographic",
     "mocap",
     "native_csv",
     "caviar",
@@ -29,10 +32,12 @@ FORMAT_MODULES = (
     "kitti",
     "salsa",
     "towncentre",
+    "pedpy",
     "mot",
     "eth",
 )
-"""Modules of `graphtrack.io.readers` with a constant ``FORMAT``, the most distinctive contents first."""
+"""Modules of `graphtrack.io.readers` with a constant ``FORMATS``, or ``FORMAT`` where it is one, the most
+distinctive contents first."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,8 @@ class Format:
     write_columns : (columns of the native table, path) → None, likewise; for tables, which can do without
         identities
     beside : path → the places beside it where the reader looks for more by itself
+    is_read : False: only written; what it makes is read otherwise, if at all
+    takes : options of tables, fields of `ReadOptions`, that the reader itself understands
     read_boxes : (source, options) → rows with the channel ``box`` (n, 4), left, top, width and height in
         pixels, NaN where a row has none; for formats that hold boxes
     """
@@ -62,13 +69,16 @@ class Format:
     write: Callable[[TrackSet, Path], None] | None = None
     write_columns: Callable[[Mapping[str, NDArray[Any]], Path], None] | None = None
     beside: Callable[[Path], tuple[Path, ...]] = lambda path: ()
+    is_read: bool = True
+    takes: tuple[str, ...] = ()
     read_boxes: Callable[[Source, ReadOptions], Rows] | None = None
 
 
 @cache
 def formats() -> tuple[Format, ...]:
     """All formats, in the order in which they are tried."""
-    return tuple(importlib.import_module(f"graphtrack.io.readers.{name}").FORMAT for name in FORMAT_MODULES)
+    modules = [importlib.import_module(f"graphtrack.io.readers.{name}") for name in FORMAT_MODULES]
+    return tuple(one for module in modules for one in getattr(module, "FORMATS", None) or (module.FORMAT,))
 
 
 def files_beside(path: Path) -> tuple[Path, ...]:
@@ -110,10 +120,18 @@ def detect(source: Source) -> Format:
     is_text = b"\0" not in source.head or source.utf16 is not None
     if is_text and (error := other_delimiter(source)) is not None:
         raise error
-    known = ", ".join(f.name for f in formats())
+    known = ", ".join(f.name for f in formats() if f.is_read)
     first = next((line for line in source.lines if line.strip()), "") if is_text else ""
     hint = f"; {which_columns(str(source.path))}" if names_columns(first) else ""
     raise InputError("content of no known format", f"one of {known}{hint}", path=source.path)
+
+
+def format_taking(source: Source, name: str | None) -> Format | None:
+    """The format of that name, or by the content, if its reader understands options of tables by itself."""
+    able = [one for one in formats() if one.takes]
+    if name is not None:
+        return next((one for one in able if one.name == name), None)
+    return next((one for one in able if one.looks_like(source.head, source.path)), None)
 
 
 def format_for_writing(path: Path) -> Format:

@@ -83,6 +83,23 @@ def restored(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dic
     }
 
 
+def with_names(columns: Mapping[str, NDArray[Any]], as_read: AsRead | None) -> dict[str, NDArray[Any]]:
+    """Columns about people, and beside their ids as ``label`` the identities that were text in what was read.
+
+    Of targets, where there are any, those that are people have theirs as ``target_label``.
+    """
+    if as_read is None or not as_read.names:
+        return dict(columns)
+    names = as_read.names
+    found = {**columns, "label": np.array([names.get(k, "") for k in columns["track_id"].tolist()], object)}
+    if "target" in columns:
+        told = {str(k): name for k, name in names.items()}
+        pairs = zip(columns["kind"].tolist(), columns["target"].tolist(), strict=True)
+        of_target = [told.get(target, "") if kind == "person" else "" for kind, target in pairs]
+        found["target_label"] = np.array(of_target, object)
+    return found
+
+
 def _identities(columns: Mapping[str, NDArray[Any]], as_read: AsRead) -> dict[str, Any]:
     """The columns with the identities as text, where they were; labels that say no more are left out."""
     found: dict[str, Any] = dict(columns)

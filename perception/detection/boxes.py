@@ -10,6 +10,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io import atomic_path
+from graphtrack.io.boxes import with_scores
 from graphtrack.io.readers import caviar, mot
 from graphtrack.io.source import Source
 from graphtrack.table.rows import check_rows
@@ -58,7 +59,7 @@ def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: 
     rows = caviar.read_boxes(source) if of_caviar else mot.read_boxes(source)
     rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
     if not rows.has_identity:
-        rows = replace(mot.with_scores(rows), track_id=np.arange(1, len(rows) + 1))
+        rows = replace(with_scores(rows), track_id=np.arange(1, len(rows) + 1))
     check_rows(rows)
     for reason, count in rows.refused.items():
         refuse(f"{source.path}: {count} {reason}")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.detections import FoundBoxes, array_of, boxes_of_supervision, boxes_of_ultralytics
 from perception.detection.boxes import PersonBox
 from perception.pose.keypoints.skeleton import BY_NUMBER, KNOWN, as_points, in_coco_order
 
@@ -31,16 +31,15 @@ def from_supervision(
     InputError
         If it is no such object, or its arrays do not fit together.
     """
-    corners = _array(detections, "xyxy", "a supervision.Detections")
-    ids = _array(detections, "tracker_id", None)
+    found = boxes_of_supervision(detections, person)
     points = None
     if keypoints is not None:
-        places = _array(keypoints, "xy", "a supervision.KeyPoints")
-        said = _array(keypoints, "keypoint_confidence", None)
-        sure = said if said is not None else _array(keypoints, "confidence", None)
+        places = array_of(keypoints, "xy", "a supervision.KeyPoints")
+        said = array_of(keypoints, "keypoint_confidence")
+        sure = said if said is not None else array_of(keypoints, "confidence")
         points = _joined(places, None if sure is None or sure.ndim != 2 else sure)
-    sure = _array(detections, "confidence", None)
-    return _boxes(corners, sure, _array(detections, "class_id", None), ids, points, frame, person, first)
+        _check_number(points, found.among)
+    return _boxes(found, points, frame, first)
 
 
 def from_ultralytics(
@@ -59,32 +58,18 @@ def from_ultralytics(
     InputError
         As there.
     """
-    boxes = getattr(results, "boxes", None)
-    corners = _array(boxes, "xyxy", "Ultralytics Results with boxes")
-    if person is None:
-        names = getattr(results, "names", None) or {}
-        person = next((int(key) for key, name in dict(names).items() if str(name).lower() == "person"), 0)
+    found = boxes_of_ultralytics(results, person)
     points = None
-    found = getattr(results, "keypoints", None)
-    if found is not None and getattr(found, "xy", None) is not None:
-        points = _joined(_array(found, "xy", "keypoints with xy"), _array(found, "conf", None))
-    sure, of_class, ids = (_array(boxes, name, None) for name in ("conf", "cls", "id"))
-    return _boxes(corners, sure, of_class, ids, points, frame, person, first)
+    keypoints = getattr(results, "keypoints", None)
+    if keypoints is not None and getattr(keypoints, "xy", None) is not None:
+        points = _joined(array_of(keypoints, "xy", "keypoints with xy"), array_of(keypoints, "conf"))
+        _check_number(points, found.among)
+    return _boxes(found, points, frame, first)
 
 
-def _array(holder: Any, name: str, expected: str | None) -> Any:
-    """An attribute as an array of numbers; tensors are brought to the processor. None if it is not there."""
-    value = getattr(holder, name, None)
-    if value is None:
-        if expected is not None:
-            raise InputError(f"{type(holder).__name__} without {name}", expected)
-        return None
-    for step in ("detach", "cpu", "numpy"):
-        value = getattr(value, step)() if hasattr(value, step) else value
-    try:
-        return np.array(value, float)
-    except (ValueError, TypeError) as error:
-        raise InputError(f"{name} that is no array of numbers", expected or "numbers") from error
+def _check_number(points: FloatArray, boxes: int) -> None:
+    if len(points) != boxes:
+        raise InputError(f"{len(points)} keypoints of {boxes} boxes", "as many as boxes")
 
 
 def _joined(places: FloatArray, sure: FloatArray | None) -> FloatArray:
@@ -100,39 +85,13 @@ def _joined(places: FloatArray, sure: FloatArray | None) -> FloatArray:
     return in_coco_order(np.concatenate([places, sure[..., None]], axis=2), BY_NUMBER[places.shape[1]])
 
 
-def _boxes(
-    corners: FloatArray,
-    confidence: FloatArray | None,
-    of_class: FloatArray | None,
-    ids: FloatArray | None,
-    points: FloatArray | None,
-    frame: int,
-    person: int | None,
-    first: int,
-) -> list[PersonBox]:
-    corners = corners.reshape(-1, 4) if corners.size else np.empty((0, 4))
-    n = len(corners)
-    for name, values in (
-        ("confidences", confidence),
-        ("classes", of_class),
-        ("ids", ids),
-        ("keypoints", points),
-    ):
-        if values is not None and len(values) != n:
-            raise InputError(f"{len(values)} {name} of {n} boxes", "as many as boxes")
-    finite, ordered = np.isfinite(corners).all(axis=1), (corners[:, 2:] > corners[:, :2]).all(axis=1)
-    kept: NDArray[np.bool_] = np.logical_and(finite, ordered)
-    if of_class is not None and person is not None:
-        kept &= of_class.ravel() == person
-    if ids is not None:
-        kept &= ids.ravel() >= 0.0  # trackers give −1 to those whom they do not follow yet
-    found: list[PersonBox] = []
-    for k in np.flatnonzero(kept).tolist():
-        left, top, right, bottom = corners[k].tolist()
-        score = None if confidence is None else float(np.clip(confidence.ravel()[k], 0.0, 1.0))
-        identified = ids is not None
-        number = int(ids.ravel()[k]) if ids is not None else first + len(found)
-        box = (left, top, right - left, bottom - top)
-        given = None if points is None else as_points(points[k])
-        found.append(PersonBox(frame, number, box, 1.0 if score is None else score, identified, score, given))
-    return found
+def _boxes(found: FoundBoxes, points: FloatArray | None, frame: int, first: int) -> list[PersonBox]:
+    boxes: list[PersonBox] = []
+    identified = found.track_id is not None
+    for k, (left, top, width, height) in enumerate(found.box.tolist()):
+        score = None if found.confidence is None else float(found.confidence[k])
+        number = first + k if found.track_id is None else int(found.track_id[k])
+        given = None if points is None else as_points(points[found.place[k]])
+        sure = 1.0 if score is None else score
+        boxes.append(PersonBox(frame, number, (left, top, width, height), sure, identified, score, given))
+    return boxes

@@ -268,3 +268,58 @@ def test_unknown_keys_and_bad_rows_are_told(track):
     assert status == 2
     assert [json.loads(one).get("line") for one in answers] == [None, 3, None, 6]
     assert said == "note: ignored key 'mood'\nerror: 2 of 4 rows could not be used\n"
+
+
+# -- other names ---------------------------------------------------------------------------------------------
+
+NAMES = ("--columns", "id=agent,t=stamp,x=pos_x,y=pos_y", "--time-unit", "ms")
+
+
+def renamed(line):
+    """A row of `scene` as somebody else writes it; what is no row stays as it is."""
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return line
+    names = {"track_id": "agent", "t": "stamp", "x": "pos_x", "y": "pos_y"}
+    row = {names.get(key, key): round(1e3 * value) if key == "t" else value for key, value in row.items()}
+    return json.dumps(row | {"x": "of the image"}).encode() + b"\n"
+
+
+def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path):
+    lines = scene(12)
+    code, expected, _ = track(lines)
+    state = tmp_path / "state"
+    given = [renamed(line) for line in lines]
+    first_code, first, _ = track(given[:20], *NAMES, "--state", state)
+    second_code, second, said = track(given[20:], *NAMES, "--state", state)
+    assert (code, first_code, second_code) == (2, 2, 2)
+    kept = going_on(said)[1]
+    found = [json.loads(line) for line in [*first[:kept], *second]]
+    assert len(found) == len(expected)
+    for mine, other in zip(found, map(json.loads, expected), strict=True):
+        if "error" in other:
+            assert mine["line"] == other["line"]
+            continue
+        assert (mine["agent"], mine["frame"]) == (other["track_id"], other["frame"])
+        assert mine["stamp"] == round(1e3 * other["t"]) and isinstance(mine["stamp"], int)
+        if other["x"] is not None:
+            assert mine["pos_x"] == pytest.approx(other["x"]) and mine["x_std"] == pytest.approx(
+                other["x_std"]
+            )
+    code, _, said = track(lines, "--state", state)
+    assert code == 2 and "columns" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--columns", "lat=a,lon=b"), "lat=a with -"),
+        (("--columns", "x=*_x"), "with -"),
+        (("--time-unit", "iso"), "--time-unit iso with -"),
+        (("--units", "cm"), "--units with -"),
+    ],
+)
+def test_what_a_row_alone_cannot_be_read_by_is_refused(track, options, told):
+    code, answers, said = track([], *options)
+    assert code == 2 and not answers and told in said

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from command import run
 
 import graphtrack as gt
+from graphtrack.behaviour.forecast.table import read_forecasts
+from graphtrack.behaviour.tables import read_group_table
 
 COLUMNS = {"id": "agent", "t": "timestamp", "lat": "lat", "lon": "lon"}
 
@@ -69,3 +72,48 @@ def test_moving_features(tmp_path: Path) -> None:
         gt.read({"track_id": [1, 1], "frame": [0, 1], "t": [0.0, 0.04], "x": [0, 0.05], "y": [0, 0]}), path
     )
     assert json.loads(path.read_text())["features"][0]["temporalGeometry"]["datetimes"] == [0.0, 40.0]
+
+
+def test_the_command_line_writes_them_by_the_ending(tmp_path: Path) -> None:
+    geopandas = pytest.importorskip("geopandas")
+    walks().to_csv(tmp_path / "walks.csv", index=False)
+    columns = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
+    for ending in ("gpkg", "geoparquet", "mfjson"):
+        out = tmp_path / f"smoothed.{ending}"
+        done = run(
+            *("smooth", tmp_path / "walks.csv", "--columns", columns, "--model", "position", "-o", out),
+            program="graphtrack",
+        )
+        assert done.returncode == 0, done.stderr
+    layer = geopandas.read_file(tmp_path / "smoothed.gpkg")
+    table = geopandas.read_parquet(tmp_path / "smoothed.geoparquet")
+    content = json.loads((tmp_path / "smoothed.mfjson").read_text())
+    assert layer.crs.to_epsg() == table.crs.to_epsg() == 4326
+    np.testing.assert_allclose(layer.geometry.x, table.geometry.x)
+    assert [one["id"] for one in content["features"]] == ["anna", "bob"]
+    # Both are tables too.
+    again = gt.read(tmp_path / "smoothed.geoparquet", columns=COLUMNS)
+    query = gt.read(tmp_path / "smoothed.gpkg", columns=COLUMNS, sql="select * from smoothed")
+    assert [track.label for track in again] == [track.label for track in query] == ["anna", "bob"]
+    with pytest.raises(gt.InputError, match=r"GeoPackage.*--sql"):
+        gt.read(tmp_path / "smoothed.gpkg")
+    with pytest.raises(gt.InputError, match="only written"):
+        gt.read(tmp_path / "smoothed.mfjson", format="mfjson")
+
+
+def test_tables_of_groups_looks_and_forecasts_name_people(tmp_path: Path) -> None:
+    walks().assign(body_deg=90.0, head_deg=90.0).to_csv(tmp_path / "walks.csv", index=False)
+    columns = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
+    for command in ("groups", "attention", "forecast"):
+        out = tmp_path / f"{command}.csv"
+        done = run(command, tmp_path / "walks.csv", "--columns", columns, "-o", out, program="graphtrack")
+        assert done.returncode == 0, done.stderr
+        table = pd.read_csv(out)
+        names = dict(zip(table["track_id"], table["label"], strict=True))
+        assert names == {1: "anna", 2: "bob"}, command
+    looks = pd.read_csv(tmp_path / "attention.csv")
+    others = looks[looks["kind"] == "person"]
+    assert list(others["target_label"]) == [{"1": "anna", "2": "bob"}[str(one)] for one in others["target"]]
+    assert looks[looks["kind"] != "person"]["target_label"].isna().all()
+    read_group_table(tmp_path / "groups.csv")
+    read_forecasts(tmp_path / "forecast.csv")

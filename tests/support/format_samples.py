@@ -198,6 +198,11 @@ def salsa() -> bytes:
     return _lines(*rows)
 
 
+def pedpy() -> bytes:
+    rows = [f"{i} {f} {100 * x:.1f} {100 * y:.1f} 0.5" for f, i, x, y in _walk()]
+    return _lines("# framerate: 25 fps", "# id frame x/cm y/cm z/m", *rows)
+
+
 SAMPLES = (
     Sample("csv", "made.csv", _native(".csv"), 2 * FRAMES, b",0.25,"),
     Sample("csv", "made.csv.gz", _native(".csv.gz"), 2 * FRAMES),
@@ -219,6 +224,7 @@ SAMPLES = (
         b" 10.0 20.0",
         {"oxts/0001.txt": oxts, "calib/0001.txt": ego_calibration},
     ),
+    Sample("pedpy", "walk.txt", pedpy, 2 * FRAMES, b" 0.5"),
     Sample("salsa", "features.txt", salsa, 2 * FRAMES, b" 2.500"),
 )
 TEXT_SAMPLES = tuple(sample for sample in SAMPLES if sample.number)

@@ -11,7 +11,8 @@ import numpy as np
 from graphtrack import bounds
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.cameras import PERSON_HEIGHT, camera_or_scale, known_camera, on_ground
+from graphtrack.io.boxes import placed_boxes, with_scores
+from graphtrack.io.cameras import PERSON_HEIGHT
 from graphtrack.io.numbers import Numbers, parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
@@ -74,28 +75,9 @@ def read(source: Source, options: ReadOptions) -> Rows:
         without identity).
     """
     rows = read_boxes(source, options)
-    left, top, width, height = rows.channels["box"].T
-    rows = rows.with_channels(pixel=np.column_stack([left + width / 2.0, top + height]))
     fps, note = _frame_rate(source.path, options)
-    rows = _placed(rows, options).with_notes(*note).with_times(fps)
+    rows = placed_boxes(rows, options).with_notes(*note).with_times(fps)
     return with_scores(rows).without("box", "confidence")
-
-
-def with_scores(rows: Rows) -> Rows:
-    """Detections with the channel ``score`` (n,), from their confidences; rows with identities as they are.
-
-    A detector's confidences are of any kind. Those from 0 on are taken as they are. Where some are negative,
-    such as log odds and distances from a separating plane (the DPM of MOT16), the score of all is
-    1 / (1 + exp(-confidence)), which keeps their order; a note says so. -1 throughout says nothing.
-    """
-    confidence = rows.channels["confidence"]
-    if rows.has_identity or (confidence == -1.0).all():
-        return rows
-    if not (confidence < 0.0).any():
-        return rows.with_channels(score=confidence)
-    note = "some confidences are negative: scores are 1 / (1 + exp(-confidence))"
-    logistic = 0.5 * (1.0 + np.tanh(0.5 * confidence))  # exp would overflow
-    return rows.with_channels(score=logistic).with_notes(note)
 
 
 def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
@@ -174,29 +156,23 @@ def _of_classes(rows: Rows, table: Numbers, options: ReadOptions) -> Rows:
     return rows.without("number")
 
 
-def _placed(rows: Rows, options: ReadOptions) -> Rows:
-    pixel = rows.channels["pixel"]
-    if "position" in rows.channels:
-        camera, notes = known_camera(options, pixel)
-        return rows.with_camera(camera).with_notes(*notes, "positions are columns 8 and 9, in metres")
-    seen = np.asarray(np.isfinite(pixel).all(axis=1))
-    if len(seen) and not seen.any():
-        raise InputError("neither boxes nor metres", "one of them", path=rows.path)
-    if not len(rows):
-        return rows.with_channels(position=pixel)
-    camera, notes = camera_or_scale(options, pixel, rows.channels["box"][seen, 3])
-    return on_ground(rows, camera, notes)
-
-
 def _frame_rate(path: Path, options: ReadOptions) -> tuple[float, tuple[str, ...]]:
     if options.fps is not None:
         return options.fps, ()
     for info in beside(path):
         if info.is_file():
-            match = re.search(r"(?m)^frameRate\s*=\s*(\d{1,6}(?:\.\d+)?)\s*$", Source.open(info).text)
-            if match is not None and float(match[1]) > 0.0:
-                return float(match[1]), (f"frame rate {match[1]} Hz from seqinfo.ini",)
+            text = Source.open(info).text
+            rate, width, height = (_setting(text, name) for name in ("frameRate", "imWidth", "imHeight"))
+            if rate is not None:
+                size = f" and images of {width} × {height}" if width and height else ""
+                return float(rate), (f"frame rate {rate} Hz{size} from seqinfo.ini",)
     return DEFAULT_FPS, (f"no frame rate is given: {DEFAULT_FPS:g} Hz assumed",)
+
+
+def _setting(text: str, name: str) -> str | None:
+    """A number above 0 of a ``seqinfo.ini``, as it stands."""
+    match = re.search(rf"(?m)^{name}\s*=\s*(\d{{1,6}}(?:\.\d+)?)\s*$", text)
+    return match[1] if match is not None and float(match[1]) > 0.0 else None
 
 
 def write(tracks: TrackSet, path: Path) -> None:

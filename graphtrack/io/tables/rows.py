@@ -189,7 +189,7 @@ def with_frames(
     if np.isnan(t).any():
         raise cells.fail("an empty cell", "a time in every row", int(np.argmax(np.isnan(t))), named["t"])
     known, place = np.unique(t, return_inverse=True)
-    frames, said = _frames(known)
+    frames, said = numbered_times(known)
     columns["frame"] = frames[place].astype(float)
     notes.append(f"no frames: {said}")
     if "track_id" in columns:
@@ -211,7 +211,7 @@ _AMISS = 0.25
 """Of a frame: how far a time may be from that of its frame."""
 
 
-def _frames(t: FloatArray) -> tuple[FloatArray, str]:
+def numbered_times(t: FloatArray) -> tuple[FloatArray, str]:
     """Frames of increasing times, and how they were found.
 
     At a steady rate they are counted from t = 0, so that two files of one scene have the same; else, or where

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,14 @@ def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
     for row, cell in known:
         ids[row] = number.setdefault(cell.strip(), len(number) + 1)
     return ids, {k: said for said, k in number.items()}
+
+
+def numbered_names(names: Sequence[str]) -> tuple[NDArray[np.int64], dict[int, str]]:
+    """Identities (n,) by their names, and track id → name where those are text; see `identities`."""
+    if all(_is_whole(name) for name in names):
+        return np.array([int(name) for name in names], dtype=np.int64), {}
+    known = {name: k for k, name in enumerate(dict.fromkeys(names), 1)}
+    return np.array([known[name] for name in names], dtype=np.int64), {k: name for name, k in known.items()}
 
 
 def _is_whole(text: str) -> bool:

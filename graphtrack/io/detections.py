@@ -1,0 +1,210 @@
+"""What other libraries find in images, and whom their trackers follow: nothing of them is imported."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.bounds import LARGEST_ID, check_frame_rate
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.boxes import placed_boxes, with_scores
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.reading import tracks_of_rows
+from graphtrack.table.rows import Rows
+from graphtrack.tracks import TrackSet
+
+
+@dataclass(frozen=True, eq=False)
+class FoundBoxes:
+    """The people of one image.
+
+    Attributes
+    ----------
+    box : (n, 4) left, top, width and height in pixels
+    confidence : (n,) of the detector, from 0 to 1; None: not known
+    track_id : (n,) from 0 on; None: nobody says who is who
+    place : (n,) where they stood among all that was found
+    among : how many were found, of any class
+    """
+
+    box: FloatArray
+    confidence: FloatArray | None
+    track_id: NDArray[np.int64] | None
+    place: NDArray[np.int64]
+    among: int
+
+
+def boxes_of_supervision(detections: Any, person: int | None = 0) -> FoundBoxes:
+    """The people of a ``supervision.Detections``, as detectors and the trackers of ``trackers`` give it.
+
+    Left out are other classes, boxes without a size, and those whom a tracker does not follow yet (−1).
+
+    Parameters
+    ----------
+    detections : with ``xyxy`` (n, 4) and perhaps ``confidence``, ``class_id`` and ``tracker_id``
+    person : the class of people; None: all are people
+
+    Raises
+    ------
+    InputError
+        If it is no such object, or its arrays do not fit together.
+    """
+    corners = array_of(detections, "xyxy", "a supervision.Detections")
+    names = ("confidence", "class_id", "tracker_id")
+    return _found(person, corners, *(array_of(detections, name) for name in names))
+
+
+def boxes_of_ultralytics(results: Any, person: int | None = None) -> FoundBoxes:
+    """The people of Ultralytics' ``Results`` of one image; see `boxes_of_supervision`.
+
+    Parameters
+    ----------
+    results : with ``boxes`` (``xyxy``, ``conf``, ``cls``, ``id``)
+    person : the class of people; None: the one that ``results.names`` calls "person", or else 0
+    """
+    boxes = getattr(results, "boxes", None)
+    corners = array_of(boxes, "xyxy", "Ultralytics Results with boxes")
+    if person is None:
+        names = getattr(results, "names", None) or {}
+        person = next((int(key) for key, name in dict(names).items() if str(name).lower() == "person"), 0)
+    return _found(person, corners, *(array_of(boxes, name) for name in ("conf", "cls", "id")))
+
+
+def array_of(holder: Any, name: str, expected: str | None = None) -> Any:
+    """An attribute as an array of numbers; tensors are brought to the processor.
+
+    None if it is not there, unless it is ``expected``: then an InputError says so.
+    """
+    value = getattr(holder, name, None)
+    if value is None:
+        if expected is not None:
+            raise InputError(f"{type(holder).__name__} without {name}", expected)
+        return None
+    for step in ("detach", "cpu", "numpy"):
+        value = getattr(value, step)() if hasattr(value, step) else value
+    try:
+        return np.array(value, float)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{name} that is no array of numbers", expected or "numbers") from error
+
+
+def _found(
+    person: int | None,
+    corners: FloatArray,
+    confidence: FloatArray | None,
+    of_class: FloatArray | None,
+    ids: FloatArray | None,
+) -> FoundBoxes:
+    corners = corners.reshape(-1, 4) if corners.size else np.empty((0, 4))
+    n = len(corners)
+    for name, values in (("confidences", confidence), ("classes", of_class), ("ids", ids)):
+        if values is not None and values.size != n:
+            raise InputError(f"{values.size} {name} of {n} boxes", "as many as boxes")
+    finite, ordered = np.isfinite(corners).all(axis=1), (corners[:, 2:] > corners[:, :2]).all(axis=1)
+    kept: NDArray[np.bool_] = np.logical_and(finite, ordered)
+    if of_class is not None and person is not None:
+        kept &= of_class.ravel() == person
+    if ids is not None:
+        whole = (np.abs(ids) <= LARGEST_ID) & (ids == np.rint(ids))
+        if not whole.all():
+            raise InputError(f"the id {ids[~whole][0]:g}", "whole numbers")
+        kept &= ids.ravel() >= 0.0  # trackers give −1 to those whom they do not follow yet
+    place = np.flatnonzero(kept)
+    box = np.concatenate([corners[place, :2], corners[place, 2:] - corners[place, :2]], axis=1)
+    sure = None if confidence is None else np.clip(confidence.ravel()[place], 0.0, 1.0)
+    return FoundBoxes(box, sure, None if ids is None else ids.ravel()[place].astype(np.int64), place, n)
+
+
+def from_supervision(
+    detections: Iterable[Any] | Mapping[int, Any], *, fps: float, person: int | None = 0, **options: Any
+) -> TrackSet:
+    """Tracks of what detectors and trackers found in the frames of a video, as ``supervision.Detections``.
+
+    Where there are ids (``tracker_id``, as after ``tracker.update`` of the package trackers), they are the
+    tracks; else detections are associated. A person stands at the middle of the box's lower edge.
+
+    Parameters
+    ----------
+    detections : one for each frame, from 0 on, or frame → one
+    fps : frames a second
+    person : the class of people; None: all are people
+    **options : fields of `ReadOptions`, such as ``homography``, ``calibration`` or ``metres_per_pixel``
+
+    Raises
+    ------
+    InputError
+        If one is no such object, some frames have ids and others none, or nobody was found.
+    """
+    return _tracks(
+        {k: boxes_of_supervision(one, person) for k, one in _numbered(detections)},
+        fps,
+        "supervision",
+        options,
+    )
+
+
+def from_ultralytics(
+    results: Iterable[Any] | Mapping[int, Any], *, fps: float, person: int | None = None, **options: Any
+) -> TrackSet:
+    """Tracks of Ultralytics' ``Results`` of the frames of a video, as ``model.track`` gives them.
+
+    As `from_supervision`; keypoints are for ``perception observe``.
+
+    Parameters
+    ----------
+    results : one for each frame, from 0 on, or frame → one
+    person : the class of people; None: the one that ``results.names`` calls "person", or else 0
+    fps, **options : as there
+
+    Raises
+    ------
+    InputError
+        As there.
+    """
+    return _tracks(
+        {k: boxes_of_ultralytics(one, person) for k, one in _numbered(results)}, fps, "ultralytics", options
+    )
+
+
+def _numbered(given: Iterable[Any] | Mapping[int, Any]) -> Iterable[tuple[int, Any]]:
+    if isinstance(given, Mapping):
+        return given.items()
+    if hasattr(given, "xyxy") or hasattr(given, "boxes"):
+        raise InputError(f"a {type(given).__name__}", "a list of them, one for each frame")
+    return enumerate(given)
+
+
+def _tracks(found: Mapping[int, FoundBoxes], fps: float, format: str, options: Mapping[str, Any]) -> TrackSet:
+    check_frame_rate(fps)
+    chosen = ReadOptions(fps=fps, **options)
+    some = {frame: one for frame, one in found.items() if len(one.box)}
+    if not some:
+        raise InputError(f"nobody in {len(found)} frames", "at least one person")
+    of_nobody = [frame for frame, one in some.items() if one.track_id is None]
+    if 0 < len(of_nobody) < len(some):
+        raise InputError(
+            f"no ids in frame {of_nobody[0]}, which others have", "ids in all frames, or in none"
+        )
+    counts = [len(one.box) for one in some.values()]
+    frame = np.repeat(np.array(list(some), dtype=np.int64), counts)
+    ids = [np.full(len(one.box), -1) if one.track_id is None else one.track_id for one in some.values()]
+    sure = [one.confidence for one in some.values() if one.confidence is not None]
+    known = np.concatenate(sure) if len(sure) == len(some) else np.full(sum(counts), -1.0)
+    channels = {"box": np.concatenate([one.box for one in some.values()]), "confidence": known}
+    rows = Rows(
+        Path(format),
+        format,
+        np.concatenate(ids).astype(np.int64),
+        frame,
+        channels,
+        lambda row: int(frame[row]),
+        has_identity=not of_nobody,
+    )
+    rows = with_scores(placed_boxes(rows, chosen).with_times(fps)).without("box", "confidence")
+    return tracks_of_rows(rows, chosen)

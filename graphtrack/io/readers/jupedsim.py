@@ -1,0 +1,212 @@
+"""Trajectories of JuPedSim: SQLite databases with trajectory_data, metadata, geometry and frame_data."""
+
+from __future__ import annotations
+
+import sqlite3
+import zlib
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.options import ReadOptions
+from graphtrack.io.pedpy import trajectory_columns
+from graphtrack.io.registry import Format
+from graphtrack.io.source import Source
+from graphtrack.table import schema
+from graphtrack.table.columns import from_columns
+from graphtrack.table.rows import Rows
+from graphtrack.tracks import TrackSet
+
+SQLITE = b"SQLite format 3\0"
+_VERSION = 2
+_OWN = {"id": "track_id", "frame": "frame", "pos_x": "x", "pos_y": "y"}
+_FACING = ("ori_x", "ori_y")
+_AROUND = 1.0
+"""Metres of ground around everybody's positions, in the geometry that is written."""
+_WITH_A_LOG = 2
+
+
+def looks_like(head: bytes, path: Path) -> bool:
+    """Whether the file begins with SQLite's signature."""
+    return head.startswith(SQLITE)
+
+
+def read(source: Source, options: ReadOptions) -> Rows:
+    """Read positions, and where agents point as the body; and native columns beside them.
+
+    The frame rate is ``fps``, or that of the table metadata.
+
+    Raises
+    ------
+    InputError
+        For a damaged database or one that is not JuPedSim's, and for the row of what cannot be used.
+    """
+    data = source.data
+    if data[18:19] == bytes([_WITH_A_LOG]):
+        raise InputError(
+            "a database whose changes may lie beside it", "--sql, which reads them", path=source.path
+        )
+    try:
+        with closing(sqlite3.connect(":memory:")) as connection:
+            connection.deserialize(data)
+            tables = {name for (name,) in connection.execute("select name from sqlite_master")}
+            _check_tables(tables, source.path)
+            answer = connection.execute("select * from trajectory_data")
+            names = [one[0] for one in answer.description]
+            cells = answer.fetchall()
+            rate = options.fps if options.fps is not None else _rate(connection, tables)
+    except sqlite3.Error as error:
+        raise InputError(
+            f"a database that cannot be read ({error})", "a whole one", path=source.path
+        ) from error
+    missing = next((name for name in _OWN if name not in names), None)
+    if missing is not None:
+        raise InputError(
+            f"a table trajectory_data without {missing}", "JuPedSim's, or a query (--sql)", path=source.path
+        )
+    table = {name: _numbers([row[k] for row in cells], name, source.path) for k, name in enumerate(names)
+             if name in _OWN or name in _FACING or schema.is_column(name)}  # fmt: skip
+    columns = {_OWN.get(name, name): values for name, values in table.items() if name not in _FACING}
+    if rate is None and "t" not in columns:
+        raise InputError("no fps in the table metadata", "frames a second (--fps)", path=source.path)
+    # Of tracks that were written here those columns say what is known of the body.
+    if set(columns) == {*_OWN.values()} and all(name in table for name in _FACING):
+        columns["body_deg"] = _degrees(table["ori_x"], table["ori_y"])
+    ignored = schema.unknown([name for name in names if name not in (*_OWN, *_FACING)])
+    return from_columns(
+        columns,
+        path=source.path,
+        format="jupedsim",
+        fps=None if "t" in columns else rate,
+        line_of=lambda row: row + 1,
+        ignored=ignored,
+    )
+
+
+def _check_tables(tables: set[str], path: Path) -> None:
+    if "trajectory_data" in tables:
+        return
+    if "gpkg_contents" in tables:
+        raise InputError(
+            "a GeoPackage", "a query of one of its layers (--sql 'select * from LAYER')", path=path
+        )
+    found = f"a database without a table trajectory_data (there are: {', '.join(sorted(tables)) or 'none'})"
+    raise InputError(found, "JuPedSim's, or a query (--sql 'select * from TABLE')", path=path)
+
+
+def _rate(connection: sqlite3.Connection, tables: set[str]) -> float | None:
+    if "metadata" not in tables:
+        return None
+    said = connection.execute("select value from metadata where key = 'fps'").fetchone()
+    try:
+        rate = float(said[0])
+    except (TypeError, ValueError):
+        return None
+    return rate if 0.0 < rate <= 1e6 else None
+
+
+def _numbers(cells: list[Any], name: str, path: Path) -> NDArray[Any]:
+    if name == "label":
+        return np.array([cell if isinstance(cell, str) else None for cell in cells], dtype=object)
+    found = np.full(len(cells), np.nan)
+    for row, cell in enumerate(cells):
+        if cell is None:
+            continue
+        if not isinstance(cell, int | float) or not np.isfinite(cell):
+            raise InputError(f"{str(cell)[:40]!r}", "a finite number", path=path, line=row + 1, column=name)
+        found[row] = cell
+    return found
+
+
+def _degrees(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Directions of vectors; NaN for those of no length."""
+    return np.where((x == 0.0) & (y == 0.0), np.nan, np.rad2deg(np.arctan2(y, x)))
+
+
+def write(tracks: TrackSet, path: Path) -> None:
+    """Write a database of version 2, which JuPedSim and PedPy read.
+
+    Agents point where the body does, else where they go, else nowhere. The other columns of the native table
+    stand beside JuPedSim's, and the geometry is a rectangle around all positions. Rows without a position are
+    left out.
+
+    Raises
+    ------
+    InputError
+        If the times have no steady rate.
+    """
+    columns, rate = trajectory_columns(tracks, path=path)
+    columns = dict(columns)
+    own = {"frame": columns.pop("frame"), "id": columns.pop("id")}
+    own |= {"pos_x": columns.pop("x"), "pos_y": columns.pop("y")}
+    own["ori_x"], own["ori_y"] = _facing(columns, len(own["id"]))
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA synchronous=OFF")
+        _fill(connection, own, columns, rate)
+        connection.commit()
+
+
+def _facing(columns: Mapping[str, NDArray[Any]], n: int) -> tuple[FloatArray, FloatArray]:
+    angle = np.full(n, np.nan)
+    if "vx" in columns and "vy" in columns:
+        angle = np.deg2rad(_degrees(columns["vx"], columns["vy"]))
+    if "body_deg" in columns:
+        angle = np.where(np.isfinite(columns["body_deg"]), np.deg2rad(columns["body_deg"]), angle)
+    known = np.isfinite(angle)
+    return np.where(known, np.cos(angle), 0.0), np.where(known, np.sin(angle), 0.0)
+
+
+def _fill(
+    connection: sqlite3.Connection,
+    own: Mapping[str, NDArray[Any]],
+    others: Mapping[str, NDArray[Any]],
+    rate: float,
+) -> None:
+    kinds = {name: "INTEGER NOT NULL" if name in ("frame", "id") else "REAL NOT NULL" for name in own}
+    kinds |= {name: "TEXT" if values.dtype == object else "REAL" for name, values in others.items()}
+    said = ", ".join(f'"{name}" {kind}' for name, kind in kinds.items())
+    connection.execute(f"CREATE TABLE trajectory_data ({said})")
+    rows = zip(*(_cells(values) for values in (*own.values(), *others.values())), strict=True)
+    connection.executemany(f"INSERT INTO trajectory_data VALUES ({', '.join('?' * len(kinds))})", rows)
+    connection.execute("CREATE INDEX frame_id_idx ON trajectory_data(frame, id)")
+    x, y = own["pos_x"], own["pos_y"]
+    low = (
+        (float(x.min(initial=np.inf)) - _AROUND, float(y.min(initial=np.inf)) - _AROUND)
+        if len(x)
+        else (0.0, 0.0)
+    )
+    high = (float(x.max()) + _AROUND, float(y.max()) + _AROUND) if len(x) else (0.0, 0.0)
+    corners = [low, (high[0], low[1]), high, (low[0], high[1]), low]
+    wkt = f"POLYGON (({', '.join(f'{a!r} {b!r}' for a, b in corners)}))"
+    number = zlib.crc32(wkt.encode())
+    connection.execute("CREATE TABLE metadata(key TEXT NOT NULL UNIQUE PRIMARY KEY, value TEXT NOT NULL)")
+    bounds = {"xmin": low[0], "xmax": high[0], "ymin": low[1], "ymax": high[1]}
+    told = {"version": _VERSION, "fps": rate, **bounds}
+    connection.executemany("INSERT INTO metadata VALUES(?, ?)", [(key, str(v)) for key, v in told.items()])
+    connection.execute("CREATE TABLE geometry(hash INTEGER NOT NULL, wkt TEXT NOT NULL)")
+    connection.execute("CREATE UNIQUE INDEX geometry_hash ON geometry(hash)")
+    connection.execute("INSERT INTO geometry VALUES(?, ?)", (number, wkt))
+    connection.execute("CREATE TABLE frame_data(frame INTEGER NOT NULL, geometry_hash INTEGER NOT NULL)")
+    frames = [(frame, number) for frame in np.unique(own["frame"]).tolist()]
+    connection.executemany("INSERT INTO frame_data VALUES(?, ?)", frames)
+
+
+def _cells(values: NDArray[Any]) -> list[Any]:
+    """Cells as SQLite has them: nothing for a number that is missing."""
+    return [None if cell != cell or cell == "" else cell for cell in values.tolist()]
+
+
+FORMAT = Format(
+    name="jupedsim",
+    description="trajectories of JuPedSim (SQLite)",
+    suffixes=(".sqlite",),
+    looks_like=looks_like,
+    read=read,
+    write=write,
+)

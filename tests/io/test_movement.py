@@ -1,0 +1,280 @@
+"""Datasets of movement: poses as observations, and tracks there and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from command import Done
+from command import run as run_program
+from format_samples import made_tracks
+from same_tracks import assert_same
+
+import graphtrack as gt
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import difference
+from graphtrack.tracks import Track, TrackSet
+
+xarray = pytest.importorskip("xarray", reason="the extra movement has it")
+for name in ("h5netcdf", "h5py"):
+    pytest.importorskip(name, reason="the extra movement has it")
+
+POSES = Path(__file__).parent / "made_elsewhere" / "movement.nc.gz"
+"""What movement 0.15 wrote: two people, seen from above, who walk on circles of 50 pixels, counter-clockwise
+and 0.1 rad a frame, and look ahead. In frame 5 anna's right shoulder is missing."""
+
+
+def run_graphtrack(*arguments: object) -> Done:
+    return run_program(*arguments, program="graphtrack")
+
+
+def estimates() -> TrackSet:
+    """Two people who are not there in the same frames, with all that an engine says of them."""
+    rng = np.random.default_rng(0)
+    tracks = []
+    for k, frame in enumerate((np.arange(3, 8), np.arange(5, 9))):
+        n = len(frame)
+        root = rng.normal(size=(n, 6, 6))
+        tracks.append(
+            Track(
+                4 + k,
+                frame,
+                frame / 25.0,
+                rng.normal(size=(n, 2)),
+                body=rng.uniform(-np.pi, np.pi, n),
+                head=rng.uniform(-np.pi, np.pi, n),
+                velocity=rng.normal(size=(n, 2)),
+                covariance=root @ root.transpose(0, 2, 1),
+                aligned_p=rng.uniform(size=n),
+                gait_offset=rng.uniform(-1.0, 1.0, n),
+                pixel=rng.uniform(0.0, 99.0, (n, 2)),
+                inputs={"near": rng.uniform(size=n)},
+            )
+        )
+    return TrackSet(tuple(tracks))
+
+
+@pytest.mark.parametrize("make", [made_tracks, estimates])
+def test_tracks_come_back_to_the_last_bit(make: Any, tmp_path: Path) -> None:
+    tracks = make()
+    assert_same(tracks, gt.from_movement(gt.to_movement(tracks)))
+    gt.write(tracks, tmp_path / "tracks.nc")
+    assert_same(tracks, gt.read(tmp_path / "tracks.nc"))
+
+
+def test_what_is_written_is_a_dataset_of_poses_with_deviations() -> None:
+    dataset = gt.to_movement(estimates())
+    assert set(dataset["position"].dims) == {"time", "space", "keypoints", "individuals"}
+    assert dataset.attrs["ds_type"] == "poses" and dataset.attrs["fps"] == 25.0
+    one = dataset.sel(individuals="5").dropna("time", subset=["body"])
+    track = estimates()[5]
+    np.testing.assert_array_equal(one["time"], track.t)
+    np.testing.assert_array_equal(one["position"].sel(keypoints="centroid"), track.position)
+    for name in ("x", "vy", "body", "head"):
+        np.testing.assert_allclose(one["std"].sel(state=name), track.std(name))
+
+
+def test_movement_takes_what_is_written() -> None:
+    datasets = pytest.importorskip("movement.validators.datasets", reason="movement is not installed")
+    kinematics = pytest.importorskip("movement.kinematics")
+    dataset = gt.to_movement(estimates())
+    datasets.ValidPosesInputs.validate(dataset)
+    velocity = kinematics.compute_velocity(dataset["position"])
+    assert velocity.shape == dataset["position"].shape
+
+
+def circle(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where anna is (metres, 0.01 a pixel, y up) and where she goes."""
+    angle = 0.1 * frame
+    return np.array([3.0, -2.4]) + 0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1), angle + np.pi / 2.0
+
+
+def test_poses_that_movement_wrote_are_positions_bodies_and_heads() -> None:
+    tracks = gt.read(POSES, metres_per_pixel=0.01)
+    assert [track.label for track in tracks] == ["anna", "bob"]
+    anna = tracks[1]
+    np.testing.assert_allclose(anna.t, 0.1 * np.arange(12))
+    position, heading = circle(anna.frame)
+    assert anna.body is not None and anna.head is not None
+    # The middle of the hips, which lie two pixels behind.
+    np.testing.assert_allclose(np.linalg.norm(anna.position - position, axis=1), 0.02, atol=1e-4)
+    assert list(np.flatnonzero(np.isnan(anna.body))) == [5]
+    np.testing.assert_allclose(difference(anna.head, heading), 0.0, atol=1e-4)
+    np.testing.assert_allclose(np.delete(difference(anna.body, heading), 5), 0.0, atol=1e-4)
+    np.testing.assert_allclose(anna.score, 0.75)
+
+
+def test_movement_itself_makes_the_same_of_them(tmp_path: Path) -> None:
+    io = pytest.importorskip("movement.io", reason="movement is not installed")
+    save_poses = pytest.importorskip("movement.io.save_poses")
+    poses = poses_in_metres()
+    save_poses.to_dlc_file(poses, tmp_path / "poses.csv", split_individuals=False)
+    loaded = io.load_dataset(tmp_path / "poses.csv", source_software="DeepLabCut", fps=10)
+    assert_same(gt.from_movement(loaded, units="m"), gt.from_movement(poses, units="m"))
+
+
+def poses_in_metres() -> Any:
+    """What movement wrote, in metres with y up, and without a unit."""
+    import gzip
+    import io
+
+    poses = xarray.load_dataset(io.BytesIO(gzip.decompress(POSES.read_bytes())), engine="h5netcdf")
+    poses["position"] = poses["position"] * xarray.DataArray([0.01, -0.01], dims="space")
+    return poses
+
+
+def test_units_cameras_and_the_order_of_dimensions_make_no_difference() -> None:
+    expected = gt.read(POSES, metres_per_pixel=0.01)
+    poses = poses_in_metres()
+    shuffled = poses.transpose("individuals", "keypoints", "space", "time").sel(space=["y", "x"])
+    in_centimetres = poses.assign(position=100.0 * poses["position"])
+    up = xarray.DataArray([1.0, -1.0], dims="space")
+    in_pixels = poses.assign(position=100.0 * poses["position"] * up)
+    told = in_centimetres.assign(position=in_centimetres["position"].assign_attrs(space_unit="cm"))
+    for found in (
+        gt.from_movement(poses, units="m"),
+        gt.from_movement(shuffled, units="m"),
+        gt.from_movement(in_centimetres, units="cm"),
+        gt.from_movement(told),
+        gt.from_movement(poses.rename(keypoints="keypoint", individuals="individual"), units="m"),
+        gt.from_movement(in_pixels, homography=np.diag([0.01, -0.01, 1.0])),
+    ):
+        for track, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(track.position, other.position, atol=1e-9)
+            assert track.body is not None and other.body is not None
+            np.testing.assert_allclose(track.body, other.body, atol=1e-6)
+    one = gt.from_movement(poses.sel(individuals="bob"), units="m")
+    assert [track.label for track in one] == ["bob"]
+
+
+def test_bodies_are_where_shoulders_say_through_a_slanted_camera() -> None:
+    """Shoulders at 1.4 m, seen from 5 m above the ground, through the homography of the ground."""
+    from graphtrack.geometry.camera import GroundCamera
+
+    back = np.array([[-1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, -0.8, -0.6]])  # looks along −y, and down
+    rotation = back * np.sign(np.linalg.det(back))
+    centre = np.array([0.0, 8.0, 5.0])
+    intrinsics = np.array([[800.0, 0.0, 640.0], [0.0, 800.0, 360.0], [0.0, 0.0, 1.0]])
+    camera = GroundCamera.from_calibration(rotation, -rotation @ centre, intrinsics, np.zeros(5))
+
+    def seen(places: np.ndarray) -> np.ndarray:
+        ray = (intrinsics @ rotation @ (places - centre).T).T
+        return ray[:, :2] / ray[:, 2:]
+
+    angles = np.linspace(-3.0, 3.0, 9)
+    feet = np.stack([np.linspace(-2.0, 2.0, 9), np.linspace(0.0, 3.0, 9), np.zeros(9)], axis=1)
+    left = np.stack([-np.sin(angles), np.cos(angles), np.zeros(9)], axis=1)
+    up = np.array([0.0, 0.0, 1.0])
+    points = {
+        "left_shoulder": feet + 0.2 * left + 1.4 * up,
+        "right_shoulder": feet - 0.2 * left + 1.4 * up,
+        "left_ankle": feet + 0.1 * left,
+        "right_ankle": feet - 0.1 * left,
+    }
+    position = np.stack([seen(place) for place in points.values()], axis=-1)
+    dataset = xarray.Dataset(
+        {"position": (("time", "space", "keypoints"), position)},
+        {"time": np.arange(9), "space": ["x", "y"], "keypoints": list(points)},
+    )
+    (track,) = gt.from_movement(dataset, camera=camera, fps=10.0)
+    np.testing.assert_allclose(track.position, feet[:, :2], atol=0.02)
+    assert track.body is not None
+    np.testing.assert_allclose(difference(track.body, angles), 0.0, atol=1e-6)
+
+
+def test_boxes_stand_on_their_lower_edge() -> None:
+    dims = ("time", "space", "individuals")
+    boxes = xarray.Dataset(
+        {
+            "position": (dims, np.array([[[50.0], [80.0]], [[60.0], [80.0]]])),
+            "shape": (dims, np.full((2, 2, 1), 40.0)),
+            "confidence": (("time", "individuals"), np.full((2, 1), np.nan)),
+        },
+        {"time": [3, 4], "space": ["x", "y"], "individuals": ["id_7"]},
+        {"ds_type": "bboxes", "time_unit": "frames"},
+    )
+    (track,) = gt.from_movement(boxes, fps=2.0, metres_per_pixel=0.1)
+    np.testing.assert_allclose(track.position, [[5.0, -10.0], [6.0, -10.0]])
+    assert list(track.frame) == [3, 4] and list(track.t) == [1.5, 2.0] and track.score is None
+
+
+def test_the_command_line_reads_and_writes_them(tmp_path: Path) -> None:
+    source, out = tmp_path / "poses.nc", tmp_path / "smoothed.nc"
+    poses_in_metres().to_netcdf(source, engine="h5netcdf")
+    assert run_graphtrack("info", source, "--units", "m").returncode == 0
+    done = run_graphtrack("smooth", source, "--units", "m", "-o", out, "--model", "joint")
+    assert done.returncode == 0, done.stderr
+    smoothed = xarray.load_dataset(out, engine="h5netcdf")
+    assert list(smoothed["individuals"].values) == ["anna", "bob"]
+    assert np.isfinite(smoothed["std"].sel(state="body")).all()
+    assert (
+        run_graphtrack(
+            "smooth", source, "--units", "m", "-o", tmp_path / "s.csv", "--model", "joint"
+        ).returncode
+        == 0
+    )
+    table = pd.read_csv(tmp_path / "s.csv")
+    assert set(table["label"]) == {"anna", "bob"} and set(table["track_id"]) == {1, 2}
+
+
+def without_position(poses: Any) -> Any:
+    return poses.drop_vars("position")
+
+
+def in_space(poses: Any) -> Any:
+    high = xarray.concat(
+        [poses["position"], poses["position"].sel(space=["x"]).assign_coords(space=["z"])], "space"
+    )
+    return poses.drop_dims("space").assign(position=high)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "told"),
+    [
+        (without_position, {"units": "m"}, "no variable position.*confidence.*load_dataset"),
+        (in_space, {"units": "m"}, "space x, y, z.*--columns"),
+        (lambda poses: poses, {}, "unknown unit.*--units m.*--metres-per-pixel"),
+        (lambda poses: poses.assign_coords(space=["rho", "phi"]), {"units": "m"}, "space rho, phi"),
+        (lambda poses: poses.expand_dims(view=["left"]), {"units": "m"}, r"dimension view.*dataset\.sel"),
+        (lambda poses: poses.drop_attrs().assign_coords(time=np.arange(12)), {"units": "m"}, "--fps"),
+        (lambda poses: poses.isel(time=[0, 2, 1]), {"units": "m"}, None),
+        (lambda poses: poses.assign_coords(time=np.zeros(12)), {"units": "m"}, "again in frame 0"),
+        (lambda poses: poses.assign_coords(individuals=["a", "a"]), {"units": "m"}, "'a' twice"),
+        (lambda poses: poses * np.nan, {"units": "m"}, "nobody"),
+        (lambda poses: poses, {"units": "m", "crs": "EPSG:25832"}, "crs"),
+        (lambda poses: poses.map(lambda one: one.astype(str) + "x"), {"units": "m"}, "no array"),
+        (lambda poses: poses.assign(position=1e12 * poses["position"]), {"units": "m"}, "within"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_told_with_what_would_help(
+    change: Any, options: Any, told: str | None
+) -> None:
+    poses = change(poses_in_metres())
+    if told is None:
+        with pytest.warns(gt.InputWarning, match="sorted"):
+            gt.from_movement(poses, **options)
+        return
+    with pytest.raises(InputError, match=told):
+        gt.from_movement(poses, **options)
+
+
+def test_the_two_axes_of_the_ground_can_be_named() -> None:
+    expected = gt.from_movement(poses_in_metres(), units="m")
+    poses = in_space(poses_in_metres()).assign_coords(space=["z", "x", "y"])
+    found = gt.from_movement(poses, units="m", columns="x=z,y=x")
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one.position, other.position)
+
+
+def test_damaged_files_and_numbers_beside_names_are_refused(tmp_path: Path) -> None:
+    poses_in_metres().to_netcdf(tmp_path / "named.nc", engine="h5netcdf")
+    whole = (tmp_path / "named.nc").read_bytes()
+    (tmp_path / "cut.nc").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"cut\.nc: found a netCDF file that cannot be read"):
+        gt.read(tmp_path / "cut.nc", units="m")
+    poses_in_metres().assign_coords(individuals=["3", "9"]).to_netcdf(tmp_path / "n.nc", engine="h5netcdf")
+    with pytest.raises(InputError, match="identities that are numbers"):
+        gt.read([tmp_path / "named.nc", tmp_path / "n.nc"], units="m")
