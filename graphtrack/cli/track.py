@@ -32,7 +32,7 @@ def track(
         typer.Option(
             "--output",
             "-o",
-            help="File to write: .csv, .csv.gz, .parquet, .ndjson or .txt (MOT); with -, none.",
+            help="File to write: .csv, .csv.gz, .parquet, .ndjson, .txt (MOT), .mcap (ROS 2); with -, none.",
         ),
     ] = None,
     model: options.BestModelName = None,

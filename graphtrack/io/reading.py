@@ -25,6 +25,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format, detect, format_for_writing, format_named, formats
 from graphtrack.io.source import Source
 from graphtrack.remote import place_of
+from graphtrack.ros.bag import is_bag
 from graphtrack.table.as_read import merged, restored
 from graphtrack.table.columns import to_columns
 from graphtrack.table.rows import Rows, check_identities, check_rows
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from graphtrack.io.tables.cells import Cells
+
+BAG = "bag"
+"""The format of recordings, which are not read whole."""
 
 _STAGES, _REPORTED = "stages.json", "tracks.csv"
 """What the folder of a report is known by, and its table of estimates."""
@@ -222,7 +226,12 @@ def _chosen(source: Source, format: str | None) -> Format:
 
 
 def _opened(path: str | Path, options: ReadOptions) -> Source:
-    """A file whose text is UTF-8 with commas and points, as far as the options say how it is."""
+    """A file whose text is UTF-8 with commas and points, as far as the options say; of a bag the place."""
+    if is_bag(place_of(path)):
+        return Source(place_of(path), b"")
+    if options.topic is not None or options.fixed_frame is not None:
+        found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
+        raise InputError(found, "a bag or MCAP file", path=path)
     return as_told(Source.open(path), options.delimiter, options.decimal, options.encoding)
 
 
@@ -234,6 +243,8 @@ def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> 
     layout = options.layout()
     if layout is None:
         chosen = _chosen(source, format)
+        if not source.data and chosen.name != BAG:
+            raise InputError(f"format {chosen.name!r} of a ROS 2 recording", BAG, path=path)
         try:
             return chosen.read(source, options)
         except InputError as error:
@@ -266,6 +277,8 @@ def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
 
     tables = {"parquet": cells_of_parquet, "ndjson": cells_of_ndjson}
     chosen = format
+    if chosen is None and not source.data:
+        chosen = BAG
     if chosen is None:
         chosen = next((n for n in tables if format_named(n).looks_like(source.head, source.path)), "csv")
     elif format_named(chosen).write_columns is None:
