@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from graphtrack.errors import InputError
 from graphtrack.remote import RemoteFile
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+Read = TypeVar("Read")
 
 
 class Definition(NamedTuple):
@@ -101,6 +104,34 @@ class Bag:
                 for topic, logged, raw in part.messages(topics):
                     numbers[topic] += 1
                     yield Recorded(topic, logged, raw, numbers[topic])
+
+    def decoded(
+        self, kind: str, topics: Collection[str], use: Callable[[Any], Read]
+    ) -> Iterator[tuple[Recorded, Read]]:
+        """The messages of topics of one type, and what is made of each.
+
+        Parameters
+        ----------
+        use : of a message what is wanted of it
+
+        Raises
+        ------
+        InputError
+            As `messages`, and for a message that is none of its type, with its number.
+        """
+        store = self.store({kind})
+        for one in self.messages(topics):
+            try:
+                found = use(store.deserialize_cdr(one.raw, kind))
+            except InputError:
+                raise
+            except Exception as error:  # bytes and fields of any other kind
+                said = " ".join(str(error).split())[:100] or type(error).__name__
+                text = f"a message that is none of {kind} ({said})"
+                raise InputError(
+                    text, "one as its type is defined", path=self.path, line=one.number, column=one.topic
+                ) from error
+            yield one, found
 
 
 @contextmanager

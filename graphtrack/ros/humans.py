@@ -46,11 +46,9 @@ class Humans:
                 for name, type_ in bag.topics.items()
                 if type_ == TEXT and (m := _MATCH.fullmatch(name))
             }
-            store = bag.store({TEXT})
-            for name, _, raw, _ in bag.messages(told):
-                text = store.deserialize_cdr(raw, TEXT).data
+            for one, text in bag.decoded(TEXT, told, lambda message: str(message.data)):
                 if text:
-                    matched[told[name][1], told[name][2]] = text
+                    matched[told[one.topic][1], told[one.topic][2]] = text
         return cls(kind, matched)
 
     def placed(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,18 +98,10 @@ def _is_given(classes: tuple[str, ...]) -> bool:
 
 def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int]]:
     """The messages that tell of people, and their numbers; times are those of one clock."""
-    store = bag.store({kind})
     of_one = is_of_one(kind)
     before: dict[str, int] = {}
     unstamped = _is_unstamped(bag, kind, topics)
-    for topic, logged, raw, number in bag.messages(topics):
-        try:
-            message = store.deserialize_cdr(raw, kind)
-            frame = frame_of(message, kind)
-        except Exception as error:  # bytes and fields of any other kind
-            said = " ".join(str(error).split())[:100] or type(error).__name__
-            found = f"a message that is none of {kind} ({said})"
-            raise InputError(found, "one as its type is defined", line=number, column=topic) from error
+    for (topic, logged, _, number), frame in bag.decoded(kind, topics, partial(frame_of, kind=kind)):
         if unstamped:
             frame = frame._replace(stamp=logged)
         _check_clock(before.get(topic), frame.stamp, number, topic)
@@ -122,10 +115,10 @@ def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int
 
 def _is_unstamped(bag: Bag, kind: str, topics: list[str]) -> bool:
     """Whether nobody stamped the messages: a simulation's first may be stamped 0, not the second."""
-    store = bag.store({kind})
     with open_bag(bag.path) as other:
-        first = [store.deserialize_cdr(one.raw, kind) for one in islice(other.messages(topics[:1]), 2)]
-    return len(first) > 0 and all(frame_of(one, kind).stamp == 0 for one in first)
+        frames = other.decoded(kind, topics[:1], partial(frame_of, kind=kind))
+        first = [frame.stamp for _, frame in islice(frames, 2)]
+    return bool(first) and not any(first)
 
 
 def _check_clock(before: int | None, stamp: int, number: int, topic: str) -> None:
@@ -143,10 +136,8 @@ def _ground(bag: Bag, kind: str, topics: list[str], fixed: str | None) -> Ground
     transforms = Transforms()
     if fixed is not None or humans is not None:
         of_tf = [name for name, type_ in bag.topics.items() if type_ == TRANSFORMS]
-        store = bag.store({TRANSFORMS})
-        for topic, _, raw, _ in bag.messages(of_tf):
-            message = store.deserialize_cdr(raw, TRANSFORMS)
-            transforms.add(message.transforms, static=topic.endswith(_STATIC))
+        for one, told in bag.decoded(TRANSFORMS, of_tf, lambda message: message.transforms):
+            transforms.add(told, static=one.topic.endswith(_STATIC))
     has_transforms = TRANSFORMS in bag.topics.values()
     return Ground(fixed, transforms, humans, has_transforms)
 
