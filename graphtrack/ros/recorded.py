@@ -82,7 +82,7 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
         notes = [f"topic {', '.join(topics)} ({kind})", *ground.notes]
         if len(columns.kinds) > 1 and not _is_given(options.classes):
             notes.append(f"all classes were read: {', '.join(sorted(columns.kinds))}; --class picks")
-        return _rows(path, columns, notes, options.beside)
+        return _rows(path, columns, notes, options.beside, ground.fixed or "")
 
 
 def _placed(error: InputError, path: Path) -> InputError:
@@ -167,7 +167,7 @@ def _columns(bag: Bag, kind: str, topics: list[str], ground: Ground, classes: tu
     return columns
 
 
-def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None) -> Rows:
+def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None, frame: str) -> Rows:
     refused = +columns.refused
     joined: dict[str, NDArray[Any]] = {}
     if columns.parts:
@@ -194,7 +194,7 @@ def _rows(path: Path, columns: _Columns, notes: list[str], beside: AsRead | None
     told = rows.as_read
     assert told is not None and told.time is not None
     # As a table, seconds of the same clock, which read back as they stand.
-    as_read = AsRead({}, TimeScale("number", origin=told.time.origin), names=told.names)
+    as_read = AsRead({}, TimeScale("number", origin=told.time.origin), names=told.names, frame=frame)
     notes = [*notes, *(note for note in rows.notes if note not in notes)]
     return replace(rows, refused=dict(+refused), notes=tuple(notes), as_read=as_read)
 

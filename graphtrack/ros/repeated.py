@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.ros.estimates import Person, Quantities
 from graphtrack.ros.messages import NANOSECONDS
@@ -20,12 +21,12 @@ from graphtrack.ros.messages import NANOSECONDS
 _HEADER = 4
 """Bytes before the contents of a message, from which its numbers are aligned."""
 
-_MARK = 0xB7E1_5162_8AED_0000
-"""Bits of a double that is none of a drawing; the last 16 number the marks. UTF-8 text has no such bytes."""
+_MARK = 0xB7E1_5162_8A00_0000
+"""Bits of a double that is none of a drawing; the last 24 number the marks. UTF-8 text has no such bytes."""
 
 _SECONDS, _NANOSECONDS = 0x6AE1_5162, 0xB7E1_5163
 
-_MOST = 0x10000 // len(Quantities._fields)
+_MOST = 2**24 // len(Quantities._fields)
 """People of whom a message can be repeated."""
 
 
@@ -39,13 +40,13 @@ class Repeated:
 
     Raises
     ------
-    ValueError
-        For too many people.
+    InputError
+        For more people than could stand in a place.
     """
 
     def __init__(self, serialise: Callable[[int, list[Person]], Any], people: Sequence[Person]) -> None:
         if len(people) > _MOST:
-            raise ValueError(f"{len(people)} people")
+            raise InputError(f"{len(people)} people at a time", f"{_MOST} at most")
         size = len(Quantities._fields)
         marks = (np.uint64(_MARK) + np.arange(len(people) * size, dtype=np.uint64)).view(float)
         marked = [

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from graphtrack.tracks import Track, TrackSet
 
 FRAME = "map"
-"""The frame of reference of what is written: a ground that does not move, by REP 105."""
+"""The frame of reference where none is known: a ground that does not move, by REP 105."""
 
 TOPICS: Mapping[str, str] = {
     f"{OURS}people": PEOPLE,
@@ -48,8 +48,8 @@ _BETWEEN_DRAWINGS = 95_000_000
 
 _LATEST = 2**31 * 10**9
 _CHUNK = 4 * 2**20
-_AT_A_TIME = 128
-"""Moments that are written together."""
+_AT_A_TIME = 4096
+"""People times moments that are written together."""
 
 
 def message_for(kind: str, make: Any, stamp: int, frame_id: str, people: list[Person]) -> Any:
@@ -81,7 +81,7 @@ class Moments(NamedTuple):
     quantities: FloatArray
 
 
-def write_mcap(tracks: TrackSet, path: Path, frame_id: str = FRAME) -> None:
+def write_mcap(tracks: TrackSet, path: Path) -> None:
     """Write tracks; the topics are those of `TOPICS`.
 
     Raises
@@ -92,6 +92,7 @@ def write_mcap(tracks: TrackSet, path: Path, frame_id: str = FRAME) -> None:
     need_rosbags(path)
     from mcap.writer import Writer
 
+    frame_id = (tracks.as_read.frame if tracks.as_read is not None else "") or FRAME
     store = typestore()
     make = Made(store)
     with path.open("wb") as stream:
@@ -155,7 +156,7 @@ def moments_of(tracks: TrackSet) -> Iterator[Moments]:
     first = 0
     for k in range(1, len(edges)):
         here, begun = slice(edges[k - 1], edges[k]), slice(edges[first], edges[first + 1])
-        goes_on = k < len(edges) - 1 and k - first < _AT_A_TIME
+        goes_on = k < len(edges) - 1 and edges[k] - edges[first] < _AT_A_TIME
         after = slice(edges[k], edges[k + 1]) if goes_on else here
         if goes_on and np.array_equal(codes[after], codes[begun]):
             continue

@@ -218,12 +218,15 @@ def test_what_is_not_known_is_not_drawn():
 
 def test_names_and_dates_are_written_as_they_were_read(tmp_path):
     origin = 1_763_892_000 * 10**9
-    as_read = AsRead({}, TimeScale("number", origin=origin), names={1: "anna", 2: "ben", 3: "cem"})
+    names = {1: "anna", 2: "ben", 3: "cem"}
+    as_read = AsRead({}, TimeScale("number", origin=origin), names=names, frame="odom")
     gt.write(replace(estimates(), as_read=as_read), tmp_path / "people.mcap")
     back = gt.read(tmp_path / "people.mcap")
     assert [one.label for one in back] == ["anna", "ben", "cem"]
     assert back.as_read.time.origin + round(back[1].t[0] * 1e9) == origin
     gt.write(back, tmp_path / "again.mcap")
+    (scenes,) = (told for (_, kind), told in decoded(tmp_path / "again.mcap").items() if kind == SCENE)
+    assert {one.frame_id for _, scene in scenes for one in scene.entities} == {"odom"}
     np.testing.assert_array_equal(gt.read(tmp_path / "again.mcap")[2].t, back[2].t)
     gt.write(back, tmp_path / "people.csv")
     table = gt.read(tmp_path / "people.csv")
