@@ -20,9 +20,11 @@ LARGE = 512 * 2**20
 
 def is_streamed(inputs: list[Path], output: Path, asked: bool | None, cluster: str | None) -> bool:
     """Whether an input is streamed: if asked to, on a cluster, and where it is a folder or a large file."""
+    from graphtrack.ros.bag import is_bag
+
     if asked is not None:
         return asked or cluster is not None
-    if cluster is not None or any(table_in(path).is_dir() for path in inputs):
+    if cluster is not None or any(table_in(path).is_dir() and not is_bag(path) for path in inputs):
         return True
     return len(inputs) == 1 and _is_large(inputs[0]) and _is_parquet(inputs[0]) and _is_parquet(output)
 

@@ -10,6 +10,7 @@ import typer
 from graphtrack.cli import (
     attention,
     compare,
+    convert,
     demo,
     fit,
     forecast,
@@ -71,6 +72,7 @@ app.command("reproduce")(reproduce.reproduce)
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)
 app.command("add-noise")(expanded(simulate.add_noise))
+app.command("convert")(expanded(convert.convert))
 app.command("info")(expanded(info.info))
 app.command("formats")(info.formats)
 

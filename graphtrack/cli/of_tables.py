@@ -1,4 +1,4 @@
-"""Options of tables with names and units of their own, which all commands share that read tables."""
+"""Options of tables with names and units of their own, and of recordings, which all commands share."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from typing import Annotated, Literal
 import typer
 
 _TABLES = "Tables with names and units of their own"
+_RECORDINGS = "ROS 2 recordings"
 
-OPTIONS = ("columns", "time_unit", "units", "crs", "delimiter", "decimal", "encoding", "sql")
+OPTIONS = (
+    *("columns", "time_unit", "units", "crs", "delimiter", "decimal", "encoding", "sql"),
+    *("topic", "fixed_frame"),
+)
 """Their names in `graphtrack.io.ReadOptions`."""
 
 Columns = Annotated[
@@ -62,5 +66,23 @@ Sql = Annotated[
         help="Read the answer of a query: of a database (DuckDB, SQLite, or a URL for SQLAlchemy), or of a "
         "table, which is called input. Needs the extra sql, but for SQLite.",
         rich_help_panel=_TABLES,
+    ),
+]
+Topic = Annotated[
+    str | None,
+    typer.Option(
+        "--topic",
+        help="Of a ROS 2 bag or MCAP file: the topic that tells of people, where there are several; a "
+        "pattern such as '/person*/pose' for topics of one person each.",
+        rich_help_panel=_RECORDINGS,
+    ),
+]
+FixedFrame = Annotated[
+    str | None,
+    typer.Option(
+        "--fixed-frame",
+        metavar="FRAME",
+        help="Of a ROS 2 bag or MCAP file: the frame of reference, such as map, to which tf brings places.",
+        rich_help_panel=_RECORDINGS,
     ),
 ]

@@ -29,7 +29,7 @@ _FILE = {"exists": True, "dir_okay": False}
 Inputs = Annotated[
     list[Path],
     typer.Argument(
-        help="Files with tracks, or their URLs; the format is recognised.",
+        help="Files with tracks, their URLs, or bags; the format is recognised.",
         metavar="FILE...",
         parser=place_of,
         show_default=False,
@@ -187,6 +187,8 @@ class Reading:
     decimal: of_tables.Decimal = None
     encoding: of_tables.Encoding = None
     sql: of_tables.Sql = None
+    topic: of_tables.Topic = None
+    fixed_frame: of_tables.FixedFrame = None
 
     def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:
         """What a command reads, by the names of its options, for `check_outputs`.

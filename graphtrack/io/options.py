@@ -50,6 +50,8 @@ class ReadOptions:
     encoding : of a text file that is not UTF-8
     sql : a query whose answer is the table, of a database of DuckDB or SQLite, a table (called ``input``), or
         of a database that SQLAlchemy connects to by its URL
+    topic : of a ROS 2 recording, the topic that tells of people, or a pattern for topics of one person each
+    fixed_frame : the frame of reference of its places, to which ``tf`` brings them
     beside : what another table was read as; times and local metres count from the same
     scene : what is then known of how people come, go and are detected: `SceneParameters`, or some of them by
         their names; the others are learned
@@ -77,6 +79,8 @@ class ReadOptions:
     decimal: str | None = None
     encoding: str | None = None
     sql: str | None = None
+    topic: str | None = None
+    fixed_frame: str | None = None
     beside: AsRead | None = None
     scene: GivenScene = None
 

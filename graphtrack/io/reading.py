@@ -32,6 +32,7 @@ from graphtrack.io.registry import (
 )
 from graphtrack.io.source import Source
 from graphtrack.remote import place_of
+from graphtrack.ros.bag import is_bag
 from graphtrack.table.as_read import restored
 from graphtrack.table.columns import to_columns
 from graphtrack.table.rows import Rows, check_identities, check_rows
@@ -42,6 +43,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from graphtrack.io.tables.cells import Cells
+
+BAG = "bag"
+"""The format of recordings, which are not read whole."""
 
 
 def read(
@@ -221,10 +225,14 @@ def _chosen(source: Source, format: str | None) -> Format:
 
 
 def _opened(path: str | Path, options: ReadOptions) -> Source:
-    """A file whose text is UTF-8 with commas and points, as far as the options say how it is."""
-    return as_told(
-        Source.open(table_in(place_of(path))), options.delimiter, options.decimal, options.encoding
-    )
+    """A file whose text is UTF-8 with commas and points, as far as the options say; of a bag the place."""
+    place = table_in(place_of(path))
+    if is_bag(place):
+        return Source(place, b"")
+    if options.topic is not None or options.fixed_frame is not None:
+        found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
+        raise InputError(found, "a bag or MCAP file", path=path)
+    return as_told(Source.open(place), options.delimiter, options.decimal, options.encoding)
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
@@ -246,6 +254,8 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
     layout = options.layout()
     if layout is None:
         chosen = _chosen(source, format)
+        if not source.data and chosen.name != BAG:
+            raise InputError(f"format {chosen.name!r} of a ROS 2 recording", BAG, path=path)
         try:
             return chosen.read(source, options)
         except InputError as error:
@@ -290,6 +300,8 @@ def _cells(source: Source, format: str | None, layout: Layout) -> Cells:
 
     tables = {"parquet": cells_of_parquet, "ndjson": cells_of_ndjson}
     chosen = format
+    if chosen is None and not source.data:
+        chosen = BAG
     if chosen is None:
         chosen = next((n for n in tables if format_named(n).looks_like(source.head, source.path)), "csv")
     elif format_named(chosen).write_columns is None:

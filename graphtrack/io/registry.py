@@ -20,6 +20,7 @@ from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 
 FORMAT_MODULES = (
+    "bag",
     "native_parquet",
     "ndjson",
     "movement",

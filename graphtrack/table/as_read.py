@@ -38,6 +38,7 @@ class AsRead:
     metre : metres of its unit of length
     names : track id → identity, where identities are text
     plane : where its places lie, if they are none of a local ground
+    frame : the name of the frame of reference, of a ROS 2 recording
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -45,6 +46,7 @@ class AsRead:
     metre: float = 1.0
     names: Mapping[int, str] = field(default_factory=dict)
     plane: Plane | None = None
+    frame: str = ""
 
     def without_identities(self) -> AsRead:
         """The same, where people have other identities than in the file."""

@@ -1,0 +1,121 @@
+"""The node: subscribes to a topic that tells of people and publishes what is known of them.
+
+    python -m graphtrack.ros.graphtrack_node --ros-args -p topic:=/people -p fixed_frame:=map
+
+Only here ROS itself (rclpy) is needed, and the packages of the messages.
+"""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosidl_runtime_py.utilities import get_message
+
+from graphtrack.errors import GraphtrackError
+from graphtrack.ros.definitions import GAZE, GROUP, OF_PEOPLE, PEOPLE, TRANSFORMS
+from graphtrack.ros.estimates import gaze_message, group_message, header_of
+from graphtrack.ros.live import Live, Told
+from graphtrack.ros.writing import TOPICS, message_for
+
+_DEPTH = 10
+_PARAMETERS = {
+    "topic": "/people",
+    "type": PEOPLE,
+    "fixed_frame": "",
+    "model": "full",
+    "lag": 2.0,
+    "behaviour": False,
+}
+_BEHAVIOUR = {GROUP: "/humans/interactions/groups", GAZE: "/humans/interactions/gazing"}
+"""Type → topic, by REP 155."""
+
+_class_of = cache(get_message)
+
+
+def make(kind: str, **fields: Any) -> Any:
+    """A message of rclpy."""
+    return _class_of(kind)(**fields)
+
+
+class GraphtrackNode(Node):
+    """Subscribes to the parameter ``topic`` of ``type``, and publishes `TOPICS`."""
+
+    def __init__(self) -> None:
+        super().__init__("graphtrack")
+        for name, default in _PARAMETERS.items():
+            self.declare_parameter(name, default)
+        given = {name: self.get_parameter(name).value for name in _PARAMETERS}
+        if given["type"] not in OF_PEOPLE:
+            raise ValueError(f"type {given['type']}: one of {', '.join(OF_PEOPLE)}")
+        self._live = Live(
+            given["type"],
+            given["model"],
+            lag=given["lag"],
+            fixed_frame=given["fixed_frame"],
+            behaviour=given["behaviour"],
+        )
+        wanted = {kind: topic for topic, kind in TOPICS.items()}
+        self._told_on: dict[str, Any] = {}
+        for kind, topic in (wanted | (_BEHAVIOUR if given["behaviour"] else {})).items():
+            try:
+                self._told_on[kind] = self.create_publisher(_class_of(kind), topic, _DEPTH)
+            except (ImportError, AttributeError, LookupError) as error:
+                self.get_logger().warning(f"{topic} is not published: no messages {kind} ({error})")
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        transforms = _class_of(TRANSFORMS)
+        self.create_subscription(transforms, "/tf", partial(self.take_transforms, static=False), 100)
+        self.create_subscription(
+            transforms, "/tf_static", partial(self.take_transforms, static=True), latched
+        )
+        self.create_subscription(_class_of(given["type"]), given["topic"], self.take, _DEPTH)
+
+    def take_transforms(self, message: Any, *, static: bool) -> None:
+        """Take in what tf says."""
+        try:
+            self._live.take_transforms(message, static=static)
+        except GraphtrackError as error:
+            self.get_logger().warning(str(error))
+
+    def take(self, message: Any) -> None:
+        """Take in a message, and publish what is then known."""
+        try:
+            told = self._live.take(message)
+        except GraphtrackError as error:
+            self.get_logger().warning(str(error))
+            return
+        if told is not None:
+            self.publish(told)
+
+    def publish(self, told: Told) -> None:
+        """Publish what is known."""
+        header = header_of(make, told.stamp, told.frame_id)
+        for kind, publisher in self._told_on.items():
+            if kind == GROUP:
+                for name, members in told.groups.items():
+                    publisher.publish(group_message(make, header, name, members))
+            elif kind == GAZE:
+                for sender, receiver in told.gazes:
+                    publisher.publish(gaze_message(make, header, sender, receiver))
+            else:
+                publisher.publish(message_for(kind, make, told.stamp, told.frame_id, told.people))
+
+
+def main() -> None:
+    """Run the node until it is interrupted."""
+    rclpy.init()
+    node = GraphtrackNode()
+    try:
+        rclpy.spin(node)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

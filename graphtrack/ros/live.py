@@ -1,0 +1,221 @@
+"""Messages in as they come, what is known of everybody out: what the node does, without ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.association.tracker import OnlineTracker
+from graphtrack.behaviour.online_attention import OnlineAttention
+from graphtrack.behaviour.online_groups import OnlineGroups
+from graphtrack.inference.online import Estimate, OnlineSmoother
+from graphtrack.model import Model, Observation
+from graphtrack.ros.definitions import IDS
+from graphtrack.ros.estimates import Person, person_of, quantities_of
+from graphtrack.ros.ground import Ground, Seen
+from graphtrack.ros.humans import Humans
+from graphtrack.ros.messages import NANOSECONDS, frame_of
+from graphtrack.ros.transforms import Transforms
+
+_GONE = 5.0
+"""Seconds without a sight of somebody with a name after which they are forgotten."""
+
+_KEPT = 30 * NANOSECONDS
+"""How long transforms are kept."""
+
+_JUMP = NANOSECONDS
+"""By how much stamps may go back, as messages overtake each other; further back a new recording begins."""
+
+_LOOKS = 0.5
+"""Probability from which somebody is said to look at somebody."""
+
+_ANGLES = ("body_rad", "body_kappa", "head_rad", "head_kappa")
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is known after a message.
+
+    Attributes
+    ----------
+    stamp : nanoseconds, of the message
+    frame_id : the frame of reference of what is told
+    people : everybody who is there
+    groups : the names of those who are in a group, by its number
+    gazes : who looks at whom
+    """
+
+    stamp: int
+    frame_id: str
+    people: list[Person]
+    groups: dict[str, list[str]]
+    gazes: list[tuple[str, str]]
+
+
+class Live:
+    """Follows everybody of whom the messages of a topic tell.
+
+    People with names are followed by these; those without are told apart by `OnlineTracker`.
+
+    Parameters
+    ----------
+    kind : the type of the messages, one of `graphtrack.ros.definitions.OF_PEOPLE`
+    model, lag : as in `OnlineSmoother`
+    fixed_frame : to which tf brings all places; None: that of the messages
+    behaviour : whether groups and looks are told
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        model: Model | str | Path | None = None,
+        *,
+        lag: float = 2.0,
+        fixed_frame: str | None = None,
+        behaviour: bool = False,
+    ) -> None:
+        self._kind, self._model, self._lag = kind, Model.named(model), lag
+        self.transforms = Transforms()
+        humans = Humans("person", {}) if kind == IDS else None
+        self._ground = Ground(fixed_frame or None, self.transforms, humans, has_transforms=False)
+        self._behaves = behaviour
+        self._origin = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._last: int | None = None
+        self._tracker: OnlineTracker | None = None
+        self._named: dict[str, tuple[int, OnlineSmoother]] = {}
+        self._numbers = 0
+        self._groups, self._attention = OnlineGroups(), OnlineAttention()
+
+    def take_transforms(self, message: Any, *, static: bool = False) -> None:
+        """Take in a message of ``/tf``, or of ``/tf_static``."""
+        self.transforms.add(message.transforms, static=static)
+        if self._last is not None:
+            self.transforms.forget(self._last - _KEPT)
+
+    def take(self, message: Any) -> Told | None:
+        """Take in a message of the topic.
+
+        Returns
+        -------
+        Told, or None where it comes too late to say anything new
+
+        Raises
+        ------
+        InputError
+            For a message that cannot be used.
+        """
+        frame = frame_of(message, self._kind)
+        if self._last is not None and frame.stamp <= self._last:
+            if frame.stamp > self._last - _JUMP:
+                return None
+            self._begin()
+        seen = Seen.of([(frame, 1)])
+        columns: dict[str, NDArray[Any]] = {}
+        if len(seen):
+            columns, known = self._ground.placed(seen)
+            usable = known & np.isfinite(columns["x"])
+            columns = {name: values[usable] for name, values in columns.items()}
+        if self._last is None:
+            self._origin = frame.stamp
+        t = (frame.stamp - self._origin) / NANOSECONDS
+        names = columns["name"].tolist() if columns else []
+        found = self._estimates(t, names, _observations(t, columns))
+        self._last = frame.stamp
+        groups, gazes = self._behaviour(t, found) if self._behaves else ({}, [])
+        return Told(frame.stamp, self._ground.fixed or frame.frame_id, _people(found), groups, gazes)
+
+    def _estimates(
+        self, t: float, names: list[str], seen: list[Observation]
+    ) -> dict[int, tuple[str, Estimate, float]]:
+        """Number → name, estimate and how sure it is, of everybody who is there."""
+        if not any(names) and not self._named:
+            if self._tracker is None:
+                self._tracker = OnlineTracker(self._model, lag=self._lag)
+            people = self._tracker.update(t, seen)
+            return {one.track_id: (str(one.track_id), one, _sure(one.identity_p)) for one in people}
+        found: dict[int, tuple[str, Estimate, float]] = {}
+        for name, one in zip(names, seen, strict=True):
+            if not name or any(name == told for told, _, _ in found.values()):
+                continue
+            number, smoother = self._named.get(name, (0, None))
+            last = None if smoother is None else smoother.last
+            if smoother is None or last is None or last.t < t - _GONE:
+                smoother, self._numbers = OnlineSmoother(self._model, lag=self._lag), self._numbers + 1
+                number = self._numbers
+            found[number] = (name, smoother.update(one), 1.0)
+            self._named[name] = number, smoother
+        gone = [n for n, (_, one) in self._named.items() if one.last is None or one.last.t < t - _GONE]
+        for name in gone:
+            del self._named[name]
+        return found
+
+    def _behaviour(
+        self, t: float, found: dict[int, tuple[str, Estimate, float]]
+    ) -> tuple[dict[str, list[str]], list[tuple[str, str]]]:
+        told = {number: estimate for number, (_, estimate, _) in found.items()}
+        groups = self._groups.update(t, told)
+        looks = self._attention.update(t, told, groups)
+        members: dict[str, list[str]] = {}
+        for one, group in zip(groups.track_id.tolist(), groups.group.tolist(), strict=True):
+            if group >= 0:
+                members.setdefault(str(group), []).append(found[one][0])
+        gazes = [
+            (found[one][0], found[int(target)][0])
+            for one, told_of in looks.told().items()
+            for kind, target, p in told_of
+            if kind == "person" and target is not None and p >= _LOOKS
+        ]
+        return members, gazes
+
+
+def _sure(probability: float) -> float:
+    return probability if probability == probability else 1.0
+
+
+def _observations(t: float, columns: dict[str, NDArray[Any]]) -> list[Observation]:
+    if not columns:
+        return []
+    numbers = np.column_stack([columns[name] for name in ("x", "y", "pos_std", *_ANGLES, "score")])
+    found = []
+    for x, y, *others in numbers.astype(float).tolist():
+        std, body, body_kappa, head, head_kappa, score = (v if v == v else None for v in others)
+        found.append(
+            Observation(
+                t=t,
+                position=(x, y),
+                position_std=std,
+                body=body,
+                body_kappa=body_kappa,
+                head=head,
+                head_kappa=head_kappa,
+                score=score,
+            )
+        )
+    return found
+
+
+def _people(found: dict[int, tuple[str, Estimate, float]]) -> list[Person]:
+    rows = [
+        (number, name, estimate, score)
+        for number, (name, estimate, score) in sorted(found.items())
+        if np.isfinite(estimate.position).all()
+    ]
+    if not rows:
+        return []
+    state = []
+    for _, _, one, score in rows:
+        cov = one.covariance
+        spread = (cov[0, 0], cov[0, 1], cov[1, 1], cov[4, 4], cov[5, 5])
+        state.append([*one.position, *one.velocity, one.body, one.head, *spread, score])
+    quantities, known = quantities_of(np.array(state, dtype=float))
+    return [
+        person_of(name, name, number, numbers, flags)
+        for (number, name, _, _), numbers, flags in zip(rows, quantities, known, strict=True)
+    ]

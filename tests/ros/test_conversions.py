@@ -1,0 +1,119 @@
+"""Quaternions, covariances and transforms on a plane, against SciPy's rotations and by what they must be."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from recordings import START, transform, turned
+from scipy.spatial.transform import Rotation
+
+from graphtrack.ros.estimates import STATE, Quantities, quantities_of
+from graphtrack.ros.rotation import kappa_of, quaternion_of, spread_of, variance_of, yaw_of
+from graphtrack.ros.transforms import Transforms
+
+ANGLES = st.floats(-math.pi + 1e-6, math.pi)
+SIZES = st.floats(1e-3, 1e3)
+
+
+@given(ANGLES, SIZES)
+def test_a_yaw_comes_back_from_its_quaternion_of_any_length(yaw, length):
+    quaternion = quaternion_of(np.array([yaw]))
+    np.testing.assert_allclose(
+        quaternion[0], Rotation.from_euler("z", yaw).as_quat(canonical=False), atol=1e-12
+    )
+    np.testing.assert_allclose(yaw_of(length * quaternion), yaw, atol=1e-9)
+    np.testing.assert_allclose(yaw_of(-quaternion), yaw, atol=1e-9)
+
+
+@given(arrays(float, 4, elements=st.floats(-1.0, 1.0)))
+def test_headings_are_those_of_the_turned_axes(quaternion):
+    if np.linalg.norm(quaternion) < 1e-3:
+        return
+    for axis, vector in (("x", [1.0, 0.0, 0.0]), ("z", [0.0, 0.0, 1.0])):
+        turned_axis = Rotation.from_quat(quaternion).apply(vector)
+        (yaw,) = yaw_of(quaternion, axis)
+        level = math.hypot(turned_axis[0], turned_axis[1])
+        if level > 0.101:
+            assert math.cos(yaw - math.atan2(turned_axis[1], turned_axis[0])) == pytest.approx(1.0)
+        elif level < 0.099:
+            assert math.isnan(yaw)
+
+
+@pytest.mark.parametrize("quaternion", [[0, 0, 0, 0], [math.nan, 0, 0, 1], [math.inf, 0, 0, 1]])
+def test_what_is_no_rotation_has_no_heading(quaternion):
+    assert np.isnan(yaw_of(np.array([quaternion], dtype=float))).all()
+
+
+@given(st.floats(0.01, 10.0), st.floats(0.01, 10.0), st.floats(0.001, 3.0), ANGLES)
+def test_spreads_do_not_depend_on_the_frame_in_which_they_are_told(xx, yy, yaw, angle):
+    covariance = np.zeros((1, 36))
+    covariance[0, [0, 7, 35]] = xx, yy, yaw
+    turn = Rotation.from_euler("z", angle).as_matrix()[None]
+    for given_turn in (None, turn):
+        std, variance = spread_of(covariance, given_turn)
+        np.testing.assert_allclose(std**2, (xx + yy) / 2.0)
+        np.testing.assert_allclose(variance, yaw)
+    np.testing.assert_allclose(variance_of(kappa_of(variance)), yaw)
+
+
+@pytest.mark.parametrize("first", [0.0, -1.0, math.nan])
+def test_covariances_that_are_unknown_say_nothing(first):
+    covariance = np.zeros((1, 36))
+    covariance[0, 0] = first
+    std, variance = spread_of(covariance)
+    assert np.isnan(std).all() and np.isnan(variance).all()
+
+
+@given(arrays(float, 3, elements=st.floats(-1.0, 1.0)))
+def test_ellipses_hold_95_percent(root):
+    matrix = np.array([[root[0], 0.0], [root[1], root[2]]])
+    plane = matrix @ matrix.T + 1e-3 * np.eye(2)
+    state = np.full((1, len(STATE)), np.nan)
+    state[0, [6, 7, 8]] = plane[0, 0], plane[0, 1], plane[1, 1]
+    quantities, known = quantities_of(state)
+    of = Quantities(*quantities[0])
+    assert known.tolist() == [[False, False, False, True]]
+    (angle,) = yaw_of(np.array([[0.0, 0.0, of.ellipse_z, of.ellipse_w]]))
+    values = np.linalg.eigvalsh(plane)
+    # The squared radius that holds 95 % of two Gaussian coordinates is −2·log(0.05).
+    np.testing.assert_allclose(
+        [of.shorter, of.longer], 2.0 * np.sqrt(-2.0 * math.log(0.05) * values), rtol=1e-6
+    )
+    along = np.array([math.cos(angle), math.sin(angle)])
+    np.testing.assert_allclose(along @ plane @ along, values[1], rtol=1e-6)
+
+
+@given(
+    st.lists(st.tuples(ANGLES, st.floats(-9, 9), st.floats(-9, 9)), min_size=1, max_size=5), st.integers(0, 5)
+)
+def test_a_chain_of_transforms_is_the_product_of_its_matrices(links, at):
+    transforms, matrix = Transforms(), np.eye(4)
+    for k, (yaw, x, y) in enumerate(links):
+        transforms.add([transform(0.0, f"f{k}", f"f{k + 1}", x, y, turned(yaw))], static=True)
+        step = np.eye(4)
+        step[:3, :3] = Rotation.from_euler("z", yaw).as_matrix()
+        step[:2, 3] = x, y
+        matrix = matrix @ step
+    last, stamps = f"f{len(links)}", np.array([START])
+    pose = transforms.placement(last, "f0", stamps)
+    np.testing.assert_allclose(pose.turn()[0], matrix[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(pose.translation[0], matrix[:3, 3], atol=1e-9)
+    back = transforms.placement("f0", last, stamps)
+    np.testing.assert_allclose(back.translation[0], np.linalg.inv(matrix)[:3, 3], atol=1e-9)
+    middle = f"f{min(at, len(links))}"
+    there = transforms.placement(middle, "f0", stamps).after(transforms.placement(last, middle, stamps))
+    np.testing.assert_allclose(there.translation, pose.translation, atol=1e-9)
+
+
+def test_old_transforms_are_forgotten_and_the_new_stay():
+    transforms = Transforms()
+    for k in range(3000):
+        transforms.add([transform(0.01 * k, "map", "base", 0.01 * k, 0.0, turned(0.0))], static=False)
+        transforms.forget(START + round((0.01 * k - 5.0) * 1e9))
+    stamps = START + (np.array([26.0, 29.0, 1.0]) * 1e9).astype(np.int64)
+    pose = transforms.placement("base", "map", stamps)
+    np.testing.assert_allclose(pose.translation[:2, 0], [26.0, 29.0], atol=1e-6)
+    assert pose.known.tolist() == [True, True, False]

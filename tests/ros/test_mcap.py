@@ -1,0 +1,258 @@
+"""What is written as MCAP: read here, by rosbags, by another decoder, and against Foxglove's schema."""
+
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf import json_format
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from recordings import STORE, make
+from rosbags.rosbag2 import Reader
+
+import graphtrack as gt
+from graphtrack.ros.definitions import DETECTIONS, IDS, MARKERS, PEOPLE, SCENE
+from graphtrack.ros.drawings import scene_message
+from graphtrack.ros.repeated import Repeated
+from graphtrack.ros.writing import TOPICS, message_for, moments_of
+from graphtrack.table.as_read import AsRead
+from graphtrack.table.moments import TimeScale
+from graphtrack.tracks import Track, TrackSet
+
+N = 12
+
+
+def estimates(n=N, people=3):
+    """People whose every quantity is another number; the last is there in the second half alone."""
+    rng = np.random.default_rng(3)
+    tracks = []
+    for k in range(people):
+        root = rng.normal(size=(n, 6, 6)) * 0.1
+        track = Track(
+            k + 1,
+            np.arange(n),
+            0.1 * np.arange(n),
+            rng.normal(size=(n, 2)) + 5.0 * k,
+            velocity=rng.normal(size=(n, 2)),
+            body=rng.uniform(-3.0, 3.0, n),
+            head=rng.uniform(-3.0, 3.0, n),
+            covariance=root @ root.transpose(0, 2, 1) + 0.01 * np.eye(6),
+            label=f"person {k}",
+        )
+        tracks.append(track if k < people - 1 else track[n // 2 :])
+    return TrackSet(tuple(tracks))
+
+
+def decoded(path):
+    """(topic, type) → messages, by the decoder of mcap-ros2-support."""
+    found = {}
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)
+        for schema, channel, message, content in reader.iter_decoded_messages():
+            found.setdefault((channel.topic, schema.name), []).append((message.log_time, content))
+    return found
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    path = tmp_path_factory.mktemp("mcap") / "people.mcap"
+    gt.write(estimates(), path)
+    return path
+
+
+def test_positions_orientations_and_spreads_come_back(written):
+    tracks, truth = gt.read(written), estimates()
+    assert [one.track_id for one in tracks] == [1, 2, 3]
+    for one in truth:
+        back = tracks[one.track_id]
+        np.testing.assert_allclose(back.t, one.t, atol=1e-9)
+        np.testing.assert_array_equal(back.position, one.position)
+        np.testing.assert_allclose(back.body, one.body)
+        np.testing.assert_allclose(back.head, one.head)
+        variance = np.diagonal(one.covariance, axis1=1, axis2=2)
+        np.testing.assert_allclose(back.position_std**2, variance[:, :2].mean(axis=1))
+        np.testing.assert_allclose(1.0 / back.body_kappa, variance[:, 4])
+        np.testing.assert_allclose(1.0 / back.head_kappa, variance[:, 5])
+
+
+def test_rosbags_reads_the_same_as_another_decoder(written):
+    found = decoded(written)
+    assert set(found) == set(TOPICS.items())
+    counts = Counter()
+    with Reader(written) as reader:
+        assert {one.topic: one.msgtype for one in reader.connections} == dict(TOPICS)
+        for connection, stamp, raw in reader.messages():
+            ours = STORE.deserialize_cdr(raw, connection.msgtype)
+            at, theirs = found[connection.topic, connection.msgtype][counts[connection.topic]]
+            counts[connection.topic] += 1
+            assert at == stamp
+            assert_same(ours, theirs)
+    assert counts == {topic: len(found[topic, kind]) for topic, kind in TOPICS.items()}
+    assert counts["/graphtrack/people"] == N
+
+
+def assert_same(ours, theirs):
+    """Two messages of different decoders have the same content."""
+    if hasattr(ours, "__msgtype__"):
+        for name in ours.__dataclass_fields__:
+            if name not in ("__msgtype__", "structure_needs_at_least_one_member"):
+                if name not in type(ours).__annotations__ or "ClassVar" in str(
+                    type(ours).__annotations__[name]
+                ):
+                    continue
+                assert_same(getattr(ours, name), getattr(theirs, name))
+    elif isinstance(ours, list):
+        assert len(ours) == len(theirs)
+        for a, b in zip(ours, theirs, strict=True):
+            assert_same(a, b)
+    elif isinstance(ours, np.ndarray):
+        np.testing.assert_array_equal(ours, np.array(theirs))
+    else:
+        assert ours == theirs
+
+
+def test_people_move_and_are_counted(written):
+    found, truth = decoded(written), estimates()
+    told = found["/graphtrack/people", PEOPLE]
+    ids = found["/graphtrack/tracked", IDS]
+    for k, (_, message) in enumerate(told):
+        assert message.header.frame_id == "map"
+        there = ["1", "2"] + (["3"] if k >= N // 2 else [])
+        assert [one.name for one in message.people] == there == list(ids[k][1].ids)
+        one = message.people[1]
+        assert [one.velocity.x, one.velocity.y] == truth[2].velocity[k].tolist()
+    detections = found["/graphtrack/detections", DETECTIONS]
+    of = detections[0][1].detections[0].results[0].pose.covariance
+    assert np.array(of).reshape(6, 6)[:2, :2].tolist() == truth[1].covariance[0, :2, :2].tolist()
+
+
+def plain(message):
+    """A decoded message as dictionaries, in the JSON of protobuf."""
+    if isinstance(message, list | tuple):
+        return [plain(one) for one in message]
+    if not hasattr(message, "__slots__"):
+        return message
+    fields = {name.lstrip("_"): plain(getattr(message, name)) for name in message.__slots__}
+    if set(fields) == {"sec", "nanosec"}:
+        return None  # compared apart: protobuf has times of its own
+    return fields
+
+
+def test_scenes_are_what_foxglove_has_published(written):
+    (messages,) = (told for (_, kind), told in decoded(written).items() if kind == SCENE)
+    for _, message in messages:
+        scene = json_format.ParseDict(plain(message), SceneUpdate())  # refuses what the schema has not
+        assert [one.type for one in scene.deletions] == [scene.deletions[0].ALL]
+        for one in scene.entities:
+            assert one.frame_id == "map" and len(one.cylinders) == 2 and len(one.spheres) == 1
+            assert len(one.arrows) == 3 and one.texts[0].text.startswith("person ")
+            ellipse = one.cylinders[1]
+            assert ellipse.size.x >= ellipse.size.y > 0.0 and one.cylinders[0].pose.position.z > 0.0
+
+
+def test_our_definitions_are_those_that_foxglove_has_published():
+    def described(descriptor, known):
+        if descriptor.name in known or descriptor.file.package != "foxglove":
+            return
+        known[descriptor.name] = [field.name for field in sorted(descriptor.fields, key=lambda f: f.number)]
+        for field in descriptor.fields:
+            if field.message_type is not None:
+                described(field.message_type, known)
+
+    published = {}
+    described(SceneUpdate.DESCRIPTOR, published)
+    compared = 0
+    for name, fields in published.items():
+        kind = f"foxglove_msgs/msg/{name}"
+        if kind in STORE.fielddefs:
+            ours = [field for field, _ in STORE.fielddefs[kind][1]]
+            assert set(ours) <= set(fields), name
+            compared += len(ours)
+    assert compared > 40
+
+
+def test_arrows_point_where_people_go_and_look(written):
+    truth = estimates()
+    (markers,) = (told for (_, kind), told in decoded(written).items() if kind == MARKERS)
+    stamps = [stamp for stamp, _ in markers]
+    assert np.diff(stamps).min() >= 95_000_000
+    _, message = markers[0]
+    assert message.markers[0].action == 3
+    for name, angle in (("body", truth[1].body[0]), ("head", truth[1].head[0])):
+        (one,) = (m for m in message.markers if m.ns == name and m.id == 0)
+        turn = one.pose.orientation
+        assert 2.0 * np.arctan2(turn.z, turn.w) == pytest.approx(angle)
+    (way,) = (m for m in message.markers if m.ns == "velocity" and m.id == 0)
+    assert way.scale.x == pytest.approx(np.hypot(*truth[1].velocity[0]))
+
+
+@pytest.mark.parametrize("kind", sorted(TOPICS.values()))
+def test_repeated_messages_are_those_that_are_built_one_by_one(kind):
+    def built(stamp, people):
+        return STORE.serialize_cdr(message_for(kind, make, stamp, "map", people), kind)
+
+    seen = 0
+    for moments in moments_of(estimates()):
+        found = Repeated(built, moments.people).messages(moments.stamps, moments.quantities)
+        for stamp, numbers, raw in zip(moments.stamps.tolist(), moments.quantities, found, strict=True):
+            people = [
+                one._replace(of=one.of._make(row))
+                for one, row in zip(moments.people, numbers.tolist(), strict=True)
+            ]
+            assert raw == bytes(built(stamp, people))
+            seen += 1
+    assert seen == N
+
+
+def test_what_is_not_known_is_not_drawn():
+    track = Track(1, np.arange(3), np.arange(3.0), np.array([[0.0, 0.0], [np.nan, np.nan], [2.0, 0.0]]))
+    moments = list(moments_of(TrackSet((track,))))
+    assert sum(len(one.stamps) for one in moments) == 2  # nobody is told of who is nowhere
+    (entity,) = scene_message(make, 0, "map", moments[0].people).entities
+    assert not entity.arrows and len(entity.cylinders) == 1
+
+
+def test_names_and_dates_are_written_as_they_were_read(tmp_path):
+    origin = 1_763_892_000 * 10**9
+    names = {1: "anna", 2: "ben", 3: "cem"}
+    as_read = AsRead({}, TimeScale("number", origin=origin), names=names, frame="odom")
+    gt.write(replace(estimates(), as_read=as_read), tmp_path / "people.mcap")
+    back = gt.read(tmp_path / "people.mcap")
+    assert [one.label for one in back] == ["anna", "ben", "cem"]
+    assert back.as_read.time.origin + round(back[1].t[0] * 1e9) == origin
+    gt.write(back, tmp_path / "again.mcap")
+    (scenes,) = (told for (_, kind), told in decoded(tmp_path / "again.mcap").items() if kind == SCENE)
+    assert {one.frame_id for _, scene in scenes for one in scene.entities} == {"odom"}
+    np.testing.assert_array_equal(gt.read(tmp_path / "again.mcap")[2].t, back[2].t)
+    gt.write(back, tmp_path / "people.csv")
+    table = gt.read(tmp_path / "people.csv")
+    assert table[1].label == "anna" and table[1].t[0] == pytest.approx(origin / 1e9)
+
+
+def test_times_that_ros_cannot_hold_are_refused(tmp_path):
+    for t in (-1.0, 3e9):
+        track = Track(1, np.arange(2), np.array([t, t + 1.0]), np.zeros((2, 2)))
+        with pytest.raises(gt.InputError, match="1970 to 2038"):
+            gt.write(track, tmp_path / "people.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_the_extra_the_error_names_it(tmp_path):
+    code = "import sys; sys.modules['rosbags'] = None\nimport graphtrack as gt, numpy as np\n"
+    code += "track = gt.Track(1, np.arange(2), np.arange(2.0), np.zeros((2, 2)))\n"
+    code += f"try: gt.write(track, {str(tmp_path / 'people.mcap')!r})\n"
+    code += "except gt.InputError as error: print(error)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert "graphtrack[ros]" in done.stdout, done.stderr
+
+
+def test_reading_a_table_loads_no_library_of_bags(tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text("track_id,frame,t,x,y\n1,0,0,0,0\n1,1,0.1,1,0\n")
+    code = f"import sys, graphtrack as gt\ngt.read({str(path)!r})\n"
+    code += "assert not {'rosbags', 'mcap'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
