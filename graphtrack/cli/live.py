@@ -84,6 +84,7 @@ def track_stream(
     asked: Asked | None = None,
     listener: Listener = Listener(),
     bounds: StreamBounds = StreamBounds(),
+    copy: Callable[[str], object] | None = None,
 ) -> tuple[int, int]:
     """Answer every row of standard input.
 
@@ -99,6 +100,7 @@ def track_stream(
     asked : groups and attention that are told; None: neither
     listener : is told what is no answer
     bounds : of people with identities
+    copy : is given each answer too, as the line that is written
 
     Returns
     -------
@@ -146,7 +148,7 @@ def track_stream(
     warm_up(model, chosen, behaviour=asked is not None)
     if state is None:
         lines, rows, _ = answering(lines_of(stream, 1), known)
-        return _answer(lines, rows, None, listener)
+        return _answer(lines, rows, None, listener, copy)
     with closing(StateFile(state, save_every)) as file:
         settings = settings_of(model, chosen, lag, fps, camera)
         lines = iter(())
@@ -162,11 +164,11 @@ def track_stream(
         settings |= {} if asked is None else asked.settings()
         saving = Saving(file, rows, settings, every)
         if file.entries:
-            _go_on(saving, rows, restore, state, len(file.entries), listener)
+            _go_on(saving, rows, restore, state, len(file.entries), listener, copy)
             lines = lines_of(stream, rows.line + 1)
         else:
             saving.begin()
-        answered = _answer(lines, rows, saving, listener)
+        answered = _answer(lines, rows, saving, listener, copy)
         saving.finish()
     return answered
 
@@ -187,7 +189,13 @@ def _first_is_detection(lines: Lines) -> tuple[Lines, bool]:
 
 
 def _go_on(
-    saving: Saving, people: Answering, restore: Restore, state: Path, entries: int, listener: Listener
+    saving: Saving,
+    people: Answering,
+    restore: Restore,
+    state: Path,
+    entries: int,
+    listener: Listener,
+    copy: Callable[[str], object] | None,
 ) -> None:
     """Bring people to where the last run ended, say where that is, and answer what it may not have."""
     with progress_bar(entries, "rows") as advance:
@@ -198,10 +206,16 @@ def _go_on(
     last = f"; the answer to row {people.rows} is given again" if again else ""
     console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
     for row in again:
-        give(row)
+        give(row, copy)
 
 
-def _answer(lines: Lines, people: Answering, saving: Saving | None, listener: Listener) -> tuple[int, int]:
+def _answer(
+    lines: Lines,
+    people: Answering,
+    saving: Saving | None,
+    listener: Listener,
+    copy: Callable[[str], object] | None,
+) -> tuple[int, int]:
     before, wrong = people.rows, 0
     # What there is by now stays: the collector need not look at it again while rows wait.
     gc.collect()
@@ -213,12 +227,12 @@ def _answer(lines: Lines, people: Answering, saving: Saving | None, listener: Li
                     saving.take(number, line)
                 for row in people.answers(number, line):
                     wrong += "error" in row
-                    give(row)
+                    give(row, copy)
                 listener.answered(people)
                 if saving is not None:
                     saving.tend()
             for row in people.finish():
-                give(row)
+                give(row, copy)
     finally:
         gc.unfreeze()
     return people.rows - before, wrong
@@ -253,22 +267,29 @@ def open_streams() -> IO[bytes]:
     return io.BytesIO(sys.stdin.read().encode()) if stream is None else stream
 
 
-def give(answer: dict[str, Any]) -> None:
+def give(answer: dict[str, Any], copy: Callable[[str], object] | None = None) -> None:
     """Write an answer to standard output, as a line and at once.
+
+    Parameters
+    ----------
+    copy : is given the line too, when it is written
 
     Raises
     ------
     InputError
         If nobody reads it any more, or it cannot be written.
     """
+    line = json.dumps(answer, allow_nan=False)
     try:
-        print(json.dumps(answer, allow_nan=False), flush=True)
+        print(line, flush=True)
     except OSError as error:
         # Or else the interpreter would try the same again, and complain, at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         gone = isinstance(error, BrokenPipeError)
         found = "that its reader went away" if gone else error.strerror or str(error)
         raise InputError(found, "a place for the answers", path="standard output") from error
+    if copy is not None:
+        copy(line)
 
 
 def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False) -> None:

@@ -22,6 +22,7 @@ from graphtrack.cli import (
     simulate,
     smooth,
     track,
+    view,
 )
 from graphtrack.cli.console import BAD_INPUT, fail, printed_log
 from graphtrack.cli.options import expanded
@@ -67,6 +68,7 @@ app.command("attention")(expanded(attention.attention))
 app.command("fit")(expanded(fit.fit))
 app.command("forecast")(expanded(forecast.forecast))
 app.command("report")(expanded(report.report))
+app.command("view")(expanded(view.view))
 app.command("reproduce")(reproduce.reproduce)
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)
