@@ -12,7 +12,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
-from graphtrack.cli.view import Showing
+from graphtrack.cli.showing import Showing
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.remote import place_of
 

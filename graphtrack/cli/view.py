@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +10,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import console
+from graphtrack.cli.showing import Showing
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,47 +18,9 @@ if TYPE_CHECKING:
     from graphtrack.behaviour.groups import Groups
     from graphtrack.tracks import TrackSet
     from graphtrack.viewer.pictures import PersonBoxes
-    from graphtrack.viewer.recording import Target
 
 _SHOWN = "What is shown beside the tracks"
-_WHERE = "Where it is shown; by default in a window that opens"
 _FIND = "find"
-
-Save = Annotated[
-    Path | None,
-    typer.Option(
-        "--save",
-        help="Write a recording (.rrd), for 'rerun FILE'.",
-        show_default=False,
-        rich_help_panel=_WHERE,
-    ),
-]
-Connect = Annotated[
-    str | None,
-    typer.Option(
-        "--connect",
-        metavar="URL",
-        help="Show it in a viewer that runs, such as rerun+http://127.0.0.1:9876/proxy.",
-        show_default=False,
-        rich_help_panel=_WHERE,
-    ),
-]
-
-
-@dataclass(frozen=True)
-class Showing:
-    """Where a view goes; see `graphtrack.cli.options.expanded`."""
-
-    save: Save = None
-    connect: Connect = None
-
-    def target(self) -> Target:
-        """Where it goes, checked."""
-        from graphtrack.viewer.recording import Target
-
-        found = Target(self.save, self.connect)
-        found.check()
-        return found
 
 
 def view(

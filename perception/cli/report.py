@@ -12,7 +12,7 @@ import typer
 
 from graphtrack.cli.console import console, progress_bar
 from graphtrack.cli.options import Seed
-from graphtrack.cli.view import Connect, Save, Showing
+from graphtrack.cli.showing import Connect, Save, Showing
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 from perception.cli.calibrate import PersonHeight
