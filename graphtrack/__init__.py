@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from graphtrack.simulation.degrade import add_noise
     from graphtrack.simulation.sampling import simulate
     from graphtrack.tracks import ReadSummary, Track, TrackSet
+    from graphtrack.viewer.shown import view
 
     __version__: str
 
@@ -97,6 +98,7 @@ __all__ = [
     "to_movingpandas",
     "to_pedpy",
     "track_online",
+    "view",
     "warm_up",
     "write",
     "write_report",
@@ -137,6 +139,7 @@ _HOMES = {
     "report.page": ("write_report",),
     "simulation.sampling": ("simulate",),
     "tracks": ("ReadSummary", "Track", "TrackSet"),
+    "viewer.shown": ("view",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

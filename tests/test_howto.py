@@ -13,7 +13,16 @@ PAGES = ["docs/start.md", *sorted(str(path.relative_to(ROOT)) for path in ROOT.g
 
 def test_there_is_a_page_for_each_task():
     names = {page.rpartition("/")[2].removesuffix(".md") for page in PAGES}
-    tasks = {"smooth-tracks", "detections-to-tracks", "video", "live", "groups", "forecasts", "own-format"}
+    tasks = {
+        "smooth-tracks",
+        "detections-to-tracks",
+        "video",
+        "live",
+        "view",
+        "groups",
+        "forecasts",
+        "own-format",
+    }
     assert tasks | {"own-term", "own-method", "robots"} <= names
 
 

@@ -86,6 +86,7 @@ def track_stream(
     listener: Listener = Listener(),
     bounds: StreamBounds = StreamBounds(),
     names: StreamNames = StreamNames(),
+    copy: Callable[[str], object] | None = None,
 ) -> tuple[int, int]:
     """Answer every row of standard input.
 
@@ -102,6 +103,7 @@ def track_stream(
     listener : is told what is no answer
     bounds : of people with identities
     names : of the columns, and the unit of time, of rows and answers
+    copy : is given each answer too, as the line that is written
 
     Returns
     -------
@@ -149,7 +151,7 @@ def track_stream(
     warm_up(model, chosen, behaviour=asked is not None)
     if state is None:
         lines, rows, _ = answering(names.native_lines(lines_of(stream, 1)), known)
-        return _answer(lines, rows, None, listener, names)
+        return _answer(lines, rows, None, listener, names, copy)
     with closing(StateFile(state, save_every)) as file:
         settings = settings_of(model, chosen, lag, fps, camera)
         lines = iter(())
@@ -163,14 +165,14 @@ def track_stream(
         settings |= {"detections": True} if isinstance(rows, Scenes) else {}
         settings |= {} if horizon is None else {"forecast": list(horizon)}
         settings |= {} if asked is None else asked.settings()
-        settings |= {} if names == StreamNames() else names.settings()
+        settings |= {} if names.are_native else names.settings()
         saving = Saving(file, rows, settings, every)
         if file.entries:
-            _go_on(saving, rows, restore, state, len(file.entries), listener, names)
+            _go_on(saving, rows, restore, state, len(file.entries), listener, names, copy)
             lines = names.native_lines(lines_of(stream, rows.line + 1))
         else:
             saving.begin()
-        answered = _answer(lines, rows, saving, listener, names)
+        answered = _answer(lines, rows, saving, listener, names, copy)
         saving.finish()
     return answered
 
@@ -198,6 +200,7 @@ def _go_on(
     entries: int,
     listener: Listener,
     names: StreamNames,
+    copy: Callable[[str], object] | None,
 ) -> None:
     """Bring people to where the last run ended, say where that is, and answer what it may not have."""
     with progress_bar(entries, "rows") as advance:
@@ -208,11 +211,16 @@ def _go_on(
     last = f"; the answer to row {people.rows} is given again" if again else ""
     console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
     for row in again:
-        give(names.restored(row))
+        give(row, names, copy)
 
 
 def _answer(
-    lines: Lines, people: Answering, saving: Saving | None, listener: Listener, names: StreamNames
+    lines: Lines,
+    people: Answering,
+    saving: Saving | None,
+    listener: Listener,
+    names: StreamNames,
+    copy: Callable[[str], object] | None,
 ) -> tuple[int, int]:
     before, wrong = people.rows, 0
     # What there is by now stays: the collector need not look at it again while rows wait.
@@ -225,12 +233,12 @@ def _answer(
                     saving.take(number, line)
                 for row in people.answers(number, line):
                     wrong += "error" in row
-                    give(names.restored(row))
+                    give(row, names, copy)
                 listener.answered(people)
                 if saving is not None:
                     saving.tend()
             for row in people.finish():
-                give(names.restored(row))
+                give(row, names, copy)
     finally:
         gc.unfreeze()
     return people.rows - before, wrong
@@ -265,22 +273,34 @@ def open_streams() -> IO[bytes]:
     return io.BytesIO(sys.stdin.read().encode()) if stream is None else stream
 
 
-def give(answer: dict[str, Any]) -> None:
+def give(
+    answer: dict[str, Any],
+    names: StreamNames = StreamNames(),
+    copy: Callable[[str], object] | None = None,
+) -> None:
     """Write an answer to standard output, as a line and at once.
+
+    Parameters
+    ----------
+    names : under which it is written
+    copy : is given the line too, under the native table's names, when it is written
 
     Raises
     ------
     InputError
         If nobody reads it any more, or it cannot be written.
     """
+    line = json.dumps(answer, allow_nan=False)
     try:
-        print(json.dumps(answer, allow_nan=False), flush=True)
+        print(line if names.are_native else json.dumps(names.restored(answer), allow_nan=False), flush=True)
     except OSError as error:
         # Or else the interpreter would try the same again, and complain, at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         gone = isinstance(error, BrokenPipeError)
         found = "that its reader went away" if gone else error.strerror or str(error)
         raise InputError(found, "a place for the answers", path="standard output") from error
+    if copy is not None:
+        copy(line)
 
 
 def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False) -> None:

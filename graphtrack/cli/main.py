@@ -23,6 +23,7 @@ from graphtrack.cli import (
     simulate,
     smooth,
     track,
+    view,
 )
 from graphtrack.cli.console import BAD_INPUT, fail, printed_log
 from graphtrack.cli.options import expanded
@@ -68,6 +69,7 @@ app.command("attention")(expanded(attention.attention))
 app.command("fit")(expanded(fit.fit))
 app.command("forecast")(expanded(forecast.forecast))
 app.command("report")(expanded(report.report))
+app.command("view")(expanded(view.view))
 app.command("reproduce")(reproduce.reproduce)
 app.command("demo")(demo.demo)
 app.command("simulate")(simulate.simulate)

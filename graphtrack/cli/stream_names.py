@@ -52,13 +52,18 @@ class StreamNames:
             raise InputError("--units or --crs with -", "rows in metres")
         return cls(dict(layout.columns), 1e9 / NANOSECONDS[unit])
 
+    @property
+    def are_native(self) -> bool:
+        """Whether nothing is called or measured otherwise than in the native table."""
+        return not self.columns and self.per_second == 1.0
+
     def settings(self) -> dict[str, Any]:
         """What the answers depend on, for a state."""
         return {"columns": dict(self.columns), "per_second": self.per_second}
 
     def native_lines(self, lines: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
         """Lines with their numbers, as the native table has them."""
-        if self == StreamNames():
+        if self.are_native:
             return lines
         return ((number, self.native(line)) for number, line in lines)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +12,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
+from graphtrack.cli.showing import Showing
 from graphtrack.errors import NO_POSITION, InputError, SolveError
 from graphtrack.remote import place_of
 
@@ -89,6 +91,19 @@ def track(
         bool, typer.Option("--attention", help="With -: tell who looks at whom, and at which --places.")
     ] = False,
     places: options.Places = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="With -: show the answers in Rerun as they come.")
+    ] = False,
+    showing: Showing = Showing(),
+    person: Annotated[
+        int | None,
+        typer.Option(
+            "--person",
+            metavar="ID",
+            help="With --view: whose series are drawn; by default theirs who come first.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone."""
     from graphtrack.display import duration
@@ -98,10 +113,11 @@ def track(
     from graphtrack.model import Model
 
     options.check_outputs(
-        {"--output": output, "--state": state},
+        {"--output": output, "--state": state, "--save": showing.save},
         {**reading.inputs([] if input == "-" else [place_of(input)], model), "--places": places},
         table=output,
     )
+    _check_view(view, {"--save": showing.save, "--connect": showing.connect, "--person": person}, input)
     chosen = Model.named(model)
     kept = _seconds(lag)
     if reading.associate == "repair":
@@ -110,7 +126,8 @@ def track(
     if input == "-":
         _refuse_with_stream({"output": output} | reading.given())
         horizon, asked = horizon_of(forecast), asked_of(groups, attention, places)
-        _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked)
+        shown = (showing, person) if view else None
+        _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked, shown)
         return
     if forecast is not None:
         raise InputError("--forecast with a file", "graphtrack forecast, which writes a table")
@@ -219,6 +236,14 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 
 
+def _check_view(view: bool, given: Mapping[str, object], input: str) -> None:
+    if view and input != "-":
+        raise InputError("--view with a file", "graphtrack view, on the file that --output writes")
+    alone = next((name for name, value in given.items() if value is not None and not view), None)
+    if alone is not None:
+        raise InputError(f"{alone} alone", "--view beside it")
+
+
 _OF_A_STREAM = ("fps", "homography", "point_pairs_unit", "associate", "columns", "time_unit")
 
 
@@ -237,8 +262,9 @@ def _track_stream(
     save_every: float,
     horizon: tuple[float, float] | None,
     asked: Asked | None,
+    shown: tuple[Showing, int | None] | None,
 ) -> None:
-    from graphtrack.cli.live import track_stream
+    from graphtrack.cli.live import print_note, track_stream
     from graphtrack.cli.stream_names import StreamNames
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.io.cameras import read_homography
@@ -248,19 +274,28 @@ def _track_stream(
     camera = None
     if reading.homography is not None:
         camera = GroundCamera.from_homography(read_homography(reading.homography))
-    rows, wrong = track_stream(
-        model,
-        engine=engine,
-        lag=lag,
-        fps=given.fps,
-        camera=camera,
-        state=state,
-        save_every=save_every,
-        associate=given.associate,
-        horizon=horizon,
-        asked=asked,
-        names=StreamNames() if layout is None else StreamNames.of(layout),
-    )
+    with ExitStack() as stack:
+        pipe = None
+        if shown is not None:
+            from graphtrack.cli.view_pipe import ViewPipe
+
+            showing, person = shown
+            pipe = ViewPipe(showing.target(), person, print_note)
+            stack.callback(pipe.close)
+        rows, wrong = track_stream(
+            model,
+            engine=engine,
+            lag=lag,
+            fps=given.fps,
+            camera=camera,
+            state=state,
+            save_every=save_every,
+            associate=given.associate,
+            horizon=horizon,
+            asked=asked,
+            names=StreamNames() if layout is None else StreamNames.of(layout),
+            copy=pipe,
+        )
     if wrong:
         console.print(f"error: {wrong} of {rows} rows could not be used", markup=False)
         raise typer.Exit(BAD_INPUT)

@@ -12,7 +12,9 @@ import typer
 
 from graphtrack.cli.console import console, progress_bar
 from graphtrack.cli.options import Seed
+from graphtrack.cli.showing import Connect, Save, Showing
 from graphtrack.display import counted
+from graphtrack.errors import InputError
 from perception.cli.calibrate import PersonHeight
 from perception.cli.common import (
     Boxes,
@@ -59,6 +61,9 @@ def report(
     ] = "smoother",
     person_height: PersonHeight = 1.7,
     seed: Seed = 0,
+    view: Annotated[bool, typer.Option("--view", help="Show it in Rerun in the end.")] = False,
+    save: Save = None,
+    connect: Connect = None,
 ) -> None:
     """Everything in one call: who is where, how they move and point, as a table, a video and a page.
 
@@ -72,6 +77,11 @@ def report(
     from perception.images.frames import FrameSource
     from perception.report.folder import FILES, STAGES, ReportFolder, check_folder
 
+    showing = Showing(save, connect)
+    if view:
+        showing.target()
+    elif save is not None or connect is not None:
+        raise InputError("--save" if connect is None else "--connect", "--view beside it")
     check_folder(output)
     inputs = {
         "the input": FrameSource.files(source),
@@ -80,7 +90,7 @@ def report(
         "--calibration": calibration,
     }
     written = [output / name for name in (*FILES.values(), STAGES)]
-    check_distinct({"--output": written}, inputs, to_make=[output])
+    check_distinct({"--output": written, "--save": save}, inputs, to_make=[output])
     frames = FrameSource.open(source)
     camera = read_camera(homography, calibration)
     if camera is not None:
@@ -101,6 +111,8 @@ def report(
         console.print(f"  note: {line}", markup=False)
     names = ", ".join(name for name in FILES.values() if (output / name).is_file())
     console.print(f"wrote {output}: {names}", markup=False)
+    if view:
+        run.view(showing)
 
 
 def _of_rate(frames: FrameSource, rate: float, fps: float | None) -> str:
@@ -128,7 +140,6 @@ class _Run:
 
     def find_people(self, boxes: Path | None, given: list[PersonBox] | None) -> None:
         """Stage 1: boxes, of a file or detected."""
-        from graphtrack.errors import InputError
         from perception.cli.teaching import stamp_of_camera
         from perception.detection.boxes import read_boxes, write_boxes
 
@@ -223,7 +234,6 @@ class _Run:
 
     def observe(self) -> None:
         """Stage 4: what is seen of everybody, and who is who."""
-        from graphtrack.errors import InputError
         from graphtrack.io import write
         from perception.adaptation.models import CameraModels
         from perception.models import HEAD_POSE, load_classifier, load_head_localiser
@@ -317,6 +327,26 @@ class _Run:
             return []
 
         self.folder.stage("page", (title, lines), ("above", "assumptions", "page"), work)
+
+    def view(self, showing: Showing) -> None:
+        """Show it all in Rerun."""
+        from graphtrack.behaviour.groups import groups
+        from graphtrack.viewer.shown import view
+        from perception.report.people import boxes_shown, shown_by_frame
+
+        assert self.camera is not None
+        estimates = self._read("tracks")
+        people = shown_by_frame(estimates, self._read("observations"), self.people, self.camera)
+        view(
+            estimates,
+            save=showing.save,
+            connect=showing.connect,
+            groups=groups(estimates) if len(estimates) > 1 else None,
+            video=self.frames.path,
+            boxes=boxes_shown(people),
+        )
+        if showing.save is not None:
+            console.print(f"wrote {showing.save}; to see it: rerun {showing.save}", markup=False)
 
     def _read(self, name: str) -> TrackSet:
         from graphtrack.io import read

@@ -17,6 +17,7 @@ from graphtrack.inference.solution import Solution
 from graphtrack.model import Model
 from graphtrack.table.columns import to_columns
 from graphtrack.tracks import Track, TrackSet
+from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
 
 METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
@@ -161,6 +162,16 @@ def shown_by_frame(
             )
             found.setdefault(frame, []).append(person)
     return found
+
+
+def boxes_shown(people: Mapping[int, Sequence[ShownPerson]]) -> PersonBoxes:
+    """The boxes of what `shown_by_frame` found."""
+    rows = [(frame, person) for frame, of_frame in people.items() for person in of_frame]
+    return PersonBoxes(
+        np.array([frame for frame, _ in rows], np.int64),
+        np.array([person.track_id for _, person in rows], np.int64),
+        np.array([person.box for _, person in rows], float).reshape(-1, 4),
+    )
 
 
 def _angle(track: Track, name: str) -> tuple[FloatArray, FloatArray]:

@@ -12,6 +12,7 @@ import pytest
 from command import run
 from made_up_behaviour import standing
 from pasted_street import FPS, PastedStreet, pasted_street
+from rerun_recordings import read_recording
 
 import graphtrack as gt
 from graphtrack.errors import InputError
@@ -107,6 +108,30 @@ def test_what_is_done_is_not_done_again(reported: tuple[Path, str], arguments: l
     assert done.returncode == 0
     assert (done.stdout + done.stderr).count("done before") == 7
     assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+
+
+def test_what_is_done_can_be_viewed(
+    reported: tuple[Path, str], arguments: list[object], street: PastedStreet, tmp_path: Path
+) -> None:
+    folder, _ = reported
+    saved = tmp_path / "run.rrd"
+    done = run("report", *arguments, "-o", folder, "--view", "--save", saved)
+    assert done.returncode == 0, done.stderr
+    frames, boxes = arguments[0], arguments[2]
+    again = tmp_path / "again.rrd"
+    done = run("view", folder, "--video", frames, "--boxes", boxes, "--save", again, program="graphtrack")
+    assert done.returncode == 0, done.stderr
+    of_street = {(one.track_id, one.frame): one.box for one in street.boxes}
+    for path in (saved, again):
+        found = read_recording(path)
+        assert len(found["/video/frame"]["EncodedImage:blob"]) == 21
+        for track in gt.read(folder):
+            shown = found[f"/video/people/{track.track_id}"]
+            half = [one[0] for one in shown["Boxes2D:half_sizes"].values() if one]
+            known = [of_street[track.track_id, frame] for frame in track.frame.tolist()]
+            np.testing.assert_allclose(2.0 * np.array(half), np.array(known)[:, 2:], rtol=1e-5)
+            positions = found[f"/ground/people/{track.track_id}"]["Points2D:positions"]
+            np.testing.assert_allclose([one[0] for one in positions.values()], track.position, atol=1e-5)
 
 
 def test_a_run_that_breaks_off_goes_on(

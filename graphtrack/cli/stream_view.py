@@ -1,0 +1,235 @@
+"""`graphtrack track - --view`: a process of its own shows the answers, so that rows do not wait for it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from graphtrack.behaviour.groups import KINDS, Groups
+from graphtrack.cli.console import printable
+from graphtrack.errors import GraphtrackError
+from graphtrack.tracks import STATE, Track
+from graphtrack.viewer.behaviour import arrange_groups, show_forecasts, show_ground, show_groups
+from graphtrack.viewer.layout import Extent, layout
+from graphtrack.viewer.people import ShownPeople
+from graphtrack.viewer.recording import CLOCK_TIMES, Recording, Target, recording
+
+Row = dict[str, Any]
+
+_ANGLES = ("body", "head")
+_VALUES = tuple(f"{name}_deg" if name in _ANGLES else name for name in STATE)
+_SPREAD = tuple(f"{name}_std_deg" if name in _ANGLES else f"{name}_std" for name in STATE)
+_INTERVAL = 0.25
+"""Seconds from one look at what has come to the next."""
+_MUCH = 1 << 15
+"""Bytes after which there is more to read at once."""
+_SAID = 64
+"""Frames whose rows are kept: what is said of them may be taken back."""
+_ROOM = 0.25
+
+
+class LiveView:
+    """Shows answers as they come; what it keeps of each person are seconds, whatever the stream's length.
+
+    Parameters
+    ----------
+    target : where they are shown
+    person : whose series are drawn; None: theirs who come first
+    """
+
+    def __init__(self, target: Target, person: int | None = None) -> None:
+        self._target, self._person = target, person
+        self._stack = ExitStack()
+        self._to: Recording | None = None
+        self._people: ShownPeople
+        self._extent: Extent | None = None
+        self._stream: Any = None
+        self._said: OrderedDict[float, dict[int, Row]] = OrderedDict()
+        self._held: list[Row] = []
+
+    def show(self, answers: Iterable[Row]) -> None:
+        """Show some answers; those to rows that could not be used say nothing of anybody."""
+        rows = [row for row in answers if "error" not in row and self._is_ours(row)]
+        known = [row for row in rows if "status" in row and row.get("x") is not None]
+        if known:
+            self._open(known)
+            self._see(known)
+        for row in rows:
+            if row.get("revised"):
+                known += self._taken_back(row["revised"], known)
+        if not known and self._to is None:
+            return
+        for track_id, of_person in _by_person(known).items():
+            self._people.add(track_of(track_id, of_person))
+        told = self._held + [row for row in rows if row.get("track_id") is not None]
+        newest = max((row["t"] for row in told), default=0.0)
+        self._held = [row for row in told if row["t"] == newest and _tells_more(row)]
+        self._tell(row for row in told if row["t"] != newest)
+        if known:
+            self._people.leave(newest)
+
+    def close(self) -> None:
+        """Show what still waits for the end of its frame, and complete the recording."""
+        if self._to is None:
+            self._open([])
+        self._tell(self._held)
+        self._stack.close()
+
+    def _is_ours(self, row: Row) -> bool:
+        """Whether a row is of the first stream that came: others know nothing of its people."""
+        if self._stream is None and ("status" in row or "end" in row):
+            self._stream = row.get("stream", "")
+        return bool(row.get("stream", "") == self._stream)
+
+    def _open(self, known: list[Row]) -> None:
+        if self._to is not None:
+            return
+        clock = bool(known) and known[0]["t"] >= CLOCK_TIMES
+        if self._person is None and known:
+            self._person = known[0]["track_id"]
+        self._extent = Extent.of(_places(known)).around(Extent.of(np.zeros((0, 2))), 0.0)
+        arranged = layout(self._extent, self._person, live=True)
+        self._to = self._stack.enter_context(recording(self._target, arranged, clock=clock, whole=False))
+        self._people = ShownPeople(
+            self._to, self._extent.size, series=[] if self._person is None else [self._person]
+        )
+        show_ground(self._to, self._extent)
+        arrange_groups(self._to)
+
+    def _see(self, known: list[Row]) -> None:
+        """Remember what is said, and show more of the ground where somebody leaves what is seen of it."""
+        assert self._to is not None and self._extent is not None
+        for row in known:
+            self._said.setdefault(row["t"], {})[row["track_id"]] = row
+        while len(self._said) > _SAID:
+            self._said.popitem(last=False)
+        extent = self._extent.around(Extent.of(_places(known)), _ROOM)
+        if extent is not self._extent:
+            self._extent = extent
+            self._people.size = extent.size
+            show_ground(self._to, extent)
+            self._to.arrange(layout(extent, self._person, live=True))
+
+    def _taken_back(self, revised: list[Row], known: list[Row]) -> list[Row]:
+        """Rows that take the place of others, whose detections turn out to be somebody else's."""
+        found: list[Row] = []
+        for t in sorted({one["t"] for one in revised}):
+            there = self._said.get(t)
+            if there is None:
+                continue
+            moves = [one for one in revised if one["t"] == t and one["before"] in there]
+            moved = {one["after"]: there[one["before"]] for one in moves if one["after"] != -1}
+            for one in moves:
+                row = there.pop(one["before"], None)
+                if row is not None and one["before"] not in moved:
+                    self._people.remove(one["before"], t, row["frame"])
+                    known[:] = [k for k in known if k is not row]
+            new = {who: {**row, "track_id": who} for who, row in moved.items()}
+            there.update(new)
+            found += new.values()
+        return found
+
+    def _tell(self, rows: Iterable[Row]) -> None:
+        """Show groups and forecasts of frames that have ended."""
+        if self._to is None:
+            return
+        told = list(rows)
+        grouped = sorted((row for row in told if "group" in row), key=lambda row: row["t"])
+        if grouped:
+            show_groups(self._to, _groups(grouped), self._people.place)
+        ahead = [{**step, **_head(row)} for row in told for step in row.get("forecast", ())]
+        if ahead:
+            names = ("track_id", "frame", "t", "ahead", "x", "y", "radius_90")
+            columns = {name: np.array([step[name] for step in ahead]) for name in names}
+            show_forecasts(self._to, columns, self._people.place)
+
+
+def track_of(track_id: int, rows: list[Row]) -> Track:
+    """Estimates of one person, in the order of time, as a track; null is not known."""
+
+    def columns(names: tuple[str, ...]) -> np.ndarray:
+        cells = [[np.nan if row.get(name) is None else row[name] for name in names] for row in rows]
+        values = np.array(cells, float)
+        values[:, 4:] = np.radians(values[:, 4:])
+        return values
+
+    state, variance = columns(_VALUES), columns(_SPREAD) ** 2
+    channels: dict[str, Any] = {
+        "t": np.array([row["t"] for row in rows], float),
+        "position": state[:, :2],
+        "velocity": state[:, 2:4],
+        "body": state[:, 4],
+        "head": state[:, 5],
+        "covariance": variance[:, :, None] * np.eye(len(STATE)),
+    }
+    return Track._trusted(track_id, np.array([row["frame"] for row in rows], np.int64), channels)
+
+
+def _by_person(rows: list[Row]) -> dict[int, list[Row]]:
+    """Rows of each person in the order of time; of those of one time the last."""
+    found: dict[int, dict[float, Row]] = {}
+    for row in rows:
+        found.setdefault(row["track_id"], {})[row["t"]] = row
+    return {who: [of[t] for t in sorted(of)] for who, of in found.items()}
+
+
+def _places(rows: list[Row]) -> np.ndarray:
+    return np.array([[row["x"], row["y"]] for row in rows], float).reshape(-1, 2)
+
+
+def _tells_more(row: Row) -> bool:
+    return "group" in row or "forecast" in row
+
+
+def _head(row: Row) -> Row:
+    return {name: row[name] for name in ("track_id", "frame", "t")}
+
+
+def _groups(rows: list[Row]) -> Groups:
+    def column(name: str) -> np.ndarray:
+        return np.array([np.nan if row.get(name) is None else row[name] for row in rows], float)
+
+    return Groups(
+        column("frame").astype(np.int64),
+        column("t"),
+        column("track_id").astype(np.int64),
+        column("group").astype(np.int64),
+        np.array([KINDS.index(row.get("kind") or "") for row in rows]),
+        column("probability"),
+        np.column_stack([column("centre_x"), column("centre_y")]),
+    )
+
+
+def lines_of(source: int) -> Iterator[list[bytes]]:
+    """The lines that come through a file descriptor, as many as have come by each look."""
+    rest = b""
+    while data := os.read(source, 1 << 20):
+        *lines, rest = (rest + data).split(b"\n")
+        begun = time.monotonic()
+        yield lines
+        if len(data) < _MUCH:
+            time.sleep(max(0.0, begun + _INTERVAL - time.monotonic()))
+
+
+def main() -> None:
+    """Show the answers on standard input; the arguments are the file, the URL and the person, as JSON."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the stream ends in its own way, and then this does
+    save, connect, person = json.loads(sys.argv[1])
+    view = LiveView(Target(None if save is None else Path(save), connect), person)
+    try:
+        for lines in lines_of(sys.stdin.fileno()):
+            view.show([json.loads(line) for line in lines])
+        view.close()
+    except GraphtrackError as error:
+        print(f"error: {printable(str(error), one_line=True)}", file=sys.stderr)
+        raise SystemExit(2) from None

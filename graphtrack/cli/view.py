@@ -1,0 +1,155 @@
+"""`graphtrack view`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from graphtrack.cli import options
+from graphtrack.cli.console import console
+from graphtrack.cli.showing import Showing
+from graphtrack.errors import InputError
+
+if TYPE_CHECKING:
+    from graphtrack.behaviour.forecast.recorded import Forecasts
+    from graphtrack.behaviour.groups import Groups
+    from graphtrack.tracks import TrackSet
+    from graphtrack.viewer.pictures import PersonBoxes
+
+_SHOWN = "What is shown beside the tracks"
+_FIND = "find"
+
+
+def view(
+    inputs: options.Inputs,
+    reading: options.SceneReading,
+    showing: Showing,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            "--video",
+            metavar="VIDEO|FOLDER",
+            help="The video, or a folder of images, whose frames the tracks count.",
+            exists=True,
+            show_default=False,
+            rich_help_panel=_SHOWN,
+        ),
+    ] = None,
+    boxes: Annotated[
+        Path | None,
+        typer.Option(
+            "--boxes",
+            help="People's boxes, MOT text or CAVIAR XML, with the ids of the tracks; by default those of "
+            "the input, where it has any.",
+            exists=True,
+            dir_okay=False,
+            show_default=False,
+            rich_help_panel=_SHOWN,
+        ),
+    ] = None,
+    groups: Annotated[
+        str | None,
+        typer.Option(
+            "--groups",
+            metavar="FILE|find",
+            help="What 'graphtrack groups' wrote, or find: they are found now.",
+            show_default=False,
+            rich_help_panel=_SHOWN,
+        ),
+    ] = None,
+    forecast: Annotated[
+        str | None,
+        typer.Option(
+            "--forecast",
+            metavar="FILE|SECONDS",
+            help="What 'graphtrack forecast' wrote, or so many seconds ahead: it is made now.",
+            show_default=False,
+            rich_help_panel=_SHOWN,
+        ),
+    ] = None,
+    person: Annotated[
+        int | None,
+        typer.Option(
+            "--person",
+            metavar="ID",
+            help="Whose series are drawn; by default theirs who have most rows.",
+            show_default=False,
+            rich_help_panel=_SHOWN,
+        ),
+    ] = None,
+) -> None:
+    """Show tracks in Rerun: ground, video and series of one person on one time line."""
+    from graphtrack.viewer.shown import view as show
+
+    showing.target()
+    files = {"--groups": _file(groups, _is_word), "--forecast": _file(forecast, _is_number)}
+    options.check_outputs({"--save": showing.save}, {**reading.inputs(inputs), "--boxes": boxes, **files})
+    tracks = reading.tracks(inputs)
+    show(
+        tracks,
+        save=showing.save,
+        connect=showing.connect,
+        groups=_groups(tracks, groups),
+        forecast=_forecast(tracks, forecast),
+        video=video,
+        boxes=_boxes(inputs, boxes, reading, video),
+        person=person,
+    )
+    if showing.save is not None:
+        size = showing.save.stat().st_size / 1e6
+        console.print(f"wrote {showing.save}: {size:.1f} MB; to see it: rerun {showing.save}", markup=False)
+
+
+def _is_word(text: str) -> bool:
+    return text == _FIND
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _file(given: str | None, is_other: Callable[[str], bool]) -> Path | None:
+    return None if given is None or is_other(given) else Path(given)
+
+
+def _groups(tracks: TrackSet, given: str | None) -> Groups | Path | None:
+    if given is None or not _is_word(given):
+        return None if given is None else Path(given)
+    from graphtrack.behaviour.groups import groups
+
+    return groups(tracks)
+
+
+def _forecast(tracks: TrackSet, given: str | None) -> Forecasts | Path | None:
+    if given is None or not _is_number(given):
+        return None if given is None else Path(given)
+    from graphtrack.behaviour.forecast.recorded import forecast
+    from graphtrack.cli.track import horizon_of
+
+    horizon, step = horizon_of(float(given)) or (0.0, 0.0)
+    return forecast(tracks, horizon=horizon, step=step)
+
+
+def _boxes(
+    inputs: list[Path], given: Path | None, reading: options.SceneReading, video: Path | None
+) -> PersonBoxes | None:
+    """Boxes with the ids of the tracks: of the file that is named, or of the input."""
+    from graphtrack.viewer.boxes import boxes_of
+
+    if given is None and (video is None or len(inputs) != 1):
+        return None
+    found = boxes_of(
+        inputs[0] if given is None else given, None if given else reading.format, reading.options()
+    )
+    if given is not None and found is None:
+        raise InputError(
+            "no boxes with identities", "MOT text or CAVIAR XML of people who have ids", path=given
+        )
+    return found

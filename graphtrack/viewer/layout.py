@@ -1,0 +1,103 @@
+"""How the window is arranged: the ground, and beside it the video and the series of one person."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.viewer.people import GROUND, SERIES
+from graphtrack.viewer.recording import TIME, rerun
+
+VIDEO: Final = "video"
+
+_PLOTS = {
+    "x white, y pink (m)": ("x", "y"),
+    "speed (m/s)": ("speed",),
+    "body blue, head orange (°)": ("body", "head"),
+}
+_MARGIN = 1.0
+"""Metres."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """A rectangle of the ground: its least and its greatest corner (2,), metres."""
+
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, position: FloatArray) -> Extent:
+        """Around the finite ones of positions (n, 2), with a margin."""
+        there = position[np.isfinite(position).all(axis=1)]
+        if not len(there):
+            there = np.zeros((1, 2))
+        return cls(there.min(axis=0) - _MARGIN, there.max(axis=0) + _MARGIN)
+
+    @property
+    def size(self) -> float:
+        """Its longer side, metres."""
+        return float(np.max(self.high - self.low))
+
+    def around(self, other: Extent, room: float) -> Extent:
+        """Around both, with room for so many times the size, if the other one leaves this one; else this."""
+        if (other.low >= self.low).all() and (other.high <= self.high).all():
+            return self
+        low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        return Extent(low - room * (high - low), high + room * (high - low))
+
+
+def layout(
+    extent: Extent,
+    person: int | None,
+    *,
+    series: Collection[str] = ("x", "y", "speed", "body", "head"),
+    video: bool = False,
+    live: bool = False,
+) -> Any:
+    """The blueprint of the window.
+
+    Parameters
+    ----------
+    extent : of the ground that is seen
+    person : whose series are drawn; None: nobody's
+    series : those that are known
+    video : whether there are pictures or boxes
+    live : whether the newest time is followed
+    """
+    views = rerun().blueprint
+    (left, bottom), (right, top) = extent.low.tolist(), extent.high.tolist()
+    ground = views.Spatial2DView(
+        name="Ground (m)",
+        origin="/",
+        contents=f"/{GROUND}/**",
+        visual_bounds=views.VisualBounds2D(x_range=[left, right], y_range=[-top, -bottom]),
+    )
+    beside = [views.Spatial2DView(name="Video", origin=f"/{VIDEO}")] if video else []
+    if person is not None:
+        for name, lines in _PLOTS.items():
+            known = [f"/{SERIES}/{person}/{line}" for line in lines if line in series]
+            if known:
+                beside.append(
+                    views.TimeSeriesView(
+                        name=f"Person {person}: {name}",
+                        origin=f"/{SERIES}/{person}",
+                        contents=known,
+                        plot_legend=views.PlotLegend(visible=False),
+                    )
+                )
+    shares = [2.0 if k == 0 and video else 1.0 for k in range(len(beside))]
+    parts = [ground, views.Vertical(*beside, row_shares=shares)] if beside else [ground]
+    panel = views.TimePanel(state="collapsed", timeline=TIME, play_state="following" if live else None)
+    return views.Blueprint(
+        views.Horizontal(*parts, column_shares=[3.0, 2.0][: len(parts)]),
+        views.BlueprintPanel(state="collapsed"),
+        views.SelectionPanel(state="collapsed"),
+        panel,
+        auto_layout=False,
+        auto_views=False,
+    )

@@ -1,0 +1,117 @@
+"""Tracks in a window of Rerun, or in a file for one: `graphtrack view`, and `view` in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from graphtrack.errors import InputError
+from graphtrack.io.places import check_place
+from graphtrack.report.behaviour.given import behaviour_of
+from graphtrack.report.pairing import finite_rows, observed_angle
+from graphtrack.tracks import TrackSet
+from graphtrack.viewer.behaviour import arrange_groups, show_forecasts, show_ground, show_groups
+from graphtrack.viewer.layout import Extent, layout
+from graphtrack.viewer.people import ShownPeople
+from graphtrack.viewer.pictures import FrameTimes, PersonBoxes, open_frames, show_boxes, show_frames
+from graphtrack.viewer.recording import CLOCK_TIMES, Target, recording
+
+if TYPE_CHECKING:
+    from graphtrack.behaviour.forecast.recorded import Forecasts
+    from graphtrack.behaviour.groups import Groups
+    from graphtrack.geometry.angles import FloatArray
+
+
+def view(
+    tracks: TrackSet,
+    *,
+    save: str | Path | None = None,
+    connect: str | None = None,
+    groups: Groups | str | Path | None = None,
+    forecast: Forecasts | str | Path | None = None,
+    video: str | Path | None = None,
+    boxes: PersonBoxes | None = None,
+    person: int | None = None,
+) -> None:
+    """Show tracks in Rerun: the ground from above, the video, and series of one person, on one time line.
+
+    Needs the extra ``view``.
+
+    Parameters
+    ----------
+    tracks : estimates, or observations as they are
+    save : the file (.rrd) to write; it is there whole or not at all
+    connect : the URL of a viewer that runs. Without either a window opens
+    groups : of `graphtrack.groups`, or the file that ``graphtrack groups`` wrote
+    forecast : of `graphtrack.forecast`, or the file that ``graphtrack forecast`` wrote
+    video : the video, or the folder of images, whose frames the tracks count
+    boxes : of people in its frames
+    person : whose series are drawn; by default theirs who have most rows
+
+    Raises
+    ------
+    InputError
+        Without the package or a display, for people and frames that the tracks have not, for files that
+        cannot be read, and a place that cannot be written to.
+    """
+    target = Target(None if save is None else Path(save), connect)
+    target.check()
+    if target.save is not None:
+        check_place(target.save)
+    placed = [track for track in tracks if finite_rows(track.position).any()]
+    if not placed:
+        raise InputError("no position", "tracks with positions in metres")
+    chosen = person if person is not None else max(placed, key=len).track_id
+    tracks[chosen]  # or an error that says whom there are
+    given = behaviour_of(tracks, groups=groups, forecast=forecast)
+    frames = None if video is None else open_frames(Path(video))
+    where = Extent.of(np.concatenate([track.position for track in placed]))
+    end = max(float(track.t[-1]) for track in placed)
+    clock = min(float(track.t[0]) for track in placed) >= CLOCK_TIMES
+    arranged = layout(where, chosen, series=_series(tracks, chosen), video=bool(frames or boxes))
+    with recording(target, arranged, clock=clock) as made:
+        show_ground(made, where)
+        people = ShownPeople(made, where.size, _names(tracks))
+        for track in placed:
+            people.add(track)
+        people.leave(end)
+        place = _Places(tracks)
+        if given is not None and given.groups is not None:
+            arrange_groups(made)
+            show_groups(made, given.groups, place)
+        if given is not None and given.forecasts is not None:
+            show_forecasts(made, given.forecasts, place)
+        times = FrameTimes(tracks)
+        if boxes is not None:
+            show_boxes(made, boxes, times, [track.track_id for track in tracks])
+        if frames is not None:
+            show_frames(made, frames, times)
+
+
+class _Places:
+    """Where people were, by their tracks."""
+
+    def __init__(self, tracks: TrackSet) -> None:
+        self._tracks = {track.track_id: track for track in tracks}
+
+    def __call__(self, person: int, t: float) -> FloatArray | None:
+        """As `graphtrack.viewer.behaviour.Place`."""
+        track = self._tracks[person]
+        row = min(int(np.searchsorted(track.t, t - 1e-6)), len(track) - 1)
+        there = abs(track.t[row] - t) < 1e-3 and np.isfinite(track.position[row]).all()
+        return track.position[row] if there else None
+
+
+def _names(tracks: TrackSet) -> Mapping[int, str]:
+    """What people are called where the table has no numbers for them."""
+    return {} if tracks.as_read is None else tracks.as_read.names
+
+
+def _series(tracks: TrackSet, person: int) -> list[str]:
+    """Which series of somebody are known."""
+    track = tracks[person]
+    angles = [name for name in ("body", "head") if observed_angle(track, name) is not None]
+    return ["x", "y", *([] if track.velocity is None else ["speed"]), *angles]

@@ -1,0 +1,224 @@
+"""Recordings of tracks, read back: they hold what the table holds, at the same times."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import run
+from rerun_recordings import nanoseconds, read_recording
+
+import graphtrack as gt
+from graphtrack.errors import InputError
+from graphtrack.viewer import recording
+from graphtrack.viewer.layout import Extent
+from graphtrack.viewer.pictures import FrameTimes, PersonBoxes, small
+
+
+def walks(*, hole: bool = False) -> gt.TrackSet:
+    """Two who walk side by side, with all that is estimated; the second one comes later and leaves before."""
+    tracks = []
+    for who, (start, stop) in {3: (0, 40), 8: (5, 30)}.items():
+        frame = np.arange(start, stop)
+        if hole and who == 3:
+            frame = frame[(frame < 10) | (frame >= 25)]
+        t = 0.1 * frame
+        n = len(t)
+        spread = np.zeros((n, 6, 6))
+        spread[:] = np.diag([0.04, 0.01, 0.1, 0.1, 0.02, 0.03])
+        spread[:, 0, 1] = spread[:, 1, 0] = 0.012
+        tracks.append(
+            gt.Track(
+                track_id=who,
+                frame=frame,
+                t=t,
+                position=np.column_stack([1.2 * t, 0.3 * np.sin(t) + 0.1 * who]),
+                velocity=np.tile([1.2, 0.1], (n, 1)),
+                covariance=spread,
+                body=np.angle(np.exp(1j * (3.0 + 0.05 * frame))),
+                head=np.where(frame % 7 == 0, np.nan, np.angle(np.exp(1j * (2.5 + 0.05 * frame)))),
+            )
+        )
+    return gt.TrackSet(tuple(tracks))
+
+
+def test_a_recording_holds_the_table(tmp_path: Path) -> None:
+    tracks = walks()
+    gt.view(tracks, save=tmp_path / "run.rrd")
+    found = read_recording(tmp_path / "run.rrd")
+    people = {"/".join(path.split("/")[:4]) for path in found if path.startswith("/ground/people/")}
+    assert people == {f"/ground/people/{track.track_id}" for track in tracks}
+    for track in tracks:
+        path = f"/ground/people/{track.track_id}"
+        assert found[path]["Points2D:labels"] == {-1: [str(track.track_id)]}
+        assert list(found[path]["Points2D:positions"]) == nanoseconds(track.t)
+        shown = np.array(list(found[path]["Points2D:positions"].values()))
+        np.testing.assert_allclose(shown[:, 0], track.position, rtol=1e-6, atol=1e-6)
+        for name in ("body", "head"):
+            arrows = list(found[f"{path}/{name}"]["Arrows2D:vectors"].values())
+            angle = getattr(track, name)
+            assert [len(one) for one in arrows] == np.isfinite(angle).astype(int).tolist()
+            pointed = np.array([np.arctan2(*one[0][::-1]) for one in arrows if one])
+            np.testing.assert_allclose(pointed, angle[np.isfinite(angle)], atol=1e-5)
+        strips = np.array(list(found[f"{path}/ellipse"]["LineStrips2D:strips"].values()))[:, 0]
+        offset = strips - track.position[:, None, :]
+        # Each point of the ellipse has the Mahalanobis distance that holds 95 %.
+        inverse = np.linalg.inv(track.covariance[:, :2, :2])
+        distance = np.einsum("npi,nij,npj->np", offset, inverse, offset)
+        np.testing.assert_allclose(distance, -2.0 * np.log(0.05), rtol=1e-3)
+    assert found["/ground"]["Transform3D:scale"] == {-1: [[1.0, -1.0, 1.0]]}  # y is up
+
+
+def test_who_leaves_is_gone_and_holes_are_empty(tmp_path: Path) -> None:
+    gt.view(walks(hole=True), save=tmp_path / "run.rrd")
+    found = read_recording(tmp_path / "run.rrd")
+    cleared = {who: found[f"/ground/people/{who}"].get("Clear:is_recursive", {}) for who in (3, 8)}
+    assert list(cleared[3]) == nanoseconds([1.0])  # and not at the end of all
+    assert list(cleared[8]) == nanoseconds([3.0])
+
+
+def test_series_are_in_degrees_without_jumps_and_with_their_intervals(tmp_path: Path) -> None:
+    tracks = walks()
+    gt.view(tracks, save=tmp_path / "run.rrd")
+    found = read_recording(tmp_path / "run.rrd")
+    track = tracks[3]
+    body = np.array(list(found["/series/3/body"]["Scalars:scalars"].values()))
+    assert np.abs(np.diff(body[:, 0])).max() < 10.0 < np.degrees(np.abs(np.diff(track.body)).max())
+    np.testing.assert_allclose(np.exp(1j * np.radians(body[:, 0])), np.exp(1j * track.body), atol=1e-9)
+    np.testing.assert_allclose(body[:, 2] - body[:, 0], 1.96 * np.degrees(track.std("body")), rtol=1e-3)
+    head = np.array(list(found["/series/3/head"]["Scalars:scalars"].values()))
+    assert np.abs(head[:, 0].mean() - body[:, 0].mean()) < 60.0  # drawn beside the body, no turn away
+    speed = found["/series/3/speed"]["Scalars:scalars"]
+    np.testing.assert_allclose([one[0] for one in speed.values()], np.hypot(1.2, 0.1))
+
+
+def test_observations_alone_can_be_viewed_and_clock_times_are_dates(tmp_path: Path) -> None:
+    table = {"track_id": [1, 1, 1], "frame": [0, 1, 2], "t": [1.7e9, 1.7e9 + 0.5, 1.7e9 + 1.0]}
+    tracks = gt.TrackSet.from_table({**table, "x": [0.0, np.nan, 1.0], "y": [0.0, np.nan, 2.0]})
+    gt.view(tracks, save=tmp_path / "a.rrd")
+    found = read_recording(tmp_path / "a.rrd")
+    assert list(found["/ground/people/1"]["Points2D:positions"]) == nanoseconds([1.7e9, 1.7e9 + 1.0])
+    assert not any("body" in path and "Arrows2D:vectors" in of for path, of in found.items())
+
+
+def test_groups_and_forecasts_are_where_they_were_found(tmp_path: Path) -> None:
+    tracks = walks()
+    groups, forecasts = gt.groups(tracks), gt.forecast(tracks, horizon=1.2, step=0.4)
+    groups = replace(groups, group=np.where(groups.t > 1.95, 0, -1))
+    gt.view(tracks, save=tmp_path / "run.rrd", groups=groups, forecast=forecasts)
+    found = read_recording(tmp_path / "run.rrd")
+    spokes = found["/ground/groups"]["LineStrips2D:strips"]
+    for t in np.unique(groups.t).tolist():
+        (now,) = nanoseconds([t])
+        rows = np.flatnonzero((groups.t == t) & (groups.group >= 0) & np.isfinite(groups.centre[:, 0]))
+        expected = [[groups.centre[k], _position(tracks, groups, k)] for k in rows]
+        np.testing.assert_allclose(np.ravel(spokes[now]), np.ravel(expected), atol=1e-5)
+    assert any(spokes.values())
+    columns = forecasts.columns
+    for who in (3, 8):
+        strips = found[f"/ground/people/{who}/forecast"]["LineStrips2D:strips"]
+        mine = columns["track_id"] == who
+        assert list(strips) == nanoseconds(np.unique(columns["t"][mine]))
+        for now, (path, circle) in strips.items():
+            at = mine & (np.array(nanoseconds(columns["t"])) == now)
+            ahead = np.column_stack([columns["x"][at], columns["y"][at]])
+            np.testing.assert_allclose(path[1:], ahead, atol=1e-5)
+            radius = np.hypot(*(np.array(circle) - ahead[-1]).T)
+            np.testing.assert_allclose(radius, columns["radius_90"][at][-1], rtol=1e-3, atol=1e-5)
+
+
+def _position(tracks: gt.TrackSet, groups: gt.Groups, k: int) -> np.ndarray:
+    track = tracks[int(groups.track_id[k])]
+    return np.asarray(track.position[np.searchsorted(track.frame, groups.frame[k])])
+
+
+def test_pictures_come_with_boxes_in_pixels_of_the_video(tmp_path: Path) -> None:
+    folder, rng = tmp_path / "images", np.random.default_rng(0)
+    folder.mkdir()
+    for number in (0, 6, 7, 90):
+        cv2.imwrite(str(folder / f"{number:04}.png"), rng.integers(0, 255, (300, 1280, 3), np.uint8))
+    box = np.array([[100.0, 50.0, 30.0, 80.0], [110.0, 50.0, 30.0, 80.0], [5.0, 5.0, 9.0, 9.0]])
+    boxes = PersonBoxes(np.array([6, 7, 6]), np.array([8, 8, 99]), box)
+    gt.view(walks(), save=tmp_path / "run.rrd", video=folder, boxes=boxes)
+    found = read_recording(tmp_path / "run.rrd")
+    blobs = found["/video/frame"]["EncodedImage:blob"]
+    assert list(blobs) == nanoseconds([0.0, 0.6, 0.7])  # frame 90 is after all tracks
+    image = cv2.imdecode(np.array(next(iter(blobs.values()))[0], np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape == (150, 640, 3)
+    assert next(iter(found["/video/frame"]["Transform3D:scale"].values())) == [[2.0, 2.0, 1.0]]
+    assert [path for path in found if path.startswith("/video/people/")] == ["/video/people/8"]
+    shown = found["/video/people/8"]
+    centres = np.array(list(shown["Boxes2D:centers"].values()))[:, 0]
+    half = np.array(list(shown["Boxes2D:half_sizes"].values()))[:, 0]
+    np.testing.assert_allclose(np.hstack([centres - half, 2.0 * half]), box[:2])
+
+
+def test_small_pictures_stay_as_they_are() -> None:
+    image = np.zeros((400, 500, 3), np.uint8)
+    assert small(image)[0] is image and small(np.zeros((1000, 500, 3), np.uint8))[0].shape == (640, 320, 3)
+
+
+def test_frames_between_those_of_tracks_have_times_between_theirs() -> None:
+    times = FrameTimes(walks(hole=True))
+    assert times.within(39) and not times.within(40)
+    np.testing.assert_allclose(times(np.array([0, 31, 39])), [0.0, 3.1, 3.9])
+
+
+def test_the_ground_that_is_seen_grows_when_somebody_leaves_it() -> None:
+    seen = Extent.of(np.array([[0.0, 0.0], [2.0, 1.0], [np.nan, np.nan]]))
+    assert seen.around(Extent.of(np.array([[1.0, 0.5]])), 0.5) is seen
+    more = seen.around(Extent.of(np.array([[9.0, 0.5]])), 0.5)
+    assert (more.low < seen.low).all() and more.high[0] > 10.0 and more.size > seen.size
+
+
+def test_the_command_writes_what_python_writes(tmp_path: Path) -> None:
+    gt.write(walks(), tmp_path / "tracks.csv")
+    saved = tmp_path / "run.rrd"
+    done = run("view", tmp_path / "tracks.csv", "--save", saved, "--groups", "find", "--forecast", "1.2",
+               "--person", 8, program="graphtrack")  # fmt: skip
+    assert done.returncode == 0 and not done.stdout and "rerun" in done.stderr
+    found = read_recording(saved)
+    np.testing.assert_allclose(
+        [one[0] for one in found["/ground/people/8"]["Points2D:positions"].values()],
+        gt.read(tmp_path / "tracks.csv")[8].position,
+        rtol=1e-6,
+        atol=1e-6,
+    )
+    assert {"/ground/groups", "/ground/people/3/forecast"} <= set(found)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ((), "no display, expected a file to write (--save run.rrd)"),
+        (("--save", "run.png"), "the ending .rrd"),
+        (("--save", "run.rrd", "--person", "4"), "no track 4"),
+        (("--save", "run.rrd", "--connect", "rerun+http://127.0.0.1:9876/proxy"), "one of them"),
+        (("--connect", "localhost"), "a URL such as"),
+        (("--save", "run.rrd", "--boxes", "tracks.csv"), "no boxes with identities"),
+        (("--save", "run.rrd", "--groups", "none.csv"), "none.csv"),
+        (("--save", "run.rrd", "--forecast", "-3"), "horizon"),
+    ],
+)
+def test_what_cannot_be_shown_is_one_error(
+    options: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(recording.sys, "platform", "linux")
+    gt.write(walks(), "tracks.csv")
+    done = run("view", "tracks.csv", *options, program="graphtrack")
+    errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert done.returncode == 2 and len(errors) == 1 and said in errors[0]
+    assert not list(tmp_path.glob("run*"))
+
+
+def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "find_spec", lambda name: None)
+    monkeypatch.setitem(__import__("sys").modules, "rerun", None)
+    with pytest.raises(InputError, match=r"pip install 'graphtrack\[view\]'"):
+        gt.view(walks(), save="run.rrd")
