@@ -30,6 +30,7 @@ from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, Sc
 from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.conversations import Conversations
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
 from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.io.options import Associate
@@ -123,15 +124,18 @@ def track_stream(
             forecasts = None if ahead is None else FrameForecasts(ahead)
             behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
 
-            def restore_one(saved: Any) -> OnlineSmoother | FrameForecasts | FrameBehaviour:
+            def restore_one(saved: Any) -> OnlineSmoother | FrameForecasts | FrameBehaviour | Conversations:
                 if ahead is not None and "forecaster" in saved:
                     return FrameForecasts.from_state(ahead, saved)
                 if asked is not None and BEHAVIOUR in saved:
                     return FrameBehaviour.restore(saved, asked)
+                if model.has_groups and "known" in saved:
+                    return Conversations.from_state(saved, model)
                 return OnlineSmoother.from_state(saved, model, **options)
 
             make = partial(OnlineSmoother, model, **options)
-            people = People(make, fps, listener.note, forecasts, behaviour, bounds)
+            conversations = Conversations(model) if model.has_groups else None
+            people = People(make, fps, listener.note, forecasts, behaviour, bounds, conversations)
             return lines, people, restore_one
 
         def restore(saved: Any) -> Frame:
@@ -143,7 +147,7 @@ def track_stream(
         return lines, scenes, restore
 
     known = {"never": False, "always": True}.get(associate)
-    warm_up(model, chosen, behaviour=asked is not None)
+    warm_up(model, chosen, behaviour=asked is not None or model.has_groups)
     if state is None:
         lines, rows, _ = answering(lines_of(stream, 1), known)
         return _answer(lines, rows, None, listener)
@@ -279,7 +283,7 @@ def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False) -> N
 
     Parameters
     ----------
-    behaviour : whether groups and attention are to be told, too
+    behaviour : whether groups and attention are to be told, or the model asks for groups
     """
     window = engine == "chain" or model.has_modes
     rehearsals = [online_rehearsal(model)] if window else []
