@@ -16,7 +16,6 @@ from graphtrack.association.online import Decision, OnlineAssociation, Revision
 from graphtrack.association.packing import pack_tree, unpack_tree
 from graphtrack.association.shown import descriptors_of, facing_of, scores_of, to_smooth
 from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster, times_ahead
-from graphtrack.behaviour.told import people_told
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
@@ -162,7 +161,8 @@ class OnlineTracker:
         self._follow(owners, hidden, number, settled)
         people = self._told(decision, hidden)
         if self._conversations is not None:
-            self._conversations.take(people_told(t, people))
+            for one in people:
+                self._conversations.estimated(one.track_id, one)
         self._keep_for_forecasts(t, people, position, std)
         return people
 
@@ -276,6 +276,8 @@ class OnlineTracker:
     def _follow(self, owners: list[tuple[Key, int]], hidden: list[int], number: int, settled: int) -> None:
         """Have every person's smoother see the detections that are the person's by now."""
         of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
+        if self._conversations is not None:
+            self._conversations.begin(self._time((number, UNSEEN)), number)
         for key, track_id in owners:
             if track_id > 0:
                 of_person.setdefault(track_id, []).append(key)
@@ -288,7 +290,7 @@ class OnlineTracker:
             person.keys = [key for key in person.keys if key[0] >= settled]
             person.told = {update: group for update, group in person.told.items() if update >= settled}
             if self._conversations is not None:
-                group = self._conversations.group(track_id, self._time((number, UNSEEN)))
+                group = self._conversations.group(track_id)
                 person.told |= {} if group is None else {number: group}
             if keys or track_id in living:
                 seen_in = {update for update, _ in keys}

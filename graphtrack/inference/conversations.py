@@ -20,12 +20,16 @@ from graphtrack.inference.state import Estimate
 from graphtrack.model import Model, Observation
 from graphtrack.model.terms.faces_group import GROUP
 from graphtrack.saved import from_text, to_text
+from graphtrack.tracks import STATE
 
 CONVERSATIONS = "conversations"
 """What they are called among the members of a stream whose states are kept."""
 
 Group = tuple[float, float, float]
 """What `GROUP` says of a frame."""
+
+
+_MOTION = [STATE.index("vx"), STATE.index("vy")]
 
 
 class _Known(NamedTuple):
@@ -73,26 +77,35 @@ class Conversations:
             If it cannot be used. Nothing has changed then.
         """
         observation = checked(observation)
-        if observation.t > self._t:
-            self.take(people_at(self._t, self._frame, self._people))
-            self._t, self._frame, self._people = observation.t, observation.frame, {}
-        group = self.group(track_id, observation.t)
+        self.begin(observation.t, observation.frame)
+        group = self.group(track_id)
         return observation if observation.t < self._t else with_group_at(observation, group)
 
     def estimated(self, track_id: int, estimate: Estimate) -> None:
-        """What the smoother made of the observation; it counts for the frames to come."""
-        if estimate.status != "waiting" and estimate.t == self._t:
+        """What the smoother made of the frame; it counts for the frames to come.
+
+        Whether somebody who is new stands or walks has to be known first.
+        """
+        if estimate.status == "waiting" or estimate.t != self._t:
+            return
+        if estimate.covariance[_MOTION, _MOTION].mean() < DEFAULT.walking_speed**2:
             self._people[track_id] = numbers_of(estimate)
 
-    def group(self, track_id: int, t: float) -> Group | None:
-        """What is told of a person at a time (seconds); None if they are new, or were not there for long."""
-        known = self._known.get(track_id)
-        return None if known is None or t - known.t > FORGOTTEN * DEFAULT.place_seconds else known.group
-
-    def take(self, people: People) -> None:
-        """Take in the people of a frame, later than those before, or of none."""
-        if not len(people):
+    def begin(self, t: float, frame: int = 0) -> None:
+        """Begin the frame of a time (seconds), if that is later than the last, which has ended then."""
+        if not t > self._t:
             return
+        if self._people:
+            self._take(people_at(self._t, self._frame, self._people))
+        self._t, self._frame, self._people = t, frame, {}
+
+    def group(self, track_id: int) -> Group | None:
+        """What is told of a person in this frame; None if they are new, or were not there for long."""
+        known = self._known.get(track_id)
+        long = FORGOTTEN * DEFAULT.place_seconds
+        return None if known is None or self._t - known.t > long else known.group
+
+    def _take(self, people: People) -> None:
         t = float(people.t[0])
         kept = FORGOTTEN * DEFAULT.look_seconds
         self._known = {one: known for one, known in self._known.items() if t - known.t <= kept}

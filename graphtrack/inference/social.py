@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.behaviour.evidence import PairEvidence, pair_evidence
+from graphtrack.behaviour.evidence import PairEvidence, pair_evidence, walks
 from graphtrack.behaviour.facing import facing
 from graphtrack.behaviour.groups import groups_of
 from graphtrack.behaviour.learned import DEFAULT
@@ -19,6 +19,9 @@ from graphtrack.tracks import Track, TrackSet
 
 ROUNDS = 4
 """Times that groups and states are found at most."""
+LEAST = 0.1
+"""Probability of a conversation below which nothing is told of it: of angles that nobody saw it would be
+all that is known."""
 
 
 def lacks_groups(tracks: TrackSet) -> bool:
@@ -82,12 +85,15 @@ def with_neighbours(
 def neighbours(people: People, evidence: PairEvidence) -> FloatArray:
     """(n, 3) of each person: a vector to the o-space, as long as it is sure, and p of a conversation.
 
-    That is by where everybody near stands, who counts by the probability of being of one group.
+    That is by where everybody near stands, who counts by the probability of being of one group. Who walks is
+    in no conversation, and what is less probable than `LEAST` is not told.
     """
     together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds)) * (1.0 - evidence.walking)
     surest = np.zeros(len(people))
     np.maximum.at(surest, evidence.left, together)
     np.maximum.at(surest, evidence.right, together)
+    surest *= 1.0 - walks(people, DEFAULT)
+    surest[surest < LEAST] = 0.0
     faced = facing(people.position, evidence.left, evidence.right, evidence.odds, DEFAULT)
     return np.column_stack([surest[:, None] * faced, surest])
 
