@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.inference.state import from_text, to_text
+from graphtrack.saved import from_text, to_text
 
 
 def packed(values: NDArray[Any]) -> list[Any]:

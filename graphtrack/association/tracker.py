@@ -19,11 +19,13 @@ from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster, times
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.conversations import Conversations, Group, with_group_at
 from graphtrack.inference.observed import checked
 from graphtrack.inference.offline import processors
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother
-from graphtrack.inference.state import DAMAGES, Estimate, damaged, pack_observation, unpack_observation
+from graphtrack.inference.state import Estimate, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
+from graphtrack.saved import DAMAGES, damaged
 from graphtrack.scene import GivenScene, SceneParameters, known_values
 
 Key = tuple[int, int]
@@ -101,6 +103,7 @@ class OnlineTracker:
         known = {**self.model.scene, **known_values(scene)}
         self._association = OnlineAssociation(known, math.inf if lag is None else lag)
         self._people: dict[int, _Person] = {}
+        self._conversations = Conversations(self.model) if self.model.has_groups else None
         self._seen: dict[Key, Observation] = {}
         self._forecaster: Forecaster | None = None
         self._frames: deque[tuple[Any, ...]] = deque(maxlen=_UNASKED)
@@ -157,6 +160,9 @@ class OnlineTracker:
         self.revised = decision.revised
         self._follow(owners, hidden, number, settled)
         people = self._told(decision, hidden)
+        if self._conversations is not None:
+            for one in people:
+                self._conversations.estimated(one.track_id, one)
         self._keep_for_forecasts(t, people, position, std)
         return people
 
@@ -213,10 +219,13 @@ class OnlineTracker:
         """Everything needed to go on elsewhere, as JSON-able data; see `from_state`."""
         people = [
             {"track_id": track_id, "smoother": person.smoother.state(), "keys": person.keys}
+            | ({"told": list(person.told.items())} if person.told else {})
             for track_id, person in self._people.items()
         ]
         seen = [[*key, pack_observation(one)] for key, one in self._seen.items()]
         found: dict[str, Any] = {"association": self._association.state(), "people": people, "seen": seen}
+        if self._conversations is not None:
+            found["conversations"] = self._conversations.state()
         if self._forecaster is not None:
             found |= {"forecaster": pack_tree(self._forecaster.state()), "present": self._present}
         return found
@@ -239,7 +248,10 @@ class OnlineTracker:
             for saved in state["people"]:
                 smoother = OnlineSmoother.from_state(saved["smoother"], tracker.model, **tracker._options)
                 keys = [(k, place) for k, place in saved["keys"]]
-                tracker._people[saved["track_id"]] = _Person(smoother, smoother.last, keys)
+                told = {update: tuple(group) for update, group in saved.get("told", ())}
+                tracker._people[saved["track_id"]] = _Person(smoother, smoother.last, keys, told)
+            if tracker._conversations is not None:
+                tracker._conversations = Conversations.from_state(state["conversations"], tracker.model)
             if "forecaster" in state:
                 tracker._forecaster = Forecaster.from_state(unpack_tree(state["forecaster"]))
                 tracker._present = state["present"]
@@ -264,6 +276,8 @@ class OnlineTracker:
     def _follow(self, owners: list[tuple[Key, int]], hidden: list[int], number: int, settled: int) -> None:
         """Have every person's smoother see the detections that are the person's by now."""
         of_person: dict[int, list[Key]] = {track_id: [] for track_id in self._people}
+        if self._conversations is not None:
+            self._conversations.begin(self._time((number, UNSEEN)), number)
         for key, track_id in owners:
             if track_id > 0:
                 of_person.setdefault(track_id, []).append(key)
@@ -274,6 +288,10 @@ class OnlineTracker:
             if person is None:
                 person = self._people[track_id] = _Person(self._smoother())
             person.keys = [key for key in person.keys if key[0] >= settled]
+            person.told = {update: group for update, group in person.told.items() if update >= settled}
+            if self._conversations is not None:
+                group = self._conversations.group(track_id)
+                person.told |= {} if group is None else {number: group}
             if keys or track_id in living:
                 seen_in = {update for update, _ in keys}
                 unseen = [key for key in person.keys if key[1] == UNSEEN and key[0] not in seen_in]
@@ -289,17 +307,21 @@ class OnlineTracker:
         same = 0
         while same < min(len(keys), len(person.keys)) and keys[same] == person.keys[same]:
             same += 1
-        new = [self._seen[key] for key in keys[same:]]
+        new = [self._seen_by(person, key) for key in keys[same:]]
         if same < len(person.keys):
             since = min(self._time(key) for key in (person.keys[same], *keys[same : same + 1]))
             person.estimate = person.smoother.revise(since, new)
             if person.estimate is None:
                 person.smoother = self._smoother()
         if same == len(person.keys) or person.estimate is None:
-            again = new if same == len(person.keys) else [self._seen[key] for key in keys]
+            again = new if same == len(person.keys) else [self._seen_by(person, key) for key in keys]
             for one in again:
                 person.estimate = person.smoother.update(one)
         person.keys = keys
+
+    def _seen_by(self, person: _Person, key: Key) -> Observation:
+        """An observation, with what the person was told of their conversation then."""
+        return with_group_at(self._seen[key], person.told.get(key[0]))
 
     def _time(self, key: Key) -> float:
         return self._seen[key].t
@@ -342,8 +364,10 @@ class OnlineTracker:
 
 @dataclass
 class _Person:
-    """A person's smoother, and which of the detections that can still be revised it has seen."""
+    """A person's smoother, which of the detections that can still be revised it has seen, and what it was
+    told of conversations in their updates."""
 
     smoother: OnlineSmoother
     estimate: Estimate | None = None
     keys: list[Key] = field(default_factory=list)
+    told: dict[int, Group] = field(default_factory=dict)

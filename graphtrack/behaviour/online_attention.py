@@ -19,7 +19,7 @@ from graphtrack.behaviour.places import Place
 from graphtrack.behaviour.told import Told, people_told
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction
-from graphtrack.inference.state import DAMAGES, damaged, from_text, to_text
+from graphtrack.saved import DAMAGES, damaged, from_text, to_text
 
 _FORGOTTEN = 40.0
 """Looks that end on average, after which nothing is left of what somebody looked at."""

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from graphtrack.behaviour.people import People, expected_unit
 from graphtrack.errors import InputError
-from graphtrack.inference.state import Estimate
 from graphtrack.tracks import STATE
 
 if TYPE_CHECKING:
     from graphtrack.association.tracker import PersonEstimate
+    from graphtrack.inference.state import Estimate
 
-Told = Mapping[int, Estimate] | Iterable["PersonEstimate"]
+Told: TypeAlias = "Mapping[int, Estimate] | Iterable[PersonEstimate]"
 """Estimates by track id, or those of a tracker, which know whose they are."""
 
 Numbers = tuple[float, ...]

@@ -31,6 +31,7 @@ from graphtrack.cli.stream_forecast import FrameForecasts
 from graphtrack.cli.stream_names import StreamNames
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.conversations import Conversations
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
 from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.io.options import Associate
@@ -128,15 +129,18 @@ def track_stream(
             forecasts = None if ahead is None else FrameForecasts(ahead)
             behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
 
-            def restore_one(saved: Any) -> OnlineSmoother | FrameForecasts | FrameBehaviour:
+            def restore_one(saved: Any) -> OnlineSmoother | FrameForecasts | FrameBehaviour | Conversations:
                 if ahead is not None and "forecaster" in saved:
                     return FrameForecasts.from_state(ahead, saved)
                 if asked is not None and BEHAVIOUR in saved:
                     return FrameBehaviour.restore(saved, asked)
+                if model.has_groups and "known" in saved:
+                    return Conversations.from_state(saved, model)
                 return OnlineSmoother.from_state(saved, model, **options)
 
             make = partial(OnlineSmoother, model, **options)
-            people = People(make, fps, listener.note, forecasts, behaviour, bounds)
+            conversations = Conversations(model) if model.has_groups else None
+            people = People(make, fps, listener.note, forecasts, behaviour, bounds, conversations)
             return lines, people, restore_one
 
         def restore(saved: Any) -> Frame:
@@ -148,7 +152,7 @@ def track_stream(
         return lines, scenes, restore
 
     known = {"never": False, "always": True}.get(associate)
-    warm_up(model, chosen, behaviour=asked is not None)
+    warm_up(model, chosen, behaviour=asked is not None or model.has_groups)
     if state is None:
         lines, rows, _ = answering(names.native_lines(lines_of(stream, 1)), known)
         return _answer(lines, rows, None, listener, names, copy)
@@ -311,7 +315,7 @@ def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False) -> N
 
     Parameters
     ----------
-    behaviour : whether groups and attention are to be told, too
+    behaviour : whether groups and attention are to be told, or the model asks for groups
     """
     window = engine == "chain" or model.has_modes
     rehearsals = [online_rehearsal(model)] if window else []

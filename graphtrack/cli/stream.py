@@ -14,6 +14,7 @@ from graphtrack.cli.stream_behaviour import BEHAVIOUR, FrameBehaviour, merged
 from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
+from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import Estimate, OnlineSmoother
 from graphtrack.io.readers.ndjson import Pairs, identity, parse_line, read_cells
 from graphtrack.model import Observation
@@ -55,10 +56,11 @@ class People:
     forecasts : of people, where they are asked for
     behaviour : of the people of each frame, where it is asked for
     bounds : how many people there may be
+    conversations : what smoothers of a model with groups are told of each other
 
     Attributes
     ----------
-    members : track id → smoother, and the forecasts and the behaviour
+    members : track id → smoother, and the forecasts, the behaviour and the conversations
     rows, line : rows answered, and the line of the last of them, from 1
     before_change : is called with a track id before its smoother takes something in
     """
@@ -71,11 +73,13 @@ class People:
         forecasts: FrameForecasts | None = None,
         behaviour: FrameBehaviour | None = None,
         bounds: StreamBounds = StreamBounds(),
+        conversations: Conversations | None = None,
     ) -> None:
         self._bounds, self._looked = bounds, -math.inf
         self._forecasts, self._before = forecasts, list[dict[str, Any]]()
         self._make, self._fps, self._told = make, fps, Told(note)
-        self.members: dict[Any, Any] = {} if behaviour is None else {BEHAVIOUR: behaviour}
+        of_scene = {BEHAVIOUR: behaviour, CONVERSATIONS: conversations}
+        self.members: dict[Any, Any] = {key: one for key, one in of_scene.items() if one is not None}
         self.rows = self.line = 0
         self.before_change: Callable[[Any], None] = lambda track_id: None
 
@@ -90,9 +94,14 @@ class People:
             observation = observation_of(cells, self._fps)
             track_id = cells["track_id"]
             smoother = self._smoother(track_id, observation.t)
+            if CONVERSATIONS in self.members:
+                self.before_change(CONVERSATIONS)
+                observation = self.members[CONVERSATIONS].observed(track_id, observation)
             self.before_change(track_id)
             estimate = smoother.update(observation)
             self.members[track_id] = smoother
+            if CONVERSATIONS in self.members:
+                self.members[CONVERSATIONS].estimated(track_id, estimate)
             if self._forecasts is not None:
                 self._before = self._changing_forecasts().take(track_id, observation, estimate)
             if BEHAVIOUR in self.members:
@@ -125,7 +134,7 @@ class People:
     @property
     def count(self) -> int:
         """The people of whom something is kept."""
-        return len(self.members) - (BEHAVIOUR in self.members) - (FORECASTS in self.members)
+        return len(self.members) - sum(key in self.members for key in (BEHAVIOUR, CONVERSATIONS, FORECASTS))
 
     def _is_forgotten(self, smoother: OnlineSmoother, now: float) -> bool:
         after, last = self._bounds.forget_after, smoother.last

@@ -15,8 +15,9 @@ from graphtrack.behaviour.online_groups import OnlineGroups
 from graphtrack.behaviour.people import People
 from graphtrack.behaviour.places import Place
 from graphtrack.behaviour.told import Numbers, Told, numbers_of, people_at, people_told
-from graphtrack.inference.state import Estimate, from_text, to_text
+from graphtrack.inference.state import Estimate
 from graphtrack.model import Observation
+from graphtrack.saved import from_text, to_text
 
 BEHAVIOUR = "behaviour"
 """What groups and attention are called among the members of a stream whose states are kept."""

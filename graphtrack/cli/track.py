@@ -149,17 +149,11 @@ def track(
     tracks = reading.tracks([place_of(input)], rows)
     OnlineSmoother(chosen, engine=engine, lag=kept)  # the first one compiles
     start = time.perf_counter()
-    found, unseen = [], []
     with progress_bar(tracks.n_frames) as advance:
-        for one in tracks:
-            estimate = track_online(one, chosen, engine=engine, lag=kept, camera=tracks.camera)
-            advance(len(one))
-            known = [k for k in range(len(one)) if estimate.position[k, 0] == estimate.position[k, 0]]
-            if known:
-                found.append(estimate)
-            else:
-                unseen.append(one.track_id)
+        everybody = track_online(tracks, chosen, engine=engine, lag=kept, progress=advance)
     seconds = time.perf_counter() - start
+    found = [one for one in everybody if any(x == x for x in one.position[:, 0].tolist())]
+    unseen = sorted({one.track_id for one in everybody} - {one.track_id for one in found})
     estimates = tracks.with_tracks(found)
     if found:
         write(estimates, output)

@@ -27,13 +27,11 @@ from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.observed import checked
 from graphtrack.inference.offline import engine_of, refuse_only_compiled
 from graphtrack.inference.state import (
-    DAMAGES,
     Estimate,
     Newest,
     SavedState,
     Status,
     Window,
-    damaged,
     pack_state,
     predicted,
     unpack_state,
@@ -42,6 +40,7 @@ from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import CHANNELS, seconds_between
 from graphtrack.readiness import make_ready
+from graphtrack.saved import DAMAGES, damaged
 
 if TYPE_CHECKING:
     pass

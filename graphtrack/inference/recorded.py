@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.conversations import Conversations
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother
+from graphtrack.inference.social import lacks_groups
 from graphtrack.inference.state import Estimate
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
@@ -18,6 +22,10 @@ from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
     from graphtrack.io.given import Given, Scene
+
+Progress = Callable[[int], None]
+Options = dict[str, Any]
+"""Of an `OnlineSmoother`."""
 
 
 @overload
@@ -28,6 +36,7 @@ def track_online(
     engine: OnlineEngine = "auto",
     lag: float | None = 2.0,
     camera: GroundCamera | None = None,
+    progress: Progress = ...,
 ) -> Track: ...
 
 
@@ -39,6 +48,7 @@ def track_online(
     engine: OnlineEngine = "auto",
     lag: float | None = 2.0,
     camera: GroundCamera | None = None,
+    progress: Progress = ...,
 ) -> TrackSet: ...
 
 
@@ -49,14 +59,19 @@ def track_online(
     engine: OnlineEngine = "auto",
     lag: float | None = 2.0,
     camera: GroundCamera | None = None,
+    progress: Progress = lambda frames: None,
 ) -> TrackSet | Track:
     """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.
+
+    With the model "social" the tracks of a scene are tracked in step, and their groups are found on the way,
+    where no track has the input ``group``.
 
     Parameters
     ----------
     tracks : a `Track`, of which a `Track` comes out, or what `solve` takes, of which a `TrackSet` does
     model, engine, lag : as in `OnlineSmoother`
     camera : camera of the scene; by default that of the `TrackSet`
+    progress : called with the numbers of person-frames that are done
 
     Raises
     ------
@@ -67,11 +82,33 @@ def track_online(
     if not isinstance(tracks, Track):
         scene, chosen = tracks_of(tracks, associate="never"), Model.named(model)
         camera = scene.camera if camera is None else camera
-        return scene.map(lambda one: track_online(one, chosen, engine=engine, lag=lag, camera=camera))
-    smoother = OnlineSmoother(model, engine=engine, lag=lag, camera=camera)
-    return as_track(
-        tracks, [smoother.update(observation) for observation in observations(tracks)], smoother.model
-    )
+        options: Options = {"engine": engine, "lag": lag, "camera": camera}
+        if chosen.has_groups and lacks_groups(scene):
+            return _in_step(scene, chosen, options, progress)
+        return scene.map(lambda one: _by_itself(one, chosen, options, progress))
+    return _by_itself(tracks, Model.named(model), {"engine": engine, "lag": lag, "camera": camera}, progress)
+
+
+def _by_itself(track: Track, model: Model, options: Options, progress: Progress) -> Track:
+    smoother = OnlineSmoother(model, **options)
+    found = [smoother.update(observation) for observation in observations(track)]
+    progress(len(track))
+    return as_track(track, found, model)
+
+
+def _in_step(scene: TrackSet, model: Model, options: Options, progress: Progress) -> TrackSet:
+    """Everybody frame by frame, each told of the conversations of the frames before."""
+    conversations = Conversations(model)
+    people = [OnlineSmoother(model, **options) for _ in scene]
+    found: list[list[Estimate]] = [[] for _ in scene]
+    seen = [((one.t, place), one) for place, track in enumerate(scene) for one in observations(track)]
+    for (_, place), observation in sorted(seen, key=itemgetter(0)):
+        track_id = scene.tracks[place].track_id
+        estimate = people[place].update(conversations.observed(track_id, observation))
+        conversations.estimated(track_id, estimate)
+        found[place].append(estimate)
+        progress(1)
+    return scene.with_tracks(map(partial(as_track, model=model), scene, found))
 
 
 def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track:

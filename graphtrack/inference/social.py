@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.behaviour.evidence import PairEvidence, pair_evidence
+from graphtrack.behaviour.evidence import PairEvidence, pair_evidence, walks
 from graphtrack.behaviour.facing import facing
 from graphtrack.behaviour.groups import groups_of
 from graphtrack.behaviour.learned import DEFAULT
@@ -19,6 +19,9 @@ from graphtrack.tracks import Track, TrackSet
 
 ROUNDS = 4
 """Times that groups and states are found at most."""
+LEAST = 0.1
+"""Probability of a conversation below which nothing is told of it: of angles that nobody saw it would be
+all that is known."""
 
 
 def lacks_groups(tracks: TrackSet) -> bool:
@@ -65,16 +68,8 @@ def without_group(found: Solution | Failure) -> Solution | Failure:
 def with_neighbours(
     tracks: TrackSet, people: People, evidence: PairEvidence, correlation_time: float
 ) -> TrackSet:
-    """The tracks, each with the direction of the o-space, and how surely there is a conversation.
-
-    That is by where everybody near stands, who counts by the probability of being of one group.
-    """
-    together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds)) * (1.0 - evidence.walking)
-    surest = np.zeros(len(people))
-    np.maximum.at(surest, evidence.left, together)
-    np.maximum.at(surest, evidence.right, together)
-    faced = facing(people.position, evidence.left, evidence.right, evidence.odds, DEFAULT)
-    values = np.column_stack([surest[:, None] * faced, surest])
+    """The tracks, each with the direction of the o-space, and how surely there is a conversation."""
+    values = neighbours(people, evidence)
     frame, identity = people.frame[people.frame_of], people.ids[people.person]
 
     def told(track: Track) -> Track:
@@ -87,18 +82,47 @@ def with_neighbours(
     return tracks.map(told)
 
 
-def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> FloatArray:
-    """How much of its length each of successive directions counts, (n,), 0 to 1.
+def neighbours(people: People, evidence: PairEvidence) -> FloatArray:
+    """(n, 3) of each person: a vector to the o-space, as long as it is sure, and p of a conversation.
 
-    One that is new counts in full, later on dt/correlation_time times: deviations from it persist.
+    That is by where everybody near stands, who counts by the probability of being of one group. Who walks is
+    in no conversation, and what is less probable than `LEAST` is not told.
+    """
+    together = 0.5 * (1.0 + np.tanh(0.5 * evidence.odds)) * (1.0 - evidence.walking)
+    surest = np.zeros(len(people))
+    np.maximum.at(surest, evidence.left, together)
+    np.maximum.at(surest, evidence.right, together)
+    surest *= 1.0 - walks(people, DEFAULT)
+    surest[surest < LEAST] = 0.0
+    faced = facing(people.position, evidence.left, evidence.right, evidence.odds, DEFAULT)
+    return np.column_stack([surest[:, None] * faced, surest])
+
+
+def counts(toward: FloatArray, dt: FloatArray, correlation_time: float) -> FloatArray:
+    """How much of its length each of successive directions counts, (n,), 0 to 1; as `counts_after`.
 
     Parameters
     ----------
     toward : (n, 2) vectors as long as their directions are sure; NaN where nothing is known
     dt : (n,) seconds since the frame before
     """
-    toward = np.nan_to_num(toward)
     before = np.vstack([np.zeros((1, 2)), toward[:-1]])
+    return counts_after(before, toward, dt, correlation_time)
+
+
+def counts_after(
+    before: FloatArray, toward: FloatArray, dt: FloatArray, correlation_time: float
+) -> FloatArray:
+    """How much of their lengths directions count, (n,), 0 to 1, after those of a frame before.
+
+    One that is new counts in full, later on dt/correlation_time times: deviations from it persist.
+
+    Parameters
+    ----------
+    before, toward : (n, 2) vectors as long as their directions are sure; NaN where nothing is known
+    dt : (n,) seconds between them
+    """
+    before, toward = np.nan_to_num(before), np.nan_to_num(toward)
     length, old = np.linalg.norm(toward, axis=1), np.linalg.norm(before, axis=1)
     grown = np.maximum(length - old, 0.0) / np.maximum(length, 1e-9)
     both = np.maximum(length * old, 1e-9)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,11 +11,12 @@ import gtsam
 import numpy as np
 
 from graphtrack.display import html_pairs
-from graphtrack.errors import GraphtrackError, InputError
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.prior import MarginalPrior
 from graphtrack.model import Model, Observation, Step
+from graphtrack.saved import DAMAGES, damaged, from_text, to_text
 
 STATE_VERSION = 3
 
@@ -248,15 +248,6 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedSta
         raise damaged(error) from error
 
 
-DAMAGES = (KeyError, TypeError, ValueError, IndexError, AttributeError, GraphtrackError)
-"""What going on from a damaged state raises."""
-
-
-def damaged(error: Exception) -> InputError:
-    """What is said of a state that raised one of `DAMAGES`."""
-    return InputError(f"a damaged state ({error!r})", "what a smoother saved")
-
-
 def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     steps: list[Step] = []
     values: dict[int, tuple[float, ...]] = {}
@@ -306,16 +297,6 @@ def _estimate(saved: dict[str, Any]) -> Estimate:
         aligned_p=aligned,
         gait_offset=offset,
     )
-
-
-def to_text(values: FloatArray) -> str:
-    """An array of numbers as Base64 of their bytes; its shape is not in it."""
-    return base64.b64encode(values.astype("<f8").tobytes()).decode()
-
-
-def from_text(text: str) -> FloatArray:
-    """The inverse of `to_text`, flat."""
-    return np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8").astype(float)
 
 
 def _nulls(numbers: Any) -> list[float | None]:

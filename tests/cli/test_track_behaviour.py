@@ -162,6 +162,35 @@ def test_a_stream_goes_on_from_its_state_file_with_the_same_options_alone(
             assert refused.returncode == 2 and "attention = [[" in refused.stderr
 
 
+def test_the_social_model_tracks_a_file_and_a_stream_alike_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(1)
+    given = [
+        {"track_id": k, "frame": f, "t": 0.5 * f, "x": np.cos(2.1 * k) + x, "y": np.sin(2.1 * k) + y}
+        for f in range(12)
+        for k, (x, y) in enumerate(0.02 * rng.standard_normal((3, 2)))
+    ]
+
+    def track(rows: list[dict[str, Any]], options: str) -> str:
+        lines = "".join(json.dumps(row) + "\n" for row in rows).encode()
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(lines)))
+        done = graphtrack(f"track - --model social {options}")
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    whole = track(given, "")
+    assert track(given[:17], "--state state") + track(given[17:], "--state state") == whole
+    plain = "".join(json.dumps(row) + "\n" for row in given)
+    (tmp_path / "people.ndjson").write_text(plain)
+    assert graphtrack("track people.ndjson --model social -o tracked.csv").returncode == 0
+    told = [json.loads(line) for line in whole.splitlines()]
+    for estimate in gt.read("tracked.csv"):
+        bodies = [row["body_deg"] for row in told if row["track_id"] == estimate.track_id]
+        np.testing.assert_allclose(np.degrees(estimate.body), bodies, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [

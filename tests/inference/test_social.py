@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 import graphtrack as gt
+from graphtrack.behaviour.evidence import pair_evidence
+from graphtrack.behaviour.learned import DEFAULT
+from graphtrack.behaviour.people import people_of
 from graphtrack.geometry.angles import mean_absolute_error, unit
-from graphtrack.inference.social import counts
+from graphtrack.inference.social import LEAST, counts, neighbours
 from graphtrack.simulation.party import party
 
 
@@ -46,6 +49,20 @@ def test_those_who_walk_together_are_as_without_groups() -> None:
     for a, b in zip(one, other, strict=True):
         np.testing.assert_allclose(a.body, b.body, atol=0.02)
         np.testing.assert_allclose(a.head, b.head, atol=0.02)
+
+
+def test_who_walks_past_a_conversation_is_told_nothing_of_it() -> None:
+    """Where positions alone are seen, the least of it would be all that is known of a body."""
+    frame = np.arange(60)
+    t = 0.4 * frame
+    passing = [np.column_stack([0.7 * t - 8.0, np.full(60, y)]) for y in (0.0, 0.9)]
+    standing = [np.tile([0.5 * k, 1.8 + 0.8 * (k % 2)], (60, 1)) for k in range(3)]
+    people = people_of(gt.Track(k, frame, t, place) for k, place in enumerate((*passing, *standing)))
+    told = neighbours(people, pair_evidence(people, DEFAULT))
+    walks = people.person < 2
+    assert (told[walks] == 0.0).all() and (told[~walks, 2] > 0.5).all()
+    hardly = (told[:, 2] > 0.0) & (told[:, 2] < LEAST)
+    assert not hardly.any()
 
 
 def test_a_direction_counts_in_full_once_and_by_the_time_later() -> None:

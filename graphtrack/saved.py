@@ -1,0 +1,28 @@
+"""What saved states have in common: numbers as text, and what is said of those that are damaged."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+
+from graphtrack.errors import GraphtrackError, InputError
+from graphtrack.geometry.angles import FloatArray
+
+DAMAGES = (KeyError, TypeError, ValueError, IndexError, AttributeError, GraphtrackError)
+"""What going on from a damaged state raises."""
+
+
+def damaged(error: Exception) -> InputError:
+    """What is said of a state that raised one of `DAMAGES`."""
+    return InputError(f"a damaged state ({error!r})", "what a smoother saved")
+
+
+def to_text(values: FloatArray) -> str:
+    """An array of numbers as Base64 of their bytes; its shape is not in it."""
+    return base64.b64encode(values.astype("<f8").tobytes()).decode()
+
+
+def from_text(text: str) -> FloatArray:
+    """The inverse of `to_text`, flat."""
+    return np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8").astype(float)
