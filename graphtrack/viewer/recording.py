@@ -173,11 +173,8 @@ def recording(target: Target, layout: Any, *, clock: bool = False, whole: bool =
     elif target.connect is not None:
         _or_error(target, lambda: stream.connect_grpc(target.connect, **options))
     else:
-        program = _program()
-        _or_error(
-            target,
-            lambda: stream.spawn(memory_limit=_MEMORY, executable_path=program, **options),
-        )
+        window = {"memory_limit": _MEMORY, "executable_path": _program(), "recording": stream}
+        _or_error(target, lambda: made.rr.spawn(**window, **options))
     try:
         yield made
         _or_error(target, lambda: stream.flush(timeout_sec=_PATIENCE if target.save is None else 1e9))

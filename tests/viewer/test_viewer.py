@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from unittest.mock import create_autospec
 
 import cv2
 import numpy as np
@@ -215,6 +217,19 @@ def test_what_cannot_be_shown_is_one_error(
     errors = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
     assert done.returncode == 2 and len(errors) == 1 and said in errors[0]
     assert not list(tmp_path.glob("run*"))
+
+
+def test_a_window_is_that_of_the_package_with_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    import rerun
+
+    given: list[dict[str, Any]] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(
+        rerun, "spawn", create_autospec(rerun.spawn, side_effect=lambda **how: given.append(how))
+    )
+    gt.view(walks())
+    (how,) = given
+    assert how["memory_limit"] == "2GB" and Path(how["executable_path"]).is_file()
 
 
 def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
