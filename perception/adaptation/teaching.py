@@ -26,7 +26,7 @@ CLASSES = PoseClasses.circle(8)
 _FOLDS = 5
 _SHRINKAGES = (1.0, 3.0)
 """To choose from by people left out."""
-_SHARES = (0.0, 0.3, 1.0)
+_SHARES = (0.0, 0.3)
 """What rendered people count in all, in those who walk; to choose from in the same way."""
 _NEVER = 100.0
 """Log density by which a direction that nobody walked in is behind the others."""
