@@ -1,11 +1,12 @@
-"""From a recording and the boxes of its people to the models of its camera."""
+"""From recordings and the boxes of their people to the models of their camera."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
@@ -13,9 +14,26 @@ from perception.adaptation.labels import WalkingLabels, walking_labels
 from perception.adaptation.learning import AdaptationParameters, PackageModels, learn, stages, thinned
 from perception.adaptation.models import CameraModels
 from perception.adaptation.recording import check_camera, looks_of, patches_in
+from perception.adaptation.rendered import Sight
 from perception.detection.boxes import PersonBox
+from perception.ground.upright import LeaningView, feet_of, heights_of
 from perception.images.frames import FrameSource
 from perception.images.told import Progress, told_frames
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Frames of a camera and the boxes of their people.
+
+    Attributes
+    ----------
+    people : with identities or without
+    rate : frames a second
+    """
+
+    frames: FrameSource
+    people: Sequence[PersonBox]
+    rate: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +50,8 @@ class Adapted:
 
 
 def adapted(
-    frames: FrameSource,
-    people: Sequence[PersonBox],
+    recordings: Sequence[Recording],
     camera: GroundCamera,
-    rate: float,
     package: PackageModels,
     rng: np.random.Generator,
     progress: Progress,
@@ -46,9 +62,8 @@ def adapted(
 
     Parameters
     ----------
-    people : their boxes, with identities or without
+    recordings : of the camera; people of one are others than those of another
     camera : over the ground
-    rate : frames a second
     package : models to begin with
     progress : is told how far decoding and learning came
     refuse : is told of frames that cannot be decoded and of boxes that hold nothing
@@ -56,38 +71,80 @@ def adapted(
     Raises
     ------
     InputError
-        If there are no people, too few surely walk, or the camera is of another image size.
+        If there are no people, too few surely walk, or the camera or recordings are of several image sizes.
     """
-    if not people:
+    if not any(recording.people for recording in recordings):
         raise InputError("a recording without people", "people who walk")
-    size = frames.size()
+    size = recordings[0].frames.size()
     check_camera(camera, size)
-    labels = thinned(_labels(frames, people, camera, rate, progress, refuse), parameters)
-    chosen = [people[k] for k in labels.box.tolist()]
-    wanted = {item.frame for item in chosen}
-    with told_frames(frames, wanted.__contains__, len(wanted), progress, one_size=True) as decoded:
-        found = patches_in(decoded, chosen, refuse)
-    there = np.array(sorted(found), np.int64)
-    labels = thinned(labels.taken(there), parameters)  # boxes of frames that did not come are gone
-    seconds = (max(item.frame for item in people) - min(item.frame for item in people) + 1) / rate
-    patches = [found[k] for k in there.tolist()]
+    view = LeaningView.of(camera, size)
+    walking = [_labels(one, camera, view, progress, refuse) for one in recordings if one.people]
+    used = [one for one in recordings if one.people]
+    labels = thinned(joined(walking), parameters)
+    taken, parts, seconds, heights, places = [], [], 0.0, [], []
+    for one, whose in zip(used, _recording_of(labels, walking), strict=True):
+        if one.frames.size() != size:
+            width, height = one.frames.size()
+            expected = f"{size[0]} × {size[1]} as those of the first recording"
+            raise InputError(f"frames of {width} × {height} pixels", expected, path=one.frames.path)
+        chosen = [one.people[k] for k in labels.box[whose].tolist()]
+        wanted = {item.frame for item in chosen}
+        with told_frames(one.frames, wanted.__contains__, len(wanted), progress, one_size=True) as decoded:
+            found = patches_in(decoded, chosen, refuse, view)
+        there = np.array(sorted(found), np.int64)
+        heights.append(heights_of(chosen, view))
+        places.append(camera.image_to_ground(feet_of(chosen, view)))
+        parts.append(whose[there])  # boxes of frames that did not come are gone
+        taken += [found[k] for k in there.tolist()]
+        seconds += (max(p.frame for p in one.people) - min(p.frame for p in one.people) + 1) / one.rate
+    sight = Sight.of(np.concatenate(heights), np.concatenate(places), camera)
+    order = np.concatenate(parts)
+    left = labels.taken(order)
+    kept = thinned(replace(left, box=np.arange(len(left))), parameters)
+    patches = [taken[k] for k in kept.box.tolist()]
     with progress(stages(parameters), "rounds") as advance:
-        models = learn(patches, labels, seconds, size, package, rng, parameters, advance)
+        models = learn(patches, kept, seconds, size, package, rng, parameters, advance, sight)
+    models.upright = view is not None
     return Adapted(models, labels)
 
 
+def joined(walking: Sequence[WalkingLabels]) -> WalkingLabels:
+    """Labels of several recordings, in which nobody is the same."""
+    person, start = [], 0
+    for one in walking:
+        person.append(one.person + start)
+        start += int(one.person.max(initial=-1)) + 1
+    return WalkingLabels(
+        np.concatenate([one.box for one in walking]),
+        np.concatenate(person),
+        np.concatenate([one.angle for one in walking]),
+        np.concatenate([one.std for one in walking]),
+        sum(one.tracks for one in walking),
+        np.concatenate([one.count for one in walking]),
+    )
+
+
+def _recording_of(labels: WalkingLabels, walking: Sequence[WalkingLabels]) -> list[NDArray[np.int64]]:
+    """Which of the joined labels are of each recording."""
+    found, start = [], 0
+    for one in walking:
+        stop = start + int(one.person.max(initial=-1)) + 1
+        found.append(np.flatnonzero((labels.person >= start) & (labels.person < stop)))
+        start = stop
+    return found
+
+
 def _labels(
-    frames: FrameSource,
-    people: Sequence[PersonBox],
+    recording: Recording,
     camera: GroundCamera,
-    rate: float,
+    view: LeaningView | None,
     progress: Progress,
     refuse: Callable[[str], object],
 ) -> WalkingLabels:
     """Who surely walks; for detections the frames are decoded, to see what people look like."""
-    looks = None
+    frames, people, looks = recording.frames, recording.people, None
     if not people[0].identified:
         wanted = {item.frame for item in people}
         with told_frames(frames, wanted.__contains__, len(wanted), progress, one_size=True) as decoded:
             looks, _ = looks_of(decoded, people, refuse)
-    return walking_labels(people, looks, camera, rate)
+    return walking_labels(people, looks, camera, recording.rate, view=view)

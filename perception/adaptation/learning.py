@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,9 @@ from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH, HeadSamples
 from perception.adaptation.labels import WalkingLabels
 from perception.adaptation.models import CameraModels
 from perception.adaptation.patches import ABOVE, COLUMNS, TALL, in_patch
+from perception.adaptation.rendered import RenderedPeople, Sight, rendered_people
 from perception.adaptation.teaching import BODY, CLASSES, HEAD, HeldOut, Taught, folds_of, taught
+from perception.adaptation.tracks import OUTLIERS, class_outlier_probability
 from perception.images.pixels import Image, crop
 from perception.pose.classifier import Classifier
 from perception.pose.head_path import select_along_track
@@ -36,6 +38,7 @@ class AdaptationParameters:
     most_of_person, most : boxes that are learned from
     first_heads : boxes in which heads are looked for with the package's localiser, to begin with
     rounds : of placing heads and learning what they look like
+    many_people : from whom on rendered people are no help
     """
 
     least_people: int = 5
@@ -43,6 +46,7 @@ class AdaptationParameters:
     most: int = 4000
     first_heads: int = 500
     rounds: int = 2
+    many_people: int = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +91,13 @@ def thinned(labels: WalkingLabels, parameters: AdaptationParameters) -> WalkingL
             f"at least {parameters.least_people}: a camera learns from people who walk",
         )
     each = min(parameters.most_of_person, max(1, parameters.most // len(people)))
-    kept = []
+    kept, count = [], []
     for one in people.tolist():
         rows = np.flatnonzero(labels.person == one)
-        kept.append(rows[np.unique(np.linspace(0, len(rows) - 1, min(each, len(rows))).astype(int))])
-    return labels.taken(np.concatenate(kept))
+        taken = rows[np.unique(np.linspace(0, len(rows) - 1, min(each, len(rows))).astype(int))]
+        kept.append(taken)
+        count.append(np.full(len(taken), labels.count[rows].sum() / len(taken)))
+    return replace(labels.taken(np.concatenate(kept)), count=np.concatenate(count))
 
 
 def learn(
@@ -103,6 +109,7 @@ def learn(
     rng: np.random.Generator,
     parameters: AdaptationParameters = AdaptationParameters(),
     advance: Callable[[int], None] = lambda count: None,
+    sight: Sight | None = None,
 ) -> CameraModels:
     """The models of a camera, of people who surely walk.
 
@@ -114,22 +121,26 @@ def learn(
     size : columns and rows of its frames
     package : models to begin with
     advance : is told when one of `stages` is done
+    sight : how the camera sees people; where few walk, such people are rendered to help
     """
     angle = labels.angle
+    few = len(np.unique(labels.person)) < parameters.many_people
+    rendered = rendered_people(sight, rng) if sight is not None and few else None
+    helpers = _helpers(rendered)
     fold = folds_of(labels.person, rng)
     some = _some(len(patches), parameters.first_heads)
     first = np.array([_found(patches[k], package.head_localiser) for k in some.tolist()])
     figures = _of_package([patches[k] for k in some.tolist()], first, angle[some], package)
     place = np.median(first, axis=0)
     advance(1)
-    given = _attempt(patches, np.tile(place, (len(patches), 1)), labels, fold)
+    given = _attempt(patches, np.tile(place, (len(patches), 1)), labels, fold, helpers)
     figures |= _figures(given, labels, "_boxes_as_given")
     advance(1)
     best, templates, known = given, None, first
     for _ in range(parameters.rounds):
         samples = HeadSamples.of([patches[k] for k in some.tolist()], known, angle[some], rng)
         heads = _placed(patches, samples, fold[some], labels, fold)
-        tried = _attempt(patches, heads, labels, fold)
+        tried = _attempt(patches, heads, labels, fold, helpers)
         if tried.loss(angle) < best.loss(angle):
             best, templates = tried, samples.templates(np.ones(len(some), bool))
         known = heads[some]
@@ -173,12 +184,26 @@ def _placed(
     return heads
 
 
+_Helpers = Sequence[tuple[NDArray[np.float32], FloatArray] | None]
+
+
+def _helpers(rendered: RenderedPeople | None) -> _Helpers:
+    """What body and head of rendered people look like, and where they point."""
+    if rendered is None:
+        return None, None
+    return [(view.all_features(rendered.patches, rendered.head), rendered.angle) for view in (BODY, HEAD)]
+
+
 def _attempt(
-    patches: Sequence[Image], heads: FloatArray, labels: WalkingLabels, fold: NDArray[np.int64]
+    patches: Sequence[Image],
+    heads: FloatArray,
+    labels: WalkingLabels,
+    fold: NDArray[np.int64],
+    helpers: _Helpers,
 ) -> _Attempt:
     found = [
-        taught(view.all_features(patches, heads), view.sign, labels.angle, labels.person, fold)
-        for view in (BODY, HEAD)
+        taught(view.all_features(patches, heads), view.sign, labels.angle, labels.person, fold, helper)
+        for view, helper in zip((BODY, HEAD), helpers, strict=True)
     ]
     (body, body_out), (head, head_out) = found
     return _Attempt(heads, body, head, body_out, head_out)
@@ -228,7 +253,14 @@ def _card(
     people = len(np.unique(labels.person))
     said = f"the directions of travel of {people} people who surely walk, in {seconds / 60.0:.1f} minutes"
     unseen = unseen_views(best.body.seen)
-    parameters: dict[str, Any] = {"people": people, "minutes": seconds / 60.0, "aligned": aligned}
+    parts = [best.body_out.log_likelihood, best.head_out.log_likelihood]
+    outliers = class_outlier_probability(parts, labels.angle, labels.person, labels.count)
+    parameters: dict[str, Any] = {
+        "people": people,
+        "minutes": seconds / 60.0,
+        "aligned": aligned,
+        OUTLIERS: outliers,
+    }
     fails = "another view or other light; people who look or stand aside are known by what walkers show"
     if unseen:
         fails += f"; nobody walked at {', '.join(unseen)} to the camera: the likelihoods are flat there"

@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.model import Model
 from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH, HeadTemplates
 from perception.adaptation.patches import patch_of
 from perception.adaptation.teaching import BODY, CLASSES, HEAD, Taught
+from perception.adaptation.tracks import OUTLIERS, with_outliers
+from perception.ground.upright import Standing, upright_picture
 from perception.images.pixels import Image
 from perception.pose.heads import HeadCandidates
 from perception.storage import ModelCard, Stored
@@ -31,6 +34,7 @@ class CameraModels(Stored):
     templates : of heads; None: boxes are taken as they are
     body, head : the models of the directions
     size : columns and rows of the frames
+    upright : whether it learned from people who were turned upright, as `LeaningView` says they stand
     """
 
     kind: ClassVar[str] = "camera"
@@ -41,6 +45,7 @@ class CameraModels(Stored):
     head: Taught
     size: tuple[int, int]
     card: ModelCard
+    upright: bool = False
 
     classes = CLASSES
 
@@ -52,9 +57,14 @@ class CameraModels(Stored):
         return HeadCandidates(np.array([[left, top, HEAD_WIDTH, HEAD_HEIGHT]]), np.zeros(1))
 
     def look(
-        self, image: Image, boxes: Sequence[tuple[float, float, float, float]]
+        self,
+        image: Image,
+        boxes: Sequence[tuple[float, float, float, float]],
+        standing: Sequence[Standing | None] | None = None,
     ) -> list[tuple[FloatArray, HeadCandidates, FloatArray]]:
         """Of each box of a frame: the body's log likelihoods (8,), heads in its crop, and theirs (k, 8).
+
+        Who leans stands as ``standing`` says; heads are in the crop of the turned picture's box then.
 
         Raises
         ------
@@ -62,7 +72,11 @@ class CameraModels(Stored):
             If the frame is not as large as those that the camera learned from.
         """
         self.check_size(image)
-        return self.look_at([patch_of(image, box) for box in boxes], boxes)
+        pictures = [
+            upright_picture(image, box, how)
+            for box, how in zip(boxes, standing or [None] * len(boxes), strict=True)
+        ]
+        return self.look_at([patch_of(*one) for one in pictures], [box for _, box in pictures])
 
     def check_size(self, image: Image) -> None:
         """Refuse frames of another size; the error is an `InputError`."""
@@ -93,13 +107,24 @@ class CameraModels(Stored):
             for of_body, one, of_head, box in zip(body, found, head, boxes, strict=True)
         ]
 
+    @property
+    def class_outlier_probability(self) -> float | None:
+        """The graph's share of class likelihoods that say nothing; None: not known, as of older files."""
+        share = self.card.parameters.get(OUTLIERS)
+        return None if share is None else float(share)
+
+    def graph(self, model: Model) -> Model:
+        """A graph that believes what the camera's models say along a track as far as people left out show."""
+        share = self.class_outlier_probability
+        return model if share is None else with_outliers(model, share)
+
     def parameters(self) -> dict[str, Any]:
         """Size of the frames, and calibrations."""
         of_parts = {
             name: {"temperature": part.temperature, "share": part.share, "seen": part.seen.tolist()}
             for name, part in (("body", self.body), ("head", self.head))
         }
-        return {"size": list(self.size), **of_parts}
+        return {"size": list(self.size), "upright": self.upright, **of_parts}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Templates and weights."""
@@ -131,7 +156,8 @@ class CameraModels(Stored):
         if "template_weight" in arrays:
             templates = HeadTemplates(*(arrays[f"template_{name}"] for name in ("weight", "bias", "place")))
         width, height = (int(value) for value in card.parameters["size"])
-        return cls(templates, arrays["place"], parts["body"], parts["head"], (width, height), card)
+        upright = bool(card.parameters.get("upright", False))
+        return cls(templates, arrays["place"], parts["body"], parts["head"], (width, height), card, upright)
 
 
 def in_crop(heads: HeadCandidates, box: tuple[float, float, float, float]) -> HeadCandidates:

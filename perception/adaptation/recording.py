@@ -11,6 +11,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from perception.adaptation.patches import patch_of
 from perception.detection.boxes import PersonBox
+from perception.ground.upright import LeaningView, standing_in, upright_picture
 from perception.images.frames import Frame
 from perception.images.pixels import Image, checked_box, crop
 from perception.pose.features.appearance import LENGTH, describe, light_of
@@ -40,9 +41,15 @@ def looks_of(
 
 
 def patches_in(
-    frames: Iterable[Frame], boxes: Sequence[PersonBox], refuse: Callable[[str], object]
+    frames: Iterable[Frame],
+    boxes: Sequence[PersonBox],
+    refuse: Callable[[str], object],
+    view: LeaningView | None = None,
 ) -> dict[int, Image]:
-    """The surroundings of boxes, by their places in the sequence; those that hold nothing are left out."""
+    """The surroundings of boxes, by their places in the sequence; those that hold nothing are left out.
+
+    Who leans in a ``view`` is turned upright.
+    """
     found: dict[int, Image] = {}
     of_frame = _by_frame(boxes)
     for frame in frames:
@@ -51,7 +58,8 @@ def patches_in(
             continue
         for k in of_frame.get(frame.number, []):
             if _is_inside(boxes[k], frame.image, refuse):
-                found[k] = patch_of(frame.image, boxes[k].box)
+                box = boxes[k].box
+                found[k] = patch_of(*upright_picture(frame.image, box, standing_in(view, box)))
     return found
 
 

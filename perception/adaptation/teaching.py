@@ -26,6 +26,8 @@ CLASSES = PoseClasses.circle(8)
 _FOLDS = 5
 _SHRINKAGES = (1.0, 3.0)
 """To choose from by people left out."""
+_SHARES = (0.0, 0.3)
+"""What rendered people count in all, in those who walk; to choose from in the same way."""
 _NEVER = 100.0
 """Log density by which a direction that nobody walked in is behind the others."""
 _LEAST_PEOPLE = 2
@@ -174,6 +176,7 @@ def taught(
     angle: FloatArray,
     person: NDArray[np.int64],
     fold: NDArray[np.int64],
+    rendered: tuple[NDArray[np.float32], FloatArray] | None = None,
 ) -> tuple[Taught, HeldOut]:
     """A model of all, and what models without a person say of that person.
 
@@ -183,22 +186,39 @@ def taught(
     sign : (d,) as `View.sign`
     angle : (n,) radians in the image frame
     person, fold : (n,) as from `folds_of`
+    rendered : features (m, d) and angles (m,) of rendered people, who help where that makes people left out
+        likelier
     """
     label = CLASSES.index(angle)
+    more = None if rendered is None else _sums_of_rendered(*rendered, features, sign)
+    tried = [(s, share) for share in (_SHARES if rendered is not None else (0.0,)) for s in _SHRINKAGES]
     parts = np.unique(fold).tolist()
     sums = [_Sums.of(features[fold == k], sign, label[fold == k], person[fold == k]) for k in parts]
     everybody = reduce(_Sums.__add__, sums)
-    scores = np.zeros((len(_SHRINKAGES), len(label), len(CLASSES)))
+    scores = np.zeros((len(tried), len(label), len(CLASSES)))
     for k, of_part in zip(parts, sums, strict=True):
         rest = everybody - of_part
-        for s, shrinkage in enumerate(_SHRINKAGES):
-            scores[s, fold == k] = _of_both(features[fold == k], sign, *rest.discriminant(sign, shrinkage))
+        for s, (shrinkage, share) in enumerate(tried):
+            model = rest.helped(more, share).discriminant(sign, shrinkage)
+            scores[s, fold == k] = _of_both(features[fold == k], sign, *model)
     seen = seen_directions(label, person)
     found = [_honest(one, label, fold, seen) for one in scores]
     best = int(np.argmin([one.loss(angle) for one in found]))
-    temperature, share = fit_temperature_and_share(scores[best], label)
-    weight, bias = everybody.discriminant(sign, _SHRINKAGES[best])
-    return Taught(weight, bias, temperature, share, seen), found[best]
+    temperature, beside = fit_temperature_and_share(scores[best], label)
+    shrinkage, share = tried[best]
+    weight, bias = everybody.helped(more, share).discriminant(sign, shrinkage)
+    return Taught(weight, bias, temperature, beside, seen), found[best]
+
+
+def _sums_of_rendered(
+    rendered: NDArray[np.float32],
+    angle: FloatArray,
+    features: NDArray[np.float32],
+    sign: NDArray[np.float32],
+) -> _Sums:
+    """Those of rendered people (m, d), moved to where people of the recording (n, d) are on average."""
+    apart = np.where(sign > 0, features.mean(axis=0) - rendered.mean(axis=0), 0.0).astype(np.float32)
+    return _Sums.of(rendered + apart, sign, CLASSES.index(angle), np.arange(len(angle)))
 
 
 def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -265,6 +285,14 @@ class _Sums:
     def __sub__(self, other: _Sums) -> _Sums:
         even, odd = (a - b for a, b in zip(self.squares, other.squares, strict=True))
         return _Sums(self.weight - other.weight, self.total - other.total, (even, odd))
+
+    def helped(self, others: _Sums | None, share: float) -> _Sums:
+        """With other people, who count ``share`` of what these do in all."""
+        if others is None or share == 0.0:
+            return self
+        factor = share * float(self.weight.sum()) / float(others.weight.sum())
+        even, odd = (factor * square for square in others.squares)
+        return self + _Sums(factor * others.weight, factor * others.total, (even, odd))
 
     def discriminant(
         self, sign: NDArray[np.float32], shrinkage: float

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,11 +13,10 @@ from graphtrack.cli.console import console, print_table, progress_bar
 from graphtrack.cli.options import Seed
 from graphtrack.display import counted
 from perception.cli.common import (
-    Boxes,
+    FILE,
     Calibration,
     Fps,
     Homography,
-    VideoOrFolder,
     check_places,
     frame_rate,
     print_skipped,
@@ -30,12 +30,33 @@ if TYPE_CHECKING:
 
 
 def adapt(
-    source: VideoOrFolder,
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Videos or folders of images, all of one camera.", metavar="VIDEO|FOLDER...", exists=True
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write (.npz).")],
-    boxes: Boxes = None,
+    boxes: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--boxes",
+            help="MOT text or CAVIAR XML with people's boxes, or a detector's, whose ids are -1, once for "
+            "each recording in their order; without it people are detected.",
+            **FILE,
+        ),
+    ] = None,
     homography: Homography = None,
     calibration: Calibration = None,
     fps: Fps = None,
+    write_model: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-model",
+            help="Write the graph's model file (.toml) that goes with these models, for `graphtrack smooth "
+            "--model`.",
+        ),
+    ] = None,
     seed: Seed = 0,
 ) -> None:
     """Let a camera teach itself how bodies and heads point, from people who surely walk.
@@ -43,7 +64,8 @@ def adapt(
     `perception observe --models` uses the file.
     """
     from graphtrack.errors import InputError
-    from perception.adaptation.adapting import adapted
+    from graphtrack.model import Model
+    from perception.adaptation.adapting import Recording, adapted
     from perception.adaptation.learning import PackageModels
     from perception.adaptation.recording import check_camera
     from perception.detection.boxes import read_boxes
@@ -52,27 +74,46 @@ def adapt(
 
     if output.suffix != ".npz":
         raise InputError(f"--output {output.name}", "a name that ends in .npz")
+    given: list[Path | None] = [*boxes] if boxes else [None] * len(sources)
+    if len(given) != len(sources):
+        raise InputError(
+            f"--boxes {len(given)} times for {counted(len(sources), 'recording')}",
+            "once for each of them, in their order, or for none",
+        )
+    # A search that was broken off goes on: each recording has journals of its own.
+    places = [output if k == 0 else output.with_name(f"{output.name}.{k}") for k in range(len(sources))]
+    journals = [path for place in places for path in search_journals(place)]
     inputs = {"--boxes": boxes, "--homography": homography, "--calibration": calibration}
-    journals = search_journals(output)
-    check_places({"--output": output, "the journals of --output": journals}, None, source, inputs)
+    outputs = {"--output": output, "--write-model": write_model, "the journals of --output": journals}
+    for source in sources:
+        check_places(outputs, None, source, inputs)
     camera = read_camera(homography, calibration)
     if camera is None:
         raise InputError("no camera", "--calibration or --homography: where people go is seen on the ground")
-    frames = FrameSource.open(source)
-    check_camera(camera, frames.size())
-    rate = frame_rate(frames, fps)
+    opened = [FrameSource.open(source) for source in sources]
+    for frames in opened:
+        check_camera(camera, frames.size())
     refused: dict[str, None] = {}
     refuse = refused.setdefault
     asked = stamp_of(homography), stamp_of(calibration)
-    search = PeopleSearch(frames, camera, rate, output, asked, one_size=True)
     package = PackageModels(
         load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
     )
     rng = np.random.default_rng(seed)
-    with search:
-        people = search.people(refuse) if boxes is None else read_boxes(boxes, refuse)
-        found = adapted(frames, people, camera, rate, package, rng, progress_bar, refuse)
+    recordings = []
+    with ExitStack() as searches:
+        for frames, place, of_recording in zip(opened, places, given, strict=True):
+            rate = frame_rate(frames, fps)
+            if of_recording is None:
+                search = PeopleSearch(frames, camera, rate, place, asked, one_size=True)
+                people = searches.enter_context(search).people(refuse)
+            else:
+                people = read_boxes(of_recording, refuse)
+            recordings.append(Recording(frames, people, rate))
+        found = adapted(recordings, camera, package, rng, progress_bar, refuse)
         found.models.save(output)
+        if write_model is not None:
+            found.models.graph(Model.named(None)).save(write_model)
     print_skipped(list(refused))
     console.print(
         f"learned from {len(found.labels)} boxes of {found.people} people who "
@@ -80,7 +121,9 @@ def adapt(
         markup=False,
     )
     print_figures(found.models.card)
-    console.print(f"wrote {output}", markup=False)
+    share = found.models.class_outlier_probability
+    console.print(f"the graph is to take {share:.0%} of the class likelihoods for nothing", markup=False)
+    console.print(f"wrote {output}" + ("" if write_model is None else f" and {write_model}"), markup=False)
 
 
 def print_figures(card: ModelCard) -> None:

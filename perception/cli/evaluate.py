@@ -13,7 +13,7 @@ from graphtrack.cli.console import console, print_table, progress_bar
 from graphtrack.cli.options import Json, Seed, check_outputs
 
 _TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
-_REAL = ("sigma-pi", "heads", "lobby")
+_REAL = ("sigma-pi", "heads", "lobby", "street")
 """Tables of recordings, which are made where they are asked for."""
 
 Show = Callable[[str, Sequence[Mapping[str, Any]]], None]
@@ -28,7 +28,7 @@ def evaluate(
             "recognition (004 Tables 1-3), joint (002 Table 2), published (002's perception as printed "
             "beside ours), keypoints (body and head by keypoints); these by default. Of recordings in "
             "--data: sigma-pi (003's tracker on CAVIAR's people), heads (004's trackers on Town Centre's "
-            "heads), lobby (adapted to CAVIAR's lobby).",
+            "heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method).",
             metavar="[TABLE]...",
         ),
     ] = None,
@@ -94,6 +94,8 @@ def evaluate(
             _heads(recordings / "towncentre", heads, seed, show)
         if "lobby" in wanted:
             _lobby(recordings / "caviar", seed, show)
+        if "street" in wanted:
+            _street(recordings / "towncentre", seed, show)
     if json_path is not None:
         write_tables(json_path, shown)
         console.print(f"wrote {json_path}", markup=False)
@@ -267,4 +269,12 @@ def _lobby(folder: Path, seed: int, show: Show) -> None:
     sequences = sequences_of(folder)
     with progress_bar(len(sequences), "sequences") as advance:
         table = adapted_table(sequences, seed, advance)
+    show(table.title, table.records())
+
+
+def _street(folder: Path, seed: int, show: Show) -> None:
+    from perception.evaluation.adapted_street import METHODS, PARTS, methods_table
+
+    with progress_bar(PARTS + len(METHODS), "steps") as advance:
+        table = methods_table(folder, seed, advance)
     show(table.title, table.records())

@@ -252,7 +252,7 @@ class _Run:
                 load_classifier(HEAD_POSE[0]),
                 appearance=not identified,
                 of_camera=CameraModels.load(taught) if taught.is_file() else None,
-            )
+            ).seeing(self.camera, self.frames.size())
             encode, decode = pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record
             journal = FrameJournal(place.with_name(f"{place.name}.journal"), key, encode, decode)
             journal.open()
@@ -281,13 +281,16 @@ class _Run:
     def estimate(self, method: str) -> None:
         """Stage 5: where everybody is, how they move and point."""
         from graphtrack.io import write
+        from perception.adaptation.models import CameraModels
         from perception.report.people import estimated
 
         def work(key: str) -> list[str]:
             assert self.camera is not None
             observations = self._read("observations")
+            taught = self.folder.file("models")
+            adapted = CameraModels.load(taught).graph if taught.is_file() else lambda model: model
             with progress_bar(observations.n_frames) as advance:
-                found, said = estimated(observations, self.camera, method, advance)
+                found, said = estimated(observations, self.camera, method, advance, adapted)
             write(found, self.folder.file("tracks"))
             return said
 

@@ -42,7 +42,7 @@ def teach(
     InputError
         If the camera is of another image size, or the place cannot be written to.
     """
-    from perception.adaptation.adapting import adapted
+    from perception.adaptation.adapting import Recording, adapted
     from perception.adaptation.learning import PackageModels, TooFewWalkers
     from perception.adaptation.models import CameraModels
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser
@@ -56,7 +56,8 @@ def teach(
     )
     rng = np.random.default_rng(seed)
     try:
-        models = adapted(frames, people, camera, rate, package, rng, progress_bar, refuse).models
+        recordings = [Recording(frames, people, rate)]
+        models = adapted(recordings, camera, package, rng, progress_bar, refuse).models
     except TooFewWalkers as error:
         sentence = f"the camera does not teach itself, the package's models look: {error.found}"
         console.print(f"  note: {sentence}", markup=False)

@@ -11,7 +11,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import PERSON_HEIGHT
 
-_LEAN = 0.5
+LEAN = 0.5
 """Largest shift of the head to the side, in heights, of a person who counts as upright in the image."""
 
 
@@ -62,7 +62,7 @@ class PersonSizes:
         foot = np.asarray(foot, float)
         up = foot - self.heads(foot)
         with np.errstate(invalid="ignore"):
-            upright = (up[:, 1] > 0.0) & (np.abs(up[:, 0]) <= _LEAN * up[:, 1])
+            upright = (up[:, 1] > 0.0) & (np.abs(up[:, 0]) <= LEAN * up[:, 1])
         return np.where(upright, up[:, 1], np.nan)
 
 

@@ -1,80 +1,47 @@
 """CAVIAR's lobby adapted to itself: learned on some sequences of the view, judged on another one.
 
-The camera looks down: people stand in the picture as spokes about the point below it, and what is learned
-from people who stand upright sees nothing there. So each is turned upright first, by the camera.
+The camera looks down, so that people lean in the picture; `perception.ground.upright` turns them upright.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce.experiment import Cell, Progress, Table, quietly
-from graphtrack.geometry.angles import FloatArray, difference
-from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.readers.caviar import FPS, LOBBY_HEIGHT, lobby_camera
-from perception.adaptation.labels import WalkingLabels, walking_labels
-from perception.adaptation.learning import AdaptationParameters, PackageModels, learn, thinned
+from graphtrack.geometry.angles import difference
+from graphtrack.io.readers.caviar import FPS, lobby_camera
+from perception.adaptation.adapting import Recording, adapted
+from perception.adaptation.labels import walking_labels
+from perception.adaptation.learning import PackageModels
 from perception.adaptation.models import CameraModels
-from perception.adaptation.patches import patch_of
 from perception.adaptation.teaching import CLASSES
-from perception.detection.boxes import PersonBox
+from perception.detection.boxes import read_boxes
+from perception.ground.upright import LeaningView
 from perception.images.frames import FrameSource
-from perception.images.pixels import Image
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
-
-_PERSON = 1.75
-"""Metres from the floor to above the head."""
-_WIDTH = 0.41
-"""Of a box, in its heights."""
-_SHORTEST = 0.6
-"""Length of a person in the picture, in what 1.75 m of the floor measure there: from above, people are not
-short but wide."""
+from perception.observe.pipeline import Models, observe_frame
 
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """People of one sequence, each turned upright.
+    """A sequence of the lobby.
 
     Attributes
     ----------
     name : of the sequence
-    people : their upright boxes
-    pictures : of each the frame, turned
-    gaze : (n,) labelled, radians in the image frame; NaN: not labelled
-    labels : of those who surely walk
+    recording : frames and labelled boxes
+    gaze : by frame and person the labelled one, radians in the image frame
     """
 
     name: str
-    people: list[PersonBox]
-    pictures: list[Image]
-    gaze: FloatArray
-    labels: WalkingLabels
-
-
-def upright(image: Image, foot: FloatArray, camera: GroundCamera, height: float) -> tuple[Image, FloatArray]:
-    """An image turned about a foot point (2,) so that who stands there is upright, and their box (4,).
-
-    Parameters
-    ----------
-    camera : whose centre is above the origin of the ground
-    height : metres of the camera above the ground
-    """
-    ground = camera.image_to_ground(foot)
-    head = camera.ground_to_image(ground * height / (height - _PERSON))
-    up = head - foot
-    beside = camera.ground_to_image(ground + _PERSON * np.array([[0.5, 0.0], [-0.5, 0.0]]))
-    length = max(float(np.linalg.norm(up)), _SHORTEST * float(np.linalg.norm(beside[0] - beside[1])))
-    turn = float(np.degrees(np.arctan2(up[0], -up[1])))
-    turned = cv2.getRotationMatrix2D((float(foot[0]), float(foot[1])), turn, 1.0)
-    size = (image.shape[1], image.shape[0])
-    shown = cv2.warpAffine(image, turned, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    box = np.array([foot[0] - _WIDTH * length / 2.0, foot[1] - length, _WIDTH * length, length])
-    return np.asarray(shown, np.uint8), box
+    recording: Recording
+    gaze: dict[tuple[int, int], float]
 
 
 def sequences_of(folder: Path) -> list[Sequence]:
@@ -93,46 +60,24 @@ def sequences_of(folder: Path) -> list[Sequence]:
     return [_sequence(path, folder / "frames" / path.stem) for path in paths]
 
 
-def _sequence(path: Path, frames: Path) -> Sequence:
-    camera = lobby_camera()
-    of_frame: dict[int, list[tuple[int, FloatArray, float]]] = {}
+def _sequence(path: Path, folder: Path) -> Sequence:
+    camera, frames = lobby_camera(), FrameSource.open(folder)
+    there = set(frames.numbers())
+    people = [item for item in read_boxes(path) if item.frame in there]
+    gaze: dict[tuple[int, int], float] = {}
     for track in quietly(path):
-        assert track.pixel is not None
-        head = np.full(len(track), np.nan) if track.head is None else np.asarray(track.head)
-        gaze = camera.image_angle(head, track.position)
-        for k, frame in enumerate(track.frame.tolist()):
-            of_frame.setdefault(frame, []).append((track.track_id, track.pixel[k], float(gaze[k])))
-    people, pictures, looks = [], [], []
-    for picture in FrameSource.open(frames).where(of_frame.__contains__):
-        if picture.image is None:
+        if track.head is None:
             continue
-        for person, foot, angle in of_frame[picture.number]:
-            if not np.isfinite(foot).all():
-                continue
-            shown, box = upright(picture.image, foot, camera, LOBBY_HEIGHT)
-            left, top, width, height = (float(value) for value in box)
-            people.append(PersonBox(picture.number, person, (left, top, width, height)))
-            pictures.append(shown)
-            looks.append(angle)
-    return Sequence(path.stem, people, pictures, np.array(looks), walking_labels(people, None, camera, FPS))
+        angle = camera.image_angle(track.head, track.position)
+        for frame, value in zip(track.frame.tolist(), angle.tolist(), strict=True):
+            if np.isfinite(value):
+                gaze[frame, track.track_id] = value
+    return Sequence(path.stem, Recording(frames, people, FPS), gaze)
 
 
-def _joined(sequences: list[Sequence]) -> tuple[list[Image], WalkingLabels]:
-    """Patches and labels of those who surely walk in several sequences."""
-    patches: list[Image] = []
-    parts = []
-    for k, one in enumerate(sequences):
-        labels = one.labels
-        patches += [patch_of(one.pictures[j], one.people[j].box) for j in labels.box.tolist()]
-        parts.append(1000 * k + labels.person)
-    n = len(patches)
-    return patches, WalkingLabels(
-        np.arange(n),
-        np.concatenate(parts),
-        np.concatenate([one.labels.angle for one in sequences]),
-        np.concatenate([one.labels.std for one in sequences]),
-        sum(one.labels.tracks for one in sequences),
-    )
+def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
+    """Tells nobody how far it came."""
+    return nullcontext(lambda done: None)
 
 
 def adapted_table(sequences: list[Sequence], seed: int, progress: Progress) -> Table:
@@ -140,30 +85,44 @@ def adapted_table(sequences: list[Sequence], seed: int, progress: Progress) -> T
     package = PackageModels(
         load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
     )
-    parameters, rows = AdaptationParameters(), []
+    rows = []
     for one in sequences:
-        patches, labels = _joined([other for other in sequences if other is not one])
-        labels = thinned(labels, parameters)
-        chosen = [patches[k] for k in labels.box.tolist()]
-        seconds = sum(len({item.frame for item in other.people}) for other in sequences) / FPS
-        size = (one.pictures[0].shape[1], one.pictures[0].shape[0])
-        models = learn(chosen, labels, seconds, size, package, np.random.default_rng(seed), parameters)
-        rows.append(_judged(models, one, len(np.unique(labels.person))))
+        others = [other.recording for other in sequences if other is not one]
+        rng = np.random.default_rng(seed)
+        found = adapted(others, lobby_camera(), package, rng, _silent, lambda reason: None)
+        rows.append(_judged(found.models, package, one, found.people))
         progress(1)
     return Table.of("CAVIAR's lobby, adapted on the other sequences: mean error in degrees (chance 90)", rows)
 
 
-def _judged(models: CameraModels, sequence: Sequence, taught_by: int) -> dict[str, Cell]:
-    labels = sequence.labels
-    walking = dict(zip(labels.box.tolist(), labels.angle.tolist(), strict=True))
-    wanted = sorted(set(walking) | set(np.flatnonzero(np.isfinite(sequence.gaze)).tolist()))
-    body, head = {}, {}
-    for k in wanted:
-        ((of_body, _, of_heads),) = models.look(sequence.pictures[k], [sequence.people[k].box])
-        body[k] = float(CLASSES.mean_pan(of_body[None])[0])
-        head[k] = float(CLASSES.mean_pan(of_heads[:1])[0])
-    gazes = {k: float(sequence.gaze[k]) for k in wanted if np.isfinite(sequence.gaze[k])}
-    figures = models.card.figures
+def _judged(
+    models: CameraModels, package: PackageModels, sequence: Sequence, taught_by: int
+) -> dict[str, Cell]:
+    camera, recording = lobby_camera(), sequence.recording
+    people = recording.people
+    view = LeaningView.of(camera, recording.frames.size())
+    labels = walking_labels(people, None, camera, recording.rate, view=view)
+    walking = {
+        (people[k].frame, people[k].track_id): angle
+        for k, angle in zip(labels.box.tolist(), labels.angle.tolist(), strict=True)
+    }
+    wanted = walking.keys() | sequence.gaze.keys()
+    parts = package.head_localiser, package.body_pose, package.head_pose
+    said = {}
+    for name, of_camera in (("taught", models), ("package", None)):
+        looking = Models(*parts, of_camera=of_camera).seeing(camera, recording.frames.size())
+        body, head = {}, {}
+        for frame in recording.frames:
+            of_frame = [item for item in people if (item.frame, item.track_id) in wanted]
+            of_frame = [item for item in of_frame if item.frame == frame.number]
+            if frame.image is None or not of_frame:
+                continue
+            for seen in observe_frame(frame.image, frame.number, of_frame, looking, lambda reason: None):
+                key = seen.frame, seen.track_id
+                body[key] = float(CLASSES.mean_pan(seen.body[None])[0])
+                head[key] = float(looking.head_classes.mean_pan(seen.pan[:1])[0])
+        said[name] = body, head
+    body, head = said["taught"]
     return {
         "judged on": sequence.name,
         "learned from (people)": taught_by,
@@ -171,15 +130,15 @@ def _judged(models: CameraModels, sequence: Sequence, taught_by: int) -> dict[st
         "boxes": len(walking),
         "body, walking": _error(body, walking),
         "head, walking": _error(head, walking),
-        "head against gaze": _error(head, gazes),
-        "travel against gaze": _error(walking, gazes),
-        "gazes": len(gazes),
-        "in learning: body of people left out": figures["body_error_deg"],
-        "in learning: the package's body": figures["body_error_deg_package"],
+        "head against gaze": _error(head, sequence.gaze),
+        "travel against gaze": _error(walking, sequence.gaze),
+        "gazes": len(sequence.gaze),
+        "the package's body, walking": _error(said["package"][0], walking),
+        "in learning: body of people left out": models.card.figures["body_error_deg"],
     }
 
 
-def _error(said: dict[int, float], truth: dict[int, float]) -> float | None:
+def _error(said: dict[tuple[int, int], float], truth: dict[tuple[int, int], float]) -> float | None:
     """Mean of what is said where the truth is known, degrees."""
     shared = sorted(said.keys() & truth.keys())
     if not shared:

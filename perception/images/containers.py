@@ -88,3 +88,23 @@ def _is_transport_stream(head: bytes) -> bool:
         for size in _PACKETS
         for start in range(size)
     )
+
+
+def is_cut_off(path: Path) -> bool:
+    """Whether a file is an MP4 without its index, which stands at the end of most."""
+    place, length = 0, path.stat().st_size
+    with path.open("rb") as stream:
+        if stream.read(8)[4:] != b"ftyp":
+            return False
+        while place + 8 <= length:
+            stream.seek(place)
+            head = stream.read(16)
+            if head[4:8] == b"moov":
+                return False
+            size = int.from_bytes(head[:4], "big")
+            if size == 1:  # the size stands after the name
+                size = int.from_bytes(head[8:16], "big")
+            if size < 8:
+                break
+            place += size
+    return True

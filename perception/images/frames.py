@@ -12,7 +12,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.table.schema import LARGEST_FRAME
-from perception.images.containers import a_picture, check_video
+from perception.images.containers import a_picture, check_video, is_cut_off
 from perception.images.pixels import Image, as_uint8
 
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"}
@@ -66,7 +66,7 @@ class FrameSource:
         try:
             fps, count = video.get(cv2.CAP_PROP_FPS), int(video.get(cv2.CAP_PROP_FRAME_COUNT))
             if not video.isOpened() or not video.read()[0]:
-                raise InputError("no video that can be decoded", "a video or a folder of images", path=path)
+                raise InputError("no video that can be decoded", _expected(path), path=path)
             if may_be_picture and not video.read()[0]:
                 raise a_picture(path)
         finally:
@@ -118,6 +118,12 @@ class FrameSource:
         if self.path.is_dir():
             return _from_folder(self.path, wanted)
         return _from_video(self.path, self.count, wanted)
+
+
+def _expected(path: Path) -> str:
+    """In place of a file that cannot be decoded."""
+    whole = "a whole video (an MP4 that was cut off has lost its index)" if is_cut_off(path) else "a video"
+    return f"{whole} or a folder of images"
 
 
 def of_one_size(frames: Iterable[Frame]) -> Iterator[Frame]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,8 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import BEYOND_HORIZON, PERSON_HEIGHT
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, ReadSummary, Track, TrackSet
 from perception.adaptation.models import CameraModels
-from perception.detection.boxes import PersonBox, foot_point
+from perception.detection.boxes import PersonBox
+from perception.ground.upright import LeaningView, Standing, standing_in, upright_picture
 from perception.images.frames import Frame
 from perception.images.pixels import Image, checked_box, crop
 from perception.observe.by_keypoints import said_by_keypoints
@@ -41,6 +42,7 @@ class Models:
     appearance : whether looks are described too
     of_camera : what the camera has taught itself; it takes the place of the three
     of_keypoints : says where people point by their keypoints, in place of all of them
+    view : in which people lean, and are turned upright before anything looks at them
     """
 
     head_localiser: HeadLocaliser
@@ -49,6 +51,22 @@ class Models:
     appearance: bool = False
     of_camera: CameraModels | None = None
     of_keypoints: KeypointPose | None = None
+    view: LeaningView | None = None
+
+    def seeing(self, camera: GroundCamera | None, size: tuple[int, int]) -> Models:
+        """The same for frames of so many columns and rows: who leans in such a view is turned upright.
+
+        Raises
+        ------
+        InputError
+            If the camera has taught itself people who were turned, and it is not known how.
+        """
+        view = None if self.of_keypoints is not None else LeaningView.of(camera, size)
+        if self.of_camera is not None and not self.of_camera.upright:
+            view = None
+        if self.of_camera is not None and self.of_camera.upright and view is None:
+            raise InputError("models of a camera in whose picture people lean", "its --calibration")
+        return replace(self, view=view)
 
     @property
     def head_classes(self) -> PoseClasses:
@@ -79,12 +97,13 @@ def observe_frame(
 ) -> list[SeenPerson]:
     """What the models say of the people of one frame; ``refuse`` is told of boxes that hold nothing."""
     seen: list[SeenPerson] = []
-    people: list[tuple[PersonBox, Image]] = []
+    people: list[_Cut] = []
     light = light_of(image) if models.appearance else None
     for item in _usable(image, frame, boxes, refuse):
-        people.append((item, crop(image, item.box)))
+        standing = standing_in(models.view, item.box)
+        people.append(_Cut(item, crop(*upright_picture(image, item.box, standing)), standing))
         # However many people there are, their pictures take no more memory than a few of the whole image.
-        if sum(picture.size for _, picture in people) > image.size:
+        if sum(cut.picture.size for cut in people) > image.size:
             seen += _look(image, people, models, light)
             people = []
     return seen + _look(image, people, models, light)
@@ -103,24 +122,35 @@ def _usable(
             yield item
 
 
-def _look(
-    image: Image, people: list[tuple[PersonBox, Image]], models: Models, light: FloatArray | None
-) -> list[SeenPerson]:
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """A person, the picture of the box, and how they stand in the image if they lean."""
+
+    item: PersonBox
+    picture: Image
+    standing: Standing | None
+
+
+def _look(image: Image, people: list[_Cut], models: Models, light: FloatArray | None) -> list[SeenPerson]:
     """What the models say of people and the pictures of their boxes; given the light, their looks too."""
     if not people:
         return []
     if models.of_keypoints is not None:
-        said = said_by_keypoints([item for item, _ in people], models.of_keypoints)
+        said = said_by_keypoints([cut.item for cut in people], models.of_keypoints)
     elif models.of_camera is not None:
-        said = models.of_camera.look(image, [item.box for item, _ in people])
+        said = models.of_camera.look(
+            image, [cut.item.box for cut in people], [cut.standing for cut in people]
+        )
     else:
-        said = _said([picture for _, picture in people], models)
+        said = _said([cut.picture for cut in people], models)
     looks: Sequence[NDArray[np.uint8] | None] = [None] * len(people)
     if light is not None:
-        looks = list(describe([picture for _, picture in people], light))
+        looks = list(describe([cut.picture for cut in people], light))
     return [
-        SeenPerson(item.frame, item.track_id, item.box, *of_person, item.score, look)
-        for (item, _), of_person, look in zip(people, said, looks, strict=True)
+        SeenPerson(
+            cut.item.frame, cut.item.track_id, cut.item.box, *of_person, cut.item.score, look, cut.standing
+        )
+        for cut, of_person, look in zip(people, said, looks, strict=True)
     ]
 
 
@@ -256,7 +286,7 @@ def scaled_camera(seen: Iterable[SeenPerson]) -> GroundCamera:
 
 def is_on_ground(item: SeenPerson, camera: GroundCamera) -> bool:
     """Whether the feet are on this side of the horizon."""
-    return bool(np.isfinite(camera.image_to_ground(foot_point(item.box))).all())
+    return bool(np.isfinite(camera.image_to_ground(item.foot)).all())
 
 
 def to_track(
@@ -280,7 +310,7 @@ def to_track(
         eq. 13–14)
     projection : of what people look like; None: tracks do not say
     """
-    pixel = np.array([foot_point(item.box) for item in items])
+    pixel = np.array([item.foot for item in items])
     position = camera.image_to_ground(pixel)
     frame = np.array([item.frame for item in items])
     head = np.array([item.pan[k] for item, k in zip(items, heads.tolist(), strict=True)])
@@ -322,8 +352,11 @@ def in_heights(item: SeenPerson) -> HeadCandidates:
 
 def head_in_image(item: SeenPerson, candidate: int) -> FloatArray:
     """The box (4,) of a candidate of the head in the image: crops begin at whole pixels."""
-    left, top, _, _ = item.box
-    return item.heads.boxes[candidate] + np.array([round(left), round(top), 0.0, 0.0])
+    left, top, _, _ = item.box if item.standing is None else item.standing.box
+    box = item.heads.boxes[candidate] + np.array([round(left), round(top), 0.0, 0.0])
+    if item.standing is None:
+        return box
+    return np.concatenate([item.standing.in_image(box[:2] + box[2:] / 2.0) - box[2:] / 2.0, box[2:]])
 
 
 def world_likelihood(

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import BODY_CLASSES
+from perception.detection.boxes import foot_point
+from perception.ground.upright import Standing
 from perception.pose.features.appearance import LENGTH
 from perception.pose.heads import HeadCandidates
 
@@ -27,6 +29,7 @@ class SeenPerson:
     pan : (candidates, n_pan) log likelihoods of the head's pan for each, image frame
     score : of a detection; None: not known
     looks : (`appearance.LENGTH`,) uint8 what the person looks like, None: not asked for
+    standing : of somebody who leans in the picture; the heads are in the crop of the turned one then
     """
 
     frame: int
@@ -37,11 +40,17 @@ class SeenPerson:
     pan: FloatArray
     score: float | None = None
     looks: NDArray[np.uint8] | None = None
+    standing: Standing | None = None
 
     @property
     def height(self) -> float:
-        """Of the box, in pixels."""
-        return self.box[3]
+        """Of the box, or of somebody who leans, in pixels."""
+        return self.box[3] if self.standing is None else self.standing.length
+
+    @property
+    def foot(self) -> FloatArray:
+        """(2,) pixels."""
+        return np.asarray(foot_point(self.box) if self.standing is None else self.standing.foot, float)
 
     def to_record(self) -> dict[str, Any]:
         """As JSON knows it."""
@@ -58,6 +67,8 @@ class SeenPerson:
             record["score"] = self.score
         if self.looks is not None:
             record["looks"] = base64.b64encode(self.looks.tobytes()).decode()
+        if self.standing is not None:
+            record["standing"] = [*self.standing.foot, self.standing.turn, self.standing.length]
         return record
 
     @classmethod
@@ -76,7 +87,11 @@ class SeenPerson:
                 raise ValueError("looks of another length")
         score = float(values["score"]) if "score" in values else None
         box, heads = (left, top, width, height), HeadCandidates(boxes, scores)
-        return cls(*person, box, body, heads, pan, score, looks)
+        standing = None
+        if "standing" in values:
+            across, down, turn, length = (float(value) for value in values["standing"])
+            standing = Standing((across, down), turn, length)
+        return cls(*person, box, body, heads, pan, score, looks, standing)
 
 
 @dataclass(frozen=True, eq=False)

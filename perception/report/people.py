@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.association.tracks import associate
 from graphtrack.errors import InputError
-from graphtrack.evaluation.methods import make_method
+from graphtrack.evaluation.methods import make_method, own_model
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import engine_of, solve_tracks
@@ -61,7 +61,11 @@ def _numbered(track: Track, number: Mapping[tuple[int, int], int]) -> Track:
 
 
 def estimated(
-    tracks: TrackSet, camera: GroundCamera, method: str, advance: Callable[[int], None]
+    tracks: TrackSet,
+    camera: GroundCamera,
+    method: str,
+    advance: Callable[[int], None],
+    adapted: Callable[[Model], Model] = lambda model: model,
 ) -> tuple[TrackSet, list[str]]:
     """Where everybody is, how they move and point, and what is to be said of it.
 
@@ -71,17 +75,18 @@ def estimated(
     camera : over the ground
     method : one of `METHODS`
     advance : is told of person-frames that are done
+    adapted : makes of a model that of the camera, as `CameraModels.graph`
 
     Raises
     ------
     InputError
         If nobody's track can be estimated.
     """
-    chosen = make_method(method)
+    chosen = make_method(method, adapted(own_model(method)))
     placed = replace(tracks, camera=camera)
     said: list[str] = []
     if method == "smoother":
-        model = Model.named(None)
+        model = adapted(Model.named(None))
         found = solve_tracks(placed, model, engine_of(model), progress=advance)
         good = [result.track for result in found if isinstance(result, Solution)]
         bad = [one for one in found if not isinstance(one, Solution)]

@@ -31,6 +31,7 @@ from graphtrack.baselines.particle.kernels import (
     draw_motion,
     run,
     summarise,
+    summarise_motion,
 )
 from graphtrack.baselines.particle.recovery import draw_orientations, recover
 from graphtrack.errors import InputError, InputWarning, SolveError
@@ -617,3 +618,18 @@ def test_what_cannot_be_run_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=next(iter(wrong))):
             ParticleOptions(**wrong)  # type: ignore[arg-type]
+
+
+def test_variances_are_not_below_zero_where_the_first_particle_is_far_from_all_of_the_weight() -> None:
+    rng = np.random.default_rng(0)
+    mean, covariance = np.zeros(6), np.zeros((6, 6))
+    for _ in range(200):
+        particles = rng.normal(0.0, 10.0, 6) + 1e-9 * rng.normal(size=(50, 6))
+        particles[0] += 10.0  # far from where all the weight is
+        weights = rng.random(50)
+        weights[0] = 1e-30
+        weights /= weights.sum()
+        summarise_motion(particles, weights, mean, covariance)
+        assert (np.diag(covariance)[:4] >= 0.0).all()
+        exact = np.cov(particles[:, :4].T, aweights=weights, ddof=0)
+        np.testing.assert_allclose(covariance[:4, :4], exact, atol=1e-9)

@@ -186,7 +186,8 @@ WITH_FULL = (
 )
 HEADS_GAIN = "takes {}–{}° off the head's error online (`templates`: {}–{}°), and {}–{}° offline"
 CAUSAL = (
-    "*worse* by {}° ({} … {}; `templates` {}°, {} … {}), smoothed jointly the difference is {}° ({} … {})"
+    "change the error by {}° ({} … {}; `templates` {}°, {} … {}), smoothed jointly the "
+    "difference is {}° ({} … {})"
 )
 
 

@@ -15,6 +15,7 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model import Model
 from perception.adaptation.labels import walking_labels
 from perception.adaptation.learning import AdaptationParameters, thinned
 from perception.adaptation.models import CameraModels
@@ -43,7 +44,7 @@ def adapted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The file that a camera wrote, and what it said."""
     folder = tmp_path_factory.mktemp("adapted")
     arguments = write_street(pasted_street(24, np.random.default_rng(0)), folder / "street")
-    done = run("adapt", *arguments, "-o", folder / "camera.npz")
+    done = run("adapt", *arguments, "-o", folder / "camera.npz", "--write-model", folder / "graph.toml")
     assert done.returncode == 0, done.stderr
     return folder / "camera.npz", done.stdout + done.stderr
 
@@ -148,6 +149,9 @@ def test_the_card_and_the_command_tell_of_people_left_out(adapted: tuple[Path, s
     card = CameraModels.load(path).card
     assert card.parameters["people"] > 15
     assert card.figures["body_expected_calibration_error"] < 0.15
+    share = CameraModels.load(path).class_outlier_probability
+    graph = Model.named(path.with_name("graph.toml")).parameters.likelihood
+    assert share is not None and graph.class_outlier_probability == pytest.approx(share)
     for text in ("of 24 tracks", "boxes as given", "expected calibration error"):
         assert text in said
 

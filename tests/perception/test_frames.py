@@ -167,3 +167,21 @@ def test_images_whose_frames_are_in_doubt_are_refused(tmp_path: Path, names: tup
     for name in names:
         cv2.imwrite(str(tmp_path / name), IMAGE)
     assert names[0] in refused(tmp_path)
+
+
+@pytest.mark.parametrize(("suffix", "code"), [(".avi", "MJPG"), (".mp4", "mp4v")])
+def test_of_a_video_that_was_cut_off_what_can_be_read_is_kept(tmp_path: Path, suffix: str, code: str) -> None:
+    path, rng = tmp_path / f"video{suffix}", np.random.default_rng(0)
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 25, (160, 120))
+    for _ in range(40):
+        video.write(rng.integers(0, 255, (120, 160, 3)).astype(np.uint8))
+    video.release()
+    assert len([frame for frame in FrameSource.open(path) if frame.image is not None]) == 40
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    if suffix == ".mp4":
+        with pytest.raises(InputError, match="cut off has lost its index"):
+            FrameSource.open(path)
+        return
+    frames = list(FrameSource.open(path))
+    assert len([frame for frame in frames if frame.image is not None]) in range(18, 22)
+    assert frames[-1].reason == f"the video ends at frame {len(frames) - 1} of 40"

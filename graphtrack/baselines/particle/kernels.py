@@ -118,8 +118,13 @@ def draw_motion(
 def summarise_motion(
     particles: FloatArray, weights: FloatArray, mean: FloatArray, covariance: FloatArray
 ) -> None:
-    """Weighted mean and covariance of the first four numbers, in one pass about the first particle."""
-    x0, y0, u0, v0 = particles[0, 0], particles[0, 1], particles[0, 2], particles[0, 3]
+    """Weighted mean and covariance of the first four numbers, in one pass about the heaviest particle.
+
+    About one that is far from all of the weight variances are below zero, by rounding.
+    """
+    heaviest = np.argmax(weights)
+    x0, y0 = particles[heaviest, 0], particles[heaviest, 1]
+    u0, v0 = particles[heaviest, 2], particles[heaviest, 3]
     x1 = y1 = u1 = v1 = xx = xy = xu = xv = yy = yu = yv = uu = uv = vv = 0.0
     for i in range(len(weights)):
         w = weights[i]

@@ -1,0 +1,179 @@
+"""Town Centre adapted to itself, and tracked by every method: nobody is judged by models that saw them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from graphtrack.evaluation.reproduce.experiment import Cell, Progress, Table
+from graphtrack.evaluation.tracking.judge import score
+from graphtrack.geometry.angles import FloatArray, difference, direction
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference import smooth
+from graphtrack.io import read
+from graphtrack.io.cameras import read_calibration
+from graphtrack.tracks import Track, TrackSet
+from perception.adaptation.labels import walking_labels
+from perception.adaptation.learning import AdaptationParameters, PackageModels, learn, thinned
+from perception.adaptation.models import CameraModels
+from perception.adaptation.recording import looks_of, patches_in
+from perception.adaptation.teaching import folds_of
+from perception.adaptation.tracks import with_outliers
+from perception.detection.boxes import PersonBox, read_boxes
+from perception.images.frames import FrameSource
+from perception.images.pixels import Image
+from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+from perception.observe.pipeline import to_tracks
+from perception.observe.seen import SeenPerson
+from perception.report.people import METHODS, estimated, who_is_who
+
+PARTS = 2
+"""Into which people are divided."""
+RATE = 2.5
+"""Frames a second of the recording."""
+_MATCH = 1.0
+"""Metres on the ground within which an estimate is of a true person."""
+_WALKING = 0.5
+"""Metres a second."""
+_BAND = 1.96
+
+
+def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[TrackSet, GroundCamera, float]:
+    """Town Centre's first minute as a camera sees it that learned from other people.
+
+    The people who surely walk are divided; each part is looked at by models that learned from the rest. Also
+    the mean of the graph's ``class_outlier_probability`` by these.
+    """
+    camera = read_calibration(folder / "calibration.ci")
+    frames = FrameSource.open(folder / "frames_001_150" / "img1")
+    people = read_boxes(folder / "frames_001_150" / "det.txt")
+    looks, usable = looks_of(frames, people, _nothing)
+    found = patches_in(frames, people, _nothing)
+    labels = walking_labels(people, looks, camera, RATE)
+    rng = np.random.default_rng(seed)
+    fold = folds_of(labels.person, rng, PARTS)
+    part_of = np.zeros(len(people), np.int64)
+    part_of[labels.box] = fold
+    seconds = len(frames.numbers()) / RATE
+    package = PackageModels(
+        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
+    )
+    seen: list[SeenPerson] = []
+    shares: list[float] = []
+    for part in range(PARTS):
+        parameters = AdaptationParameters()
+        rest = thinned(labels.taken(np.flatnonzero(fold != part)), parameters)
+        patches = [found[k] for k in rest.box.tolist()]
+        models = learn(patches, rest, seconds, frames.size(), package, rng, parameters)
+        rows = [k for k in np.flatnonzero(usable & (part_of == part)).tolist() if k in found]
+        seen += _seen(models, rows, people, found, looks)
+        shares.append(models.class_outlier_probability or 0.0)
+        progress(1)
+    tracks = to_tracks(seen, CameraModels.classes.pans, camera, RATE).tracks
+    return who_is_who(tracks, people, identified=False), camera, float(np.mean(shares))
+
+
+def _seen(
+    models: CameraModels,
+    rows: Sequence[int],
+    people: Sequence[PersonBox],
+    patches: dict[int, Image],
+    looks: NDArray[np.uint8],
+) -> list[SeenPerson]:
+    said = models.look_at([patches[k] for k in rows], [people[k].box for k in rows])
+    return [
+        SeenPerson(
+            people[k].frame, people[k].track_id, people[k].box, *one, score=people[k].score, looks=looks[k]
+        )
+        for k, one in zip(rows, said, strict=True)
+    ]
+
+
+def _nothing(reason: str) -> None:
+    """Of boxes that hold nothing."""
+
+
+def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence[str] = METHODS) -> Table:
+    """Position, body and head of those who walk, and identities, by every method of `perception report`."""
+    tracks, camera, share = observed_by_others(folder, seed, progress)
+    truth = read(folder / "frames_001_150" / "gt.txt", camera=camera, fps=RATE)
+    reference = _travel(truth)
+    rows = []
+    for method in methods:
+        for news in (None, share):
+            graph = (lambda model: model) if news is None else partial(with_outliers, share=news)
+            found, _ = estimated(tracks, camera, method, lambda count: None, graph)
+            known = score(found, truth, metres=_MATCH).together
+            rows.append(
+                {
+                    "method": method,
+                    "outliers": "as packaged" if news is None else f"{news:.2f}, learned",
+                    **_judged(found, reference),
+                    "IDF1": known.idf1,
+                    "MOTA": known.mota,
+                }
+            )
+        progress(1)
+    return Table.of("Town Centre's first minute by every method, models of other people", rows)
+
+
+Reference = dict[int, tuple[FloatArray, FloatArray, FloatArray]]
+"""By frame: true positions (n, 2), directions of travel (n,), and speeds (n,)."""
+
+
+def _travel(truth: TrackSet) -> Reference:
+    """Where people truly are and go, of those who are seen in more than a few frames."""
+    long = truth.with_tracks(replace(track, body=None, head=None) for track in truth if len(track) >= 4)
+    found: dict[int, list[tuple[FloatArray, float, float]]] = {}
+    for track in smooth(long, "position"):
+        assert track.velocity is not None
+        speed, way = np.linalg.norm(track.velocity, axis=1), direction(track.velocity)
+        for k, frame in enumerate(track.frame.tolist()):
+            found.setdefault(frame, []).append((track.position[k], float(way[k]), float(speed[k])))
+    return {
+        frame: (
+            np.array([place for place, _, _ in one]),
+            np.array([way for _, way, _ in one]),
+            np.array([speed for _, _, speed in one]),
+        )
+        for frame, one in found.items()
+    }
+
+
+def _judged(found: TrackSet, reference: Reference) -> dict[str, Cell]:
+    of_frame: dict[int, list[tuple[Track, int]]] = {}
+    for track in found:
+        for k, frame in enumerate(track.frame.tolist()):
+            of_frame.setdefault(frame, []).append((track, k))
+    away: list[float] = []
+    errors: dict[str, list[float]] = {"body": [], "head": []}
+    inside: dict[str, list[bool]] = {"body": [], "head": []}
+    for frame, rows in of_frame.items():
+        if frame not in reference:
+            continue
+        places, ways, speeds = reference[frame]
+        apart = np.linalg.norm(np.array([track.position[k] for track, k in rows])[:, None] - places, axis=2)
+        for i, j in zip(*linear_sum_assignment(np.minimum(apart, 2.0 * _MATCH)), strict=True):
+            if apart[i, j] > _MATCH or speeds[j] < _WALKING:
+                continue
+            track, k = rows[i]
+            away.append(float(apart[i, j]))
+            for name, angle in (("body", track.body), ("head", track.head)):
+                if angle is None or not np.isfinite(angle[k]):
+                    continue
+                error = float(np.abs(difference(angle[k], ways[j])))
+                errors[name].append(error)
+                std = track.std(name)
+                if std is not None and np.isfinite(std[k]):
+                    inside[name].append(error <= _BAND * std[k])
+    row: dict[str, Cell] = {"rows": len(away), "position (m)": float(np.median(away))}
+    for name, values in errors.items():
+        row[f"{name} (°)"] = float(np.rad2deg(np.mean(values))) if values else None
+        row[f"{name} within 95 %"] = 100.0 * float(np.mean(inside[name])) if inside[name] else None
+    return row

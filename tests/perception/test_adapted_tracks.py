@@ -1,0 +1,119 @@
+"""How much frames of one person are worth together, several recordings of a camera, and rendered help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import run
+from pasted_street import FPS, pasted_street
+
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model import Model
+from perception.adaptation.adapting import joined
+from perception.adaptation.labels import walking_labels
+from perception.adaptation.learning import AdaptationParameters, thinned
+from perception.adaptation.rendered import Sight, rendered_people
+from perception.adaptation.teaching import CLASSES, folds_of, taught
+from perception.adaptation.tracks import class_outlier_probability, with_outliers
+from perception.detection.boxes import write_boxes
+
+
+def _said(rng: np.random.Generator, *, again: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is said of 60 people in 20 frames each, right by 0.65; always the same, or anew."""
+    person = np.repeat(np.arange(60), 20)
+    angle = np.repeat(rng.uniform(-np.pi, np.pi, 60), 20)
+    draws = rng.choice(8, 60 if again else len(person), p=[0.65, *[0.05] * 7])
+    off = draws[person] if again else draws
+    said = np.full((len(person), 8), 0.05)
+    said[np.arange(len(person)), (CLASSES.index(angle) + off) % 8] = 0.65
+    return np.log(said), angle, person
+
+
+def test_frames_that_repeat_each_other_are_worth_less_than_new_ones() -> None:
+    rng = np.random.default_rng(0)
+    found = {}
+    for again in (True, False):
+        said, angle, person = _said(rng, again=again)
+        found[again] = class_outlier_probability([said], angle, person, np.ones(len(person)))
+    assert found[True] > 0.8 and found[False] < 0.4
+
+
+def test_a_row_that_stands_for_many_frames_counts_as_many() -> None:
+    said, angle, person = _said(np.random.default_rng(1), again=True)
+    once = class_outlier_probability([said], angle, person, np.ones(len(person)))
+    every = np.arange(len(person)) % 4 == 0
+    thin = class_outlier_probability([said[every]], angle[every], person[every], np.full(every.sum(), 4.0))
+    assert abs(once - thin) < 0.02
+
+
+def test_the_graph_of_a_camera_differs_in_its_outliers_alone() -> None:
+    model = with_outliers(Model.named("full"), 0.8)
+    assert model.parameters.likelihood.class_outlier_probability == 0.8
+    back = with_outliers(model, Model.named("full").parameters.likelihood.class_outlier_probability)
+    assert back.to_dict() == Model.named("full").to_dict()
+
+
+def test_people_of_several_recordings_stay_apart_and_thinning_keeps_their_weight() -> None:
+    one = pasted_street(4, np.random.default_rng(2), offset=0.0)
+    labels = walking_labels(one.boxes, None, one.camera, FPS)
+    both = joined([labels, labels])
+    assert len(np.unique(both.person)) == 8 and both.tracks == 8
+    thin = thinned(both, AdaptationParameters(most_of_person=2))
+    assert len(thin) == 16
+    np.testing.assert_allclose(thin.count.sum(), len(both))
+
+
+def test_rendered_people_help_where_few_walk() -> None:
+    rng = np.random.default_rng(3)
+    weight = rng.normal(size=(40, 2))
+
+    def looks(angle: np.ndarray, noise: float) -> np.ndarray:
+        even, odd = np.cos(angle)[:, None] * weight[:, 0], np.sin(angle)[:, None] * weight[:, 1]
+        values = np.hstack([even, odd])
+        return (values + noise * rng.normal(size=values.shape)).astype(np.float32)
+
+    sign = np.repeat([1.0, -1.0], 40).astype(np.float32)
+    person = np.repeat(np.arange(6), 5)
+    angle = np.repeat(rng.uniform(-np.pi, np.pi, 6), 5)
+    of_person = np.repeat(rng.normal(0.0, 2.0, (6, 80)), 5, axis=0)
+    features = (looks(angle, 0.3) + of_person).astype(np.float32)
+    many = rng.uniform(-np.pi, np.pi, 300)
+    fold = folds_of(person, rng)
+    alone = taught(features, sign, angle, person, fold)[1].loss(angle)
+    helped = taught(features, sign, angle, person, fold, (looks(many, 1.0), many))[1].loss(angle)
+    assert helped <= alone + 1e-9
+
+
+def test_people_are_rendered_as_the_camera_sees_them() -> None:
+    camera = GroundCamera.from_scale(0.02)
+    sight = Sight.of(np.array([30.0, 40.0, 50.0]), np.zeros((3, 2)), camera)
+    assert sight.elevation == (0.0, 0.45) and 30 <= sight.size[0] <= sight.size[1] <= 50
+    people = rendered_people(sight, np.random.default_rng(4), 3)
+    assert len(people.patches) == len(people.angle) == 3
+    assert (np.abs(people.head[:, 0]) < 0.2).all() and (people.head[:, 1] < 0.3).all()
+
+
+@pytest.mark.slow
+def test_a_camera_learns_from_two_recordings_and_writes_the_graph_that_goes_with_it(tmp_path: Path) -> None:
+    arguments: list[object] = []
+    for name, seed in (("a", 5), ("b", 6)):
+        street = pasted_street(11, np.random.default_rng(seed))
+        (tmp_path / name).mkdir()
+        for frame in street.frames:
+            assert frame.image is not None
+            cv2.imwrite(str(tmp_path / name / f"{frame.number:04d}.png"), frame.image)
+        write_boxes(street.boxes, tmp_path / f"{name}.txt")
+        np.savetxt(tmp_path / "homography.txt", street.camera.homography)
+        arguments += [tmp_path / name, "--boxes", tmp_path / f"{name}.txt"]
+    arguments += ["--homography", tmp_path / "homography.txt", "--fps", FPS]
+    once = run("adapt", *arguments, "--boxes", tmp_path / "a.txt", "-o", tmp_path / "camera.npz")
+    assert once.returncode == 2 and "--boxes 3 times for 2 recordings" in once.stderr
+    graph = tmp_path / "camera.toml"
+    done = run("adapt", *arguments, "-o", tmp_path / "camera.npz", "--write-model", graph)
+    assert done.returncode == 0, done.stderr
+    assert "of 22 tracks" in done.stdout + done.stderr
+    share = Model.named(graph).parameters.likelihood.class_outlier_probability
+    assert 0.05 <= share <= 0.98
