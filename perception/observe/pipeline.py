@@ -53,17 +53,21 @@ class Models:
     of_keypoints: KeypointPose | None = None
     view: LeaningView | None = None
 
-    def seeing(self, camera: GroundCamera | None, size: tuple[int, int]) -> Models:
-        """The same for frames of so many columns and rows: who leans in such a view is turned upright.
+    def seeing(self, camera: GroundCamera | None, size: Callable[[], tuple[int, int]]) -> Models:
+        """The same for a view in which who leans is turned upright.
+
+        ``size`` gives columns and rows of the frames, where they are asked for.
 
         Raises
         ------
         InputError
             If the camera has taught itself people who were turned, and it is not known how.
         """
-        view = None if self.of_keypoints is not None else LeaningView.of(camera, size)
-        if self.of_camera is not None and not self.of_camera.upright:
-            view = None
+        view = None
+        as_they_lean = self.of_camera is not None and not self.of_camera.upright
+        known = camera is not None and camera.intrinsics is not None
+        if known and self.of_keypoints is None and not as_they_lean:
+            view = LeaningView.of(camera, size())
         if self.of_camera is not None and self.of_camera.upright and view is None:
             raise InputError("models of a camera in whose picture people lean", "its --calibration")
         return replace(self, view=view)
