@@ -203,7 +203,7 @@ def observe(
         of_keypoints=load_keypoint_pose() if networks.has_keypoints else None,
     )
     camera = read_camera(homography, calibration)
-    models = models.seeing(camera, frames.size())
+    models = models.seeing(camera, frames.size)
     if streamed:
         observer = LiveObserver(models, camera, rate, identified=identified)
         observe_stream(frames, given, observer, refused, networks)
@@ -238,7 +238,7 @@ def observe(
     if adapt and camera is not None:
         asked = key_of(frames.stamp(), rate, people, stamp_of_camera(camera))
         taught, _ = teach(taught_so_far, asked, frames, people, camera, rate, refuse)
-        models, own = replace(models, of_camera=taught).seeing(camera, frames.size()), [asked]
+        models, own = replace(models, of_camera=taught).seeing(camera, frames.size), [asked]
     looked = time.perf_counter()
     leaning = None if models.view is None else stamp_of_camera(camera)
     key = key_of(frames.stamp(), head_pose, own, people, models.appearance, networks.has_keypoints, leaning)

@@ -252,7 +252,7 @@ class _Run:
                 load_classifier(HEAD_POSE[0]),
                 appearance=not identified,
                 of_camera=CameraModels.load(taught) if taught.is_file() else None,
-            ).seeing(self.camera, self.frames.size())
+            ).seeing(self.camera, self.frames.size)
             encode, decode = pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record
             journal = FrameJournal(place.with_name(f"{place.name}.journal"), key, encode, decode)
             journal.open()

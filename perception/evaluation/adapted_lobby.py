@@ -110,7 +110,7 @@ def _judged(
     parts = package.head_localiser, package.body_pose, package.head_pose
     said = {}
     for name, of_camera in (("taught", models), ("package", None)):
-        looking = Models(*parts, of_camera=of_camera).seeing(camera, recording.frames.size())
+        looking = Models(*parts, of_camera=of_camera).seeing(camera, recording.frames.size)
         body, head = {}, {}
         for frame in recording.frames:
             of_frame = [item for item in people if (item.frame, item.track_id) in wanted]

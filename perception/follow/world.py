@@ -12,7 +12,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import PERSON_HEIGHT
 from graphtrack.tracks import HEAD_CLASSES
-from perception.observe.pipeline import world_likelihood
+from perception.observe.turned import world_likelihood
 from perception.pose.classes import PoseClasses
 from perception.trackers.tracker import BoxEstimate
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from graphtrack.bounds import APPEARANCE
 from graphtrack.errors import InputError
@@ -22,6 +22,7 @@ from perception.images.pixels import Image, checked_box, crop
 from perception.observe.by_keypoints import said_by_keypoints
 from perception.observe.journal import FrameJournal
 from perception.observe.seen import SeenFrame, SeenPerson
+from perception.observe.turned import image_likelihood, world_likelihood
 from perception.pose.classes import PoseClasses
 from perception.pose.classifier import Classifier
 from perception.pose.features.appearance import LENGTH, Projection, describe, light_of
@@ -53,17 +54,21 @@ class Models:
     of_keypoints: KeypointPose | None = None
     view: LeaningView | None = None
 
-    def seeing(self, camera: GroundCamera | None, size: tuple[int, int]) -> Models:
-        """The same for frames of so many columns and rows: who leans in such a view is turned upright.
+    def seeing(self, camera: GroundCamera | None, size: Callable[[], tuple[int, int]]) -> Models:
+        """The same for a view in which who leans is turned upright.
+
+        ``size`` gives columns and rows of the frames, where they are asked for.
 
         Raises
         ------
         InputError
             If the camera has taught itself people who were turned, and it is not known how.
         """
-        view = None if self.of_keypoints is not None else LeaningView.of(camera, size)
-        if self.of_camera is not None and not self.of_camera.upright:
-            view = None
+        view = None
+        as_they_lean = self.of_camera is not None and not self.of_camera.upright
+        known = camera is not None and camera.intrinsics is not None
+        if known and self.of_keypoints is None and not as_they_lean:
+            view = LeaningView.of(camera, size())
         if self.of_camera is not None and self.of_camera.upright and view is None:
             raise InputError("models of a camera in whose picture people lean", "its --calibration")
         return replace(self, view=view)
@@ -357,41 +362,3 @@ def head_in_image(item: SeenPerson, candidate: int) -> FloatArray:
     if item.standing is None:
         return box
     return np.concatenate([item.standing.in_image(box[:2] + box[2:] / 2.0) - box[2:] / 2.0, box[2:]])
-
-
-def world_likelihood(
-    log_likelihood: ArrayLike,
-    classes: PoseClasses,
-    wanted: PoseClasses,
-    camera: GroundCamera,
-    position: FloatArray,
-) -> FloatArray:
-    """Class likelihoods (n, n_wanted) in the world of those (n, n_pan) in the image, for people at (n, 2).
-
-    The classes of the world are seen at other angles in the image, by the ray to each person (002 §3);
-    there the likelihood is interpolated linearly. Rows sum to 1.
-    """
-    p = np.exp(np.asarray(log_likelihood, float))
-    at = np.stack([camera.image_angle(np.full(len(p), pan), position) for pan in wanted.pan], axis=1)
-    found = interpolated(p, classes, at)
-    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
-
-
-def image_likelihood(log_likelihood: ArrayLike, classes: PoseClasses, wanted: PoseClasses) -> FloatArray:
-    """Likelihoods (n, n_wanted) of other classes of the image than those (n, n_pan) that are known.
-
-    They are interpolated linearly between the centres. Rows sum to 1.
-    """
-    p = np.exp(np.asarray(log_likelihood, float))
-    found = interpolated(p, classes, np.broadcast_to(wanted.pan, (len(p), wanted.n_pan)))
-    return np.asarray(found / found.sum(axis=1, keepdims=True), float)
-
-
-def interpolated(values: FloatArray, classes: PoseClasses, angle: FloatArray) -> FloatArray:
-    """Values (n, n_pan) of classes all around, at angles (n, k) between their centres."""
-    place = np.mod(angle - classes.first, 2.0 * np.pi) / classes.step
-    lower: NDArray[np.int64] = np.floor(place).astype(np.int64)
-    share = place - lower
-    first = np.take_along_axis(values, lower % classes.n_pan, axis=1)
-    second = np.take_along_axis(values, (lower + 1) % classes.n_pan, axis=1)
-    return np.asarray((1.0 - share) * first + share * second, float)

@@ -17,11 +17,10 @@ from perception.models import NAMES, load_classifier, load_head_localiser, model
 from perception.observe.pipeline import (
     Models,
     SeenPerson,
-    interpolated,
     observe_frame,
     to_tracks,
-    world_likelihood,
 )
+from perception.observe.turned import interpolated, world_likelihood
 from perception.pose.classes import PoseClasses
 from perception.pose.heads import HeadCandidates
 from perception.storage import load_model

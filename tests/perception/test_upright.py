@@ -71,7 +71,7 @@ def test_nobody_is_turned_who_is_upright(view: LeaningView) -> None:
 
 def test_observe_looks_at_the_turned_picture_and_knows_where_feet_and_head_are() -> None:
     parts = load_head_localiser(), load_classifier("body_pose"), load_classifier("deep_belief")
-    models = Models(*parts).seeing(lobby_camera(), SIZE)
+    models = Models(*parts).seeing(lobby_camera(), lambda: SIZE)
     foot, head, box = person_at(PLACES[0])
     image = np.random.default_rng(0).integers(0, 255, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
     (seen,) = observe_frame(image, 0, [PersonBox(0, 1, box)], models, pytest.fail)
@@ -90,8 +90,8 @@ def test_models_of_turned_people_want_the_camera() -> None:
     parts = load_head_localiser(), load_classifier("body_pose"), load_classifier("deep_belief")
     models = Models(*parts, of_camera=Taught())  # type: ignore[arg-type]
     with pytest.raises(InputError, match="--calibration"):
-        models.seeing(None, SIZE)
-    assert models.seeing(lobby_camera(), SIZE).view is not None
+        models.seeing(None, lambda: SIZE)
+    assert models.seeing(lobby_camera(), lambda: SIZE).view is not None
 
 
 def test_who_shuffles_about_a_place_does_not_walk() -> None:
