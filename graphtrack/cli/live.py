@@ -84,7 +84,7 @@ def track_stream(
     asked: Asked | None = None,
     listener: Listener = Listener(),
     bounds: StreamBounds = StreamBounds(),
-    copy: Callable[[str], object] | None = None,
+    copy: Callable[[dict[str, Any]], object] | None = None,
 ) -> tuple[int, int]:
     """Answer every row of standard input.
 
@@ -100,7 +100,7 @@ def track_stream(
     asked : groups and attention that are told; None: neither
     listener : is told what is no answer
     bounds : of people with identities
-    copy : is given each answer too, as the line that is written
+    copy : is given each answer too, when it is written
 
     Returns
     -------
@@ -195,7 +195,7 @@ def _go_on(
     state: Path,
     entries: int,
     listener: Listener,
-    copy: Callable[[str], object] | None,
+    copy: Callable[[dict[str, Any]], object] | None,
 ) -> None:
     """Bring people to where the last run ended, say where that is, and answer what it may not have."""
     with progress_bar(entries, "rows") as advance:
@@ -206,7 +206,7 @@ def _go_on(
     last = f"; the answer to row {people.rows} is given again" if again else ""
     console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
     for row in again:
-        give(row, copy)
+        _give(row, copy)
 
 
 def _answer(
@@ -214,7 +214,7 @@ def _answer(
     people: Answering,
     saving: Saving | None,
     listener: Listener,
-    copy: Callable[[str], object] | None,
+    copy: Callable[[dict[str, Any]], object] | None,
 ) -> tuple[int, int]:
     before, wrong = people.rows, 0
     # What there is by now stays: the collector need not look at it again while rows wait.
@@ -227,12 +227,12 @@ def _answer(
                     saving.take(number, line)
                 for row in people.answers(number, line):
                     wrong += "error" in row
-                    give(row, copy)
+                    _give(row, copy)
                 listener.answered(people)
                 if saving is not None:
                     saving.tend()
             for row in people.finish():
-                give(row, copy)
+                _give(row, copy)
     finally:
         gc.unfreeze()
     return people.rows - before, wrong
@@ -267,29 +267,28 @@ def open_streams() -> IO[bytes]:
     return io.BytesIO(sys.stdin.read().encode()) if stream is None else stream
 
 
-def give(answer: dict[str, Any], copy: Callable[[str], object] | None = None) -> None:
-    """Write an answer to standard output, as a line and at once.
+def _give(row: dict[str, Any], copy: Callable[[dict[str, Any]], object] | None) -> None:
+    give(row)
+    if copy is not None:
+        copy(row)
 
-    Parameters
-    ----------
-    copy : is given the line too, when it is written
+
+def give(answer: dict[str, Any]) -> None:
+    """Write an answer to standard output, as a line and at once.
 
     Raises
     ------
     InputError
         If nobody reads it any more, or it cannot be written.
     """
-    line = json.dumps(answer, allow_nan=False)
     try:
-        print(line, flush=True)
+        print(json.dumps(answer, allow_nan=False), flush=True)
     except OSError as error:
         # Or else the interpreter would try the same again, and complain, at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         gone = isinstance(error, BrokenPipeError)
         found = "that its reader went away" if gone else error.strerror or str(error)
         raise InputError(found, "a place for the answers", path="standard output") from error
-    if copy is not None:
-        copy(line)
 
 
 def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False) -> None:
