@@ -87,7 +87,7 @@ def track_stream(
     listener: Listener = Listener(),
     bounds: StreamBounds = StreamBounds(),
     names: StreamNames = StreamNames(),
-    copy: Callable[[str], object] | None = None,
+    copy: Callable[[dict[str, Any]], object] | None = None,
 ) -> tuple[int, int]:
     """Answer every row of standard input.
 
@@ -104,7 +104,7 @@ def track_stream(
     listener : is told what is no answer
     bounds : of people with identities
     names : of the columns, and the unit of time, of rows and answers
-    copy : is given each answer too, as the line that is written
+    copy : is given each answer too, under the native table's names, when it is written
 
     Returns
     -------
@@ -204,7 +204,7 @@ def _go_on(
     entries: int,
     listener: Listener,
     names: StreamNames,
-    copy: Callable[[str], object] | None,
+    copy: Callable[[dict[str, Any]], object] | None,
 ) -> None:
     """Bring people to where the last run ended, say where that is, and answer what it may not have."""
     with progress_bar(entries, "rows") as advance:
@@ -215,7 +215,7 @@ def _go_on(
     last = f"; the answer to row {people.rows} is given again" if again else ""
     console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
     for row in again:
-        give(row, names, copy)
+        _give(row, names, copy)
 
 
 def _answer(
@@ -224,7 +224,7 @@ def _answer(
     saving: Saving | None,
     listener: Listener,
     names: StreamNames,
-    copy: Callable[[str], object] | None,
+    copy: Callable[[dict[str, Any]], object] | None,
 ) -> tuple[int, int]:
     before, wrong = people.rows, 0
     # What there is by now stays: the collector need not look at it again while rows wait.
@@ -237,12 +237,12 @@ def _answer(
                     saving.take(number, line)
                 for row in people.answers(number, line):
                     wrong += "error" in row
-                    give(row, names, copy)
+                    _give(row, names, copy)
                 listener.answered(people)
                 if saving is not None:
                     saving.tend()
             for row in people.finish():
-                give(row, names, copy)
+                _give(row, names, copy)
     finally:
         gc.unfreeze()
     return people.rows - before, wrong
@@ -277,34 +277,28 @@ def open_streams() -> IO[bytes]:
     return io.BytesIO(sys.stdin.read().encode()) if stream is None else stream
 
 
-def give(
-    answer: dict[str, Any],
-    names: StreamNames = StreamNames(),
-    copy: Callable[[str], object] | None = None,
-) -> None:
-    """Write an answer to standard output, as a line and at once.
+def _give(row: dict[str, Any], names: StreamNames, copy: Callable[[dict[str, Any]], object] | None) -> None:
+    give(row if names.are_native else names.restored(row))
+    if copy is not None:
+        copy(row)
 
-    Parameters
-    ----------
-    names : under which it is written
-    copy : is given the line too, under the native table's names, when it is written
+
+def give(answer: dict[str, Any]) -> None:
+    """Write an answer to standard output, as a line and at once.
 
     Raises
     ------
     InputError
         If nobody reads it any more, or it cannot be written.
     """
-    line = json.dumps(answer, allow_nan=False)
     try:
-        print(line if names.are_native else json.dumps(names.restored(answer), allow_nan=False), flush=True)
+        print(json.dumps(answer, allow_nan=False), flush=True)
     except OSError as error:
         # Or else the interpreter would try the same again, and complain, at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         gone = isinstance(error, BrokenPipeError)
         found = "that its reader went away" if gone else error.strerror or str(error)
         raise InputError(found, "a place for the answers", path="standard output") from error
-    if copy is not None:
-        copy(line)
 
 
 def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False) -> None:

@@ -44,14 +44,14 @@ class ViewPipe:
         self._waiting = bytearray()
         self._missed, self._gone = 0, False
 
-    def __call__(self, answer: str) -> None:
+    def __call__(self, answer: object) -> None:
         """Give an answer."""
         if len(self._waiting) > _MOST and self._keeps_all:
             self._send(_MOST // 2)
         if len(self._waiting) > _MOST:
             self._missed += 1
             return
-        self._waiting += answer.encode() + b"\n"
+        self._waiting += json.dumps(answer).encode() + b"\n"
         self._send(None)
 
     def close(self) -> None:

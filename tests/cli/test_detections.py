@@ -137,7 +137,7 @@ def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path: Path
             yield now, lines[now - 1]
         now = len(lines) + 1
 
-    def give(answer, *_) -> None:
+    def give(answer) -> None:
         nonlocal left
         told.setdefault(now, []).append(json.dumps(answer))
         left -= 1

@@ -166,7 +166,7 @@ def test_a_stream_with_forecasts_goes_on_as_if_it_had_not_stopped(monkeypatch, t
 
     monkeypatch.setattr(live, "lines_of", rows)
     monkeypatch.setattr(live, "open_streams", lambda: None)
-    monkeypatch.setattr(live, "give", lambda answer, *_: answers.append(json.dumps(answer)))
+    monkeypatch.setattr(live, "give", lambda answer: answers.append(json.dumps(answer)))
     whole, found = run_to(len(lines), None), []
     assert any("forecast" in one for one in whole)
     for place in [*stops, len(lines)]:

@@ -91,7 +91,7 @@ def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path, engi
     def rows(stream, first):
         return ((n, lines[n - 1]) for n in range(first, len(lines) + 1) if lines[n - 1].strip())
 
-    def give(answer, *_):
+    def give(answer):
         nonlocal left, resumed
         if resumed:
             _, kept = going_on(capsys.readouterr().err)
@@ -111,7 +111,7 @@ def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path, engi
 
     monkeypatch.setattr(live, "lines_of", rows)
     monkeypatch.setattr(live, "open_streams", lambda: None)
-    monkeypatch.setattr(live, "give", lambda answer, *_: answers.append(json.dumps(answer)))
+    monkeypatch.setattr(live, "give", lambda answer: answers.append(json.dumps(answer)))
     track_all()
     whole, answers = answers, []
     state.unlink()
