@@ -24,6 +24,7 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 from websockets.asyncio.client import connect
@@ -37,11 +38,15 @@ GROWTH = 1.1
 
 @dataclass
 class Told:
-    """What the clients saw: seconds from each row to its answer, rows sent, and answers that were errors."""
+    """What the clients saw: seconds from each row to its answer, rows sent, and answers that were errors.
+
+    ``ends``: how connections were closed that lost rows.
+    """
 
     seconds: list[float] = field(default_factory=list)
     sent: int = 0
     errors: int = 0
+    ends: set[str] = field(default_factory=set)
 
 
 def row(person: int, frame: int, rate: float) -> str:
@@ -97,6 +102,8 @@ async def well_behaved(address: str, given: argparse.Namespace, begin: float, to
         await sending
     told.sent += frames * people
     told.errors += len(sent)
+    if sent:
+        told.ends.add(str(socket.close_reason or socket.close_code))
 
 
 async def malformed(address: str, end: float) -> None:
@@ -165,6 +172,12 @@ def processor_seconds(process: int) -> tuple[float, float]:
     return seconds[0], sum(seconds[1:])
 
 
+def rows_answered(port: int) -> float:
+    """All that a service has answered, those of clients that misbehave too."""
+    with urlopen(f"http://127.0.0.1:{port}/metrics", timeout=60) as answer:
+        return float(re.search(r"^graphtrack_rows_total (.+)$", answer.read().decode(), re.MULTILINE)[1])
+
+
 @asynccontextmanager
 async def service(options: list[str]) -> AsyncIterator[tuple[int, int]]:
     """A service's port and process."""
@@ -215,13 +228,15 @@ async def measure(options: list[str], given: argparse.Namespace) -> bool:
         before = (*processor_seconds(pid), time.process_time())
         await asyncio.gather(*good, *bad, watch())
         after = (*processor_seconds(pid), time.process_time())
+        answered = await asyncio.to_thread(rows_answered, port)
     median, most_of, nearly_all, most = np.quantile(told.seconds, [0.5, 0.9, 0.99, 1.0]) * 1e3
-    server, streams, clients = ((b - a) / told.sent * 1e6 for a, b in zip(before, after, strict=True))
+    server, streams, clients = ((b - a) / answered * 1e6 for a, b in zip(before, after, strict=True))
     print(
         f"{' '.join(options) or 'no state'}: {told.sent} rows, {told.errors} lost or refused; latency ms: "
         f"median {median:.1f}, 90 % {most_of:.1f}, 99 % {nearly_all:.1f}, most {most:.1f}; "
         f"memory MiB: {memories[0]:.0f} at a fifth, {memories[-1]:.0f} at the end; "
-        f"processor µs a row: streams {streams:.0f}, server {server:.0f}, these clients {clients:.0f}"
+        f"processor µs of each of {answered:.0f} rows, those of the unruly too: "
+        f"streams {streams:.0f}, server {server:.0f}, these clients {clients:.0f}"
     )
     bars = {
         "nothing lost": told.errors == 0,
@@ -229,6 +244,8 @@ async def measure(options: list[str], given: argparse.Namespace) -> bool:
         "memory flat": memories[-1] <= GROWTH * memories[0],
     }
     print("; ".join(f"{name}: {'yes' if holds else 'NO'}" for name, holds in bars.items()))
+    if told.ends:
+        print("connections ended early:", ", ".join(sorted(told.ends)))
     return told.errors == 0
 
 
