@@ -39,6 +39,8 @@ from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.model import Model
 from graphtrack.readiness import is_cold, make_ready
 
+_ENCODED = json.JSONEncoder(allow_nan=False).encode
+
 Lines = Iterator[tuple[int, bytes]]
 """Lines with their numbers, from 1."""
 
@@ -292,7 +294,8 @@ def give(answer: dict[str, Any]) -> None:
         If nobody reads it any more, or it cannot be written.
     """
     try:
-        print(json.dumps(answer, allow_nan=False), flush=True)
+        sys.stdout.write(_ENCODED(answer) + "\n")
+        sys.stdout.flush()
     except OSError as error:
         # Or else the interpreter would try the same again, and complain, at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
+from codecs import BOM_UTF8
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
-
-import numpy as np
 
 from graphtrack.bounds import APPEARANCE, INPUT
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, FrameBehaviour, merged
 from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import wrap
+from graphtrack.geometry.angles import wrapped
 from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import Estimate, OnlineSmoother
 from graphtrack.io.readers.ndjson import Pairs, identity, parse_line, read_cells
@@ -26,7 +26,7 @@ LONGEST_LINE = 1 << 20
 
 _CLASSES = {"body": BODY_CLASSES, "head": HEAD_CLASSES}
 _ANSWER = tuple(f"{name}_deg" if name in _CLASSES else name for name in STATE)
-_SPREAD = tuple(f"{name}_std_deg" if name in _CLASSES else f"{name}_std" for name in STATE)
+_NUMBERS = (*_ANSWER, *(f"{name}_std_deg" if name in _CLASSES else f"{name}_std" for name in STATE))
 _NAMED = 100
 """Unknown keys that are told before it is enough."""
 
@@ -188,11 +188,16 @@ class Told:
 
     def __call__(self, pairs: Pairs) -> None:
         """Look at the keys of a line."""
-        for name in schema.unknown(name for name, _ in pairs):
+        for name in _unknown(tuple([name for name, _ in pairs])):
             if name not in self._unknown and name not in self._known and len(self._unknown) < _NAMED:
                 self._unknown.add(name)
                 more = "; no further ones will be told" if len(self._unknown) == _NAMED else ""
                 self._note(f"ignored key {name[:100]!r}{more}")
+
+
+@lru_cache(64)
+def _unknown(names: tuple[str, ...]) -> list[str]:
+    return schema.unknown(names)
 
 
 def error_row(pairs: Pairs, number: int, error: InputError) -> dict[str, Any]:
@@ -214,23 +219,39 @@ def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
         if fps is None:
             raise InputError("no t", "seconds, or a frame rate (--fps)", column="t")
         t = cells["frame"] / fps
-    channels: dict[str, Any] = {
-        "position": _pair(cells, "x", "y"),
-        "position_std": cells.get("pos_std"),
-        "pixel": _pair(cells, "u", "v"),
-        "score": cells.get("score"),
-    }
-    for name, n_classes in _CLASSES.items():
-        degrees = cells.get(f"{name}_deg")
-        channels[name] = None if degrees is None else _angle(degrees)
-        channels[f"{name}_kappa"] = cells.get(f"{name}_kappa")
-        if f"{name}_p0" in cells:
-            channels[f"{name}_likelihood"] = tuple(cells[f"{name}_p{k}"] for k in range(n_classes))
-    return Observation(t=t, frame=cells["frame"], inputs=_inputs(cells), **channels)
+    get = cells.get
+    body, head = get("body_deg"), get("head_deg")
+    return Observation(
+        t,
+        cells["frame"],
+        _pair(cells, "x", "y"),
+        get("pos_std"),
+        _pair(cells, "u", "v"),
+        None if body is None else _angle(body),
+        get("body_kappa"),
+        None if head is None else _angle(head),
+        get("head_kappa"),
+        _classes(cells, "body"),
+        _classes(cells, "head"),
+        get("score"),
+        _inputs(cells),
+    )
+
+
+def _classes(cells: dict[str, Any], name: str) -> tuple[float, ...] | None:
+    if f"{name}_p0" not in cells:
+        return None
+    return tuple([cells[f"{name}_p{k}"] for k in range(_CLASSES[name])])
+
+
+@lru_cache(64)
+def _of_inputs(names: tuple[str, ...]) -> list[str]:
+    """Those of a row's keys that are an input's; most rows of a stream have the same keys."""
+    return [name for name in names if name.startswith((INPUT, APPEARANCE))]
 
 
 def _inputs(cells: dict[str, Any]) -> dict[str, float | tuple[float, ...]]:
-    given = [name for name in cells if name.startswith((INPUT, APPEARANCE))]
+    given = _of_inputs(tuple(cells))
     if not given:
         return {}
     numbers: dict[str, float] = {}
@@ -250,7 +271,7 @@ def _inputs(cells: dict[str, Any]) -> dict[str, float | tuple[float, ...]]:
 
 def _angle(degrees: float) -> float:
     angle = math.radians(degrees)
-    return angle if -math.pi < angle <= math.pi else float(wrap(angle))
+    return angle if -math.pi < angle <= math.pi else wrapped(angle)
 
 
 def _pair(cells: dict[str, Any], first: str, second: str) -> tuple[float, float] | None:
@@ -262,21 +283,22 @@ def text_of(line: bytes) -> str:
     if len(line) > LONGEST_LINE:
         raise InputError(f"more than {LONGEST_LINE} bytes", "a shorter line")
     try:
-        return line.decode("utf-8-sig")
+        return line.decode("utf-8-sig" if line.startswith(BOM_UTF8) else "utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"the byte 0x{line[error.start]:02x}", "UTF-8 text") from error
 
 
 def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     """An estimate with the columns of the native table; null where nothing is known."""
-    std = np.sqrt(np.diagonal(estimate.covariance)).tolist()
+    # A row is written for every row that comes: plain numbers are quicker than arrays of two.
+    variance = estimate.covariance.diagonal().tolist()
+    std = [math.sqrt(one) if one >= 0.0 else math.nan for one in variance]
     position, velocity = estimate.position.tolist(), estimate.velocity.tolist()
     row: dict[str, Any] = {"track_id": track_id, "frame": estimate.frame, "t": estimate.t}
     values = (*position, *velocity, math.degrees(estimate.body), math.degrees(estimate.head))
-    for name, value in zip(_ANSWER, values, strict=True):
-        row[name] = _null(value)
-    for name, value in zip(_SPREAD, std, strict=True):
-        row[name] = _null(math.degrees(value) if name.endswith("_deg") else value)
+    spread = (*std[:4], math.degrees(std[4]), math.degrees(std[5]))
+    for name, value in zip(_NUMBERS, values + spread, strict=True):
+        row[name] = value if math.isfinite(value) else None
     if math.isfinite(estimate.aligned_p):
         row["aligned_p"] = estimate.aligned_p
         row["gait_offset_deg"] = math.degrees(estimate.gait_offset)
@@ -284,7 +306,3 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     if estimate.reason:
         row["reason"] = estimate.reason
     return row
-
-
-def _null(value: float) -> float | None:
-    return value if math.isfinite(value) else None

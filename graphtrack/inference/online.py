@@ -17,7 +17,7 @@ import numpy as np
 
 from graphtrack.display import html_pairs
 from graphtrack.errors import GraphtrackError, InputError
-from graphtrack.geometry.angles import FloatArray, wrap
+from graphtrack.geometry.angles import FloatArray, wrap, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain
 from graphtrack.inference.chain.window import ChainWindow
@@ -334,7 +334,7 @@ class OnlineSmoother:
 
     def _estimate(self, newest: Newest, observation: Observation, status: Status) -> Estimate:
         state, covariance = newest
-        body, head = wrap(state[4:]).tolist()
+        body, head = map(wrapped, state[4:].tolist())
         smoother = self._smoother
         aligned, offset = getattr(smoother, "modes", (math.nan, math.nan))
         self._last = Estimate(

@@ -21,9 +21,15 @@ def swaying(covariance: FloatArray, motion: MotionParameters) -> FloatArray:
     each other.
     """
     variance = np.einsum("...ii->...i", covariance)
-    variance[..., :2] += motion.sway_std**2
-    variance[..., 2:4] += (2.0 * np.pi * motion.sway_rate * motion.sway_std) ** 2
+    variance[..., :4] += sway_variances(motion)
     return covariance
+
+
+def sway_variances(motion: MotionParameters) -> tuple[float, float, float, float]:
+    """What the sway adds to the variances of x, y, vx and vy."""
+    position = motion.sway_std**2
+    velocity = (2.0 * np.pi * motion.sway_rate * motion.sway_std) ** 2
+    return position, position, velocity, velocity
 
 
 def lagging(covariance: FloatArray, motion: MotionParameters, ends: FloatArray | float) -> FloatArray:
@@ -71,3 +77,9 @@ def _lags(
     past = rate**2 * seconds**2 * lasts / (seconds + lasts)
     whole = 0.5 * rate**2 * around**3 * lasts / (around + lasts) ** 2
     return past, whole, np.exp(-np.asarray(ends) / np.maximum(around, 1e-9))
+
+
+def newest_lag(variance: float, diffusion: float, rate: float, lasts: float) -> float:
+    """Variance of what the estimate of a newest frame lags, to the last bit as above: from the past alone."""
+    seconds = min(variance / diffusion, lasts)
+    return rate**2 * seconds**2 * lasts / (seconds + lasts)

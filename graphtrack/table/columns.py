@@ -204,7 +204,7 @@ def from_columns(
     for name, values in columns.items():
         if (column := schema.numeric(name)) is not None:
             _check_bounds(values, column, fail)
-    for group in schema.together(columns):
+    for group in schema.together(tuple(columns)):
         _check_group({name: columns[name] for name in group}, fail)
     if ignored:
         notes = (*notes, f"ignored columns {', '.join(ignored)}")
@@ -228,7 +228,7 @@ def check_names(names: Collection[str], fps: float | None, fail: Callable[..., I
     for name in schema.INTEGERS:
         if name not in names:
             raise fail("no such column", f"a column {name}", column=name)
-    for group in schema.together(names):
+    for group in schema.together(tuple(names)):
         missing = next((name for name in group if name not in names), None)
         if missing is not None:
             have = next(name for name in group if name in names)

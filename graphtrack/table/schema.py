@@ -186,7 +186,8 @@ TOGETHER: tuple[tuple[str, ...], ...] = (
 _GROUPS = tuple((group, frozenset(group)) for group in TOGETHER)
 
 
-def together(names: Collection[str]) -> list[tuple[str, ...]]:
+@lru_cache(64)
+def together(names: tuple[str, ...]) -> list[tuple[str, ...]]:
     """Groups of columns of which a row has all or none; those of which ``names`` has some.
 
     Of an array that has an input, the group is what is there and the first column that is not.

@@ -30,6 +30,11 @@ def test_a_wrapped_angle_is_the_same_direction_within_the_interval(angle: float)
 
 
 @given(ANGLES)
+def test_one_angle_is_wrapped_as_many_are(angle: float) -> None:
+    assert angles.wrapped(angle) == float(angles.wrap(angle))
+
+
+@given(ANGLES)
 def test_wrapping_twice_changes_nothing(angle: float) -> None:
     once = angles.wrap(angle)
     np.testing.assert_array_equal(angles.wrap(once), once)

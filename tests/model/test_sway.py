@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate
 
 from graphtrack.geometry.angles import UNIFORM_STD, von_mises_log_density
-from graphtrack.inference.solution import seconds_to_ends, stated
+from graphtrack.inference.solution import seconds_to_ends, stated, stated_newest
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import MotionParameters, OrientationParameters, steady
 from graphtrack.model.sway import head_lag, lagging, swaying
@@ -50,6 +50,24 @@ def test_what_a_model_does_not_have_stays_unknown() -> None:
     covariance[:, :4, :4] = 0.1 * np.eye(4)
     found = stated(covariance, Parameters(), np.zeros(3))
     assert np.isnan(found[:, 4:]).all() and np.isfinite(found[:, :4, :4]).all()
+
+
+@pytest.mark.parametrize("lasting", [0.0, 0.4])
+@pytest.mark.parametrize("missing", [[], [4], [5], [4, 5]])
+def test_the_newest_frame_states_the_same_to_the_last_bit(missing: list[int], lasting: float) -> None:
+    rng, parameters = np.random.default_rng(0), Parameters()
+    parameters = replace(parameters, motion=replace(parameters.motion, lasting_std=lasting))
+    for scale in (1e-3, 0.1, 1.0, 30.0, 1e4):
+        for root in scale * rng.normal(size=(40, 6, 6)):
+            covariance = root @ root.T
+            covariance[missing] = covariance[:, missing] = np.nan
+            np.testing.assert_array_equal(
+                stated_newest(covariance, parameters), stated(covariance.copy(), parameters)
+            )
+    # Where something is known for certain, too.
+    with np.errstate(all="ignore"):
+        nothing = stated(np.zeros((6, 6)), parameters)
+        np.testing.assert_array_equal(stated_newest(np.zeros((6, 6)), parameters), nothing)
 
 
 def test_sway_is_that_of_a_sine() -> None:

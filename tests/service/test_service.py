@@ -117,6 +117,18 @@ def test_several_rows_in_a_message_and_a_body(service):
     assert (status, body.splitlines()) == (200, found)
 
 
+def test_answers_come_together_where_that_is_asked_for(service):
+    sent = rows(40)
+    with service.connect("frames?answers=together") as connection:
+        for k in range(0, len(sent), 8):
+            connection.send("\n".join(sent[k : k + 8]))
+        connection.send("")
+        messages, closed = everything(connection)
+    assert closed.code == 1000
+    assert "\n".join(messages).splitlines() == of_track(sent)
+    assert len(messages) < len(sent)
+
+
 def test_a_stream_goes_on_where_its_connection_ended(service):
     sent = rows(30)
     whole = of_track(sent)

@@ -130,13 +130,17 @@ def refusal(request: Request, refused: Exception) -> Response:
 
 
 async def by_websocket(websocket: WebSocket) -> None:
-    """Rows in, a message for each or for several lines; an answer a message out. An empty message ends."""
+    """Rows in, a message for each or for several lines. An empty message ends.
+
+    An answer a message out, or with ``?answers=together`` all that are ready, in lines.
+    """
     streams: Streams = websocket.app.state.streams
     try:
         name = streams.checked_name(websocket)
         async with streams.opened(name) as stream:
             await websocket.accept()
-            code, reason = await _exchange(websocket, stream, streams.service.limits.patience)
+            together = websocket.query_params.get("answers") == "together"
+            code, reason = await _exchange(websocket, stream, streams.service.limits.patience, together)
         with suppress(RuntimeError, WebSocketDisconnect):
             await websocket.close(code, reason)
     except Refused as refused:
@@ -145,7 +149,7 @@ async def by_websocket(websocket: WebSocket) -> None:
         await websocket.close(_NOT_TAKEN[refused.status], refused.reason)
 
 
-async def _exchange(websocket: WebSocket, stream: Stream, patience: float) -> tuple[int, str]:
+async def _exchange(websocket: WebSocket, stream: Stream, patience: float, together: bool) -> tuple[int, str]:
     """Pass rows and answers on until either side is done; the code and reason to close with."""
 
     async def rows() -> bool:
@@ -157,14 +161,17 @@ async def _exchange(websocket: WebSocket, stream: Stream, patience: float) -> tu
             data = message.get("bytes") or (message.get("text") or "").encode()
             if not data.strip():
                 return True
-            for line in data.splitlines():
-                if line.strip():
-                    await stream.take(line)
+            await stream.take(data.splitlines())
 
     async def answers() -> tuple[int, str]:
-        async for answer in stream.answers():
+        loop = asyncio.get_running_loop()
+        async for lines in stream.answers():
             try:
-                await asyncio.wait_for(websocket.send_text(answer), patience)
+                async with asyncio.timeout(patience) as limit:
+                    for message in ["\n".join(lines)] if together else lines:
+                        await websocket.send_text(message)
+                        if loop.time() + 0.9 * patience > (limit.when() or 0.0):
+                            limit.reschedule(loop.time() + patience)
             except TimeoutError:
                 return _UNREAD, f"answers were not read for {patience:g} s"
             except (WebSocketDisconnect, RuntimeError):
@@ -219,20 +226,17 @@ async def by_http(request: Request) -> Response:
         left, longest = b"", streams.service.limits.line_bytes
         async for chunk in request.stream():
             *lines, left = (left + chunk).split(b"\n")
-            for line in lines:
-                if line.strip():
-                    await stream.take(line)
+            await stream.take(lines)
             if len(left) > longest:
                 break  # the row is answered by an error, and what follows is not read
-        if left.strip():
-            await stream.take(left)
+        await stream.take([left])
         stream.no_more()
 
     async def answers() -> AsyncGenerator[bytes, None]:
         feeding = asyncio.create_task(rows())
         try:
-            async for answer in stream.answers():
-                yield answer.encode() + b"\n"
+            async for lines in stream.answers():
+                yield "".join(f"{line}\n" for line in lines).encode()
             await feeding
         finally:
             feeding.cancel()

@@ -9,15 +9,17 @@ import os
 import socket
 import time
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
+from contextlib import suppress
 
 from graphtrack.cli.service.metrics import Metrics
 from graphtrack.cli.service.settings import Service
-from graphtrack.cli.service.worker import ASIDE, DONE, WARM, work
+from graphtrack.cli.service.worker import ASIDE, DONE, PIECE, WARM, work
 
 PROCESSES = multiprocessing.get_context("forkserver")
-_LONGEST_ANSWER = 1 << 24
 _ERROR = b'"error"'
+_PAUSE = 0.002
+"""Seconds in which answers gather while more of them are to come: to look for each costs as much as a row."""
 
 
 class Stream:
@@ -33,38 +35,60 @@ class Stream:
         self,
         name: str,
         process: multiprocessing.process.BaseProcess,
-        ends: tuple[asyncio.StreamReader, asyncio.StreamWriter],
+        connection: socket.socket,
         service: Service,
         metrics: Metrics,
     ) -> None:
         self.name, self.people = name, 0
-        self._process, (self._reader, self._writer) = process, ends
+        self._process, self._connection = process, connection
         self._limits, self._metrics = service.limits, metrics
-        self._arrived: deque[float] = deque()
+        self._arrived: deque[tuple[float, int]] = deque()
+        self._waiting, self._left = 0, b""
         self._budget, self._counted = self._limits.rows_per_second, time.monotonic()
 
-    async def take(self, line: bytes) -> None:
-        """Hand a row on; waits while the process, or the client's right to rows, is behind."""
-        await self._keep_to_rate()
-        self._arrived.append(time.monotonic())
-        self._metrics.waiting.inc()
-        self._writer.write(line.rstrip(b"\r\n") + b"\n")
-        await self._writer.drain()
+    async def take(self, lines: Iterable[bytes]) -> None:
+        """Hand rows on; waits while the process, or the client's right to rows, is behind."""
+        rows = [line for line in lines if line.strip()]
+        if not rows:
+            return
+        await self._keep_to_rate(len(rows))
+        self._arrived.append((time.monotonic(), len(rows)))
+        self._waiting += len(rows)
+        self._metrics.waiting.inc(len(rows))
+        text = b"".join(row.rstrip(b"\r\n") + b"\n" for row in rows)
+        # What is cut off, since the client goes, is no row: it has no end. If the process has ended, that is
+        # told where answers end.
+        with suppress(ConnectionError):
+            await asyncio.get_running_loop().sock_sendall(self._connection, text)
 
-    async def answers(self) -> AsyncIterator[str]:
+    async def answers(self) -> AsyncIterator[list[str]]:
         """Lines for the client, until the process has said everything: answers, and what was said aside."""
-        while line := await self._reader.readline():
-            if line.startswith(DONE):
-                self._count(int(line[1:]))
-            else:
+        while data := await self._read():
+            *lines, self._left = (self._left + data).split(b"\n")
+            told = []
+            for line in lines:
+                if line.startswith(DONE):
+                    rows, people = map(int, line[1:].split())
+                    self._count(rows, people)
+                    continue
                 if _ERROR in line and not line.startswith(ASIDE):
                     self._metrics.refused_rows.inc()
-                yield line.removeprefix(ASIDE).decode().rstrip("\n")
+                told.append(line.removeprefix(ASIDE).decode())
+            if told:
+                yield told
+            if self._waiting:
+                await asyncio.sleep(_PAUSE)
+
+    async def _read(self) -> bytes:
+        try:
+            return await asyncio.get_running_loop().sock_recv(self._connection, PIECE)
+        except ConnectionError:  # the process died with rows before it
+            return b""
 
     def no_more(self) -> None:
         """Say that no more rows come."""
-        if self._writer.can_write_eof() and not self._writer.is_closing():
-            self._writer.write_eof()
+        with suppress(OSError):
+            self._connection.shutdown(socket.SHUT_WR)
 
     async def end(self) -> int:
         """Have the process keep what it knows and wait for it; its exit status, negative for a signal."""
@@ -74,9 +98,9 @@ class Stream:
                 pass
         except (OSError, ValueError):
             pass
-        self._writer.close()
+        self._connection.close()
         status = await self.status()
-        self._metrics.waiting.dec(len(self._arrived))
+        self._metrics.waiting.dec(self._waiting)
         self._metrics.people.dec(self.people)
         self._arrived.clear()
         if status not in (0, 1):
@@ -89,21 +113,28 @@ class Stream:
         assert self._process.exitcode is not None
         return self._process.exitcode
 
-    def _count(self, people: int) -> None:
-        metrics = self._metrics
-        metrics.rows.inc()
+    def _count(self, rows: int, people: int) -> None:
+        """So many rows more are answered, those that came first."""
+        metrics, now = self._metrics, time.monotonic()
+        metrics.rows.inc(rows)
         metrics.people.inc(people - self.people)
         self.people = people
-        if self._arrived:
-            metrics.latency.observe(time.monotonic() - self._arrived.popleft())
-            metrics.waiting.dec()
+        metrics.waiting.dec(min(rows, self._waiting))
+        self._waiting -= min(rows, self._waiting)
+        while rows and self._arrived:
+            since, there = self._arrived.popleft()
+            done = min(rows, there)
+            metrics.latency.observe(now - since, done)
+            rows -= done
+            if done < there:
+                self._arrived.appendleft((since, there - done))
 
-    async def _keep_to_rate(self) -> None:
+    async def _keep_to_rate(self, rows: int) -> None:
         """A bucket that holds a second's rows."""
         rate, now = self._limits.rows_per_second, time.monotonic()
         self._budget = min(rate, self._budget + rate * (now - self._counted))
         self._counted = now
-        self._budget -= 1.0
+        self._budget -= rows
         if self._budget < 0.0:
             behind = -self._budget / rate
             self._metrics.slowed.inc(behind)
@@ -133,5 +164,5 @@ async def open_stream(name: str, service: Service, metrics: Metrics) -> Stream:
         await asyncio.to_thread(process.start)
     finally:
         there.close()
-    ends = await asyncio.open_connection(sock=here, limit=_LONGEST_ANSWER)
-    return Stream(name, process, ends, service, metrics)
+    here.setblocking(False)
+    return Stream(name, process, here, service, metrics)

@@ -1,17 +1,21 @@
 """The process of one stream: `graphtrack track -` between the two ends of a socket.
 
-The way back has a line for each answer and, once all answers to a row are given, a line ``#`` with the number
-of people; ``!`` before a line marks what is no answer. So whoever asked knows how many rows are on their way.
+Rows that are there together are answered together. The way back has a line for each answer and, behind the
+answers to so many rows, a line ``#`` with their number and that of the people; ``!`` before a line marks what
+is no answer. So whoever asked knows how many rows are on their way.
 """
 
 from __future__ import annotations
 
+import gc
 import io
 import json
 import os
 import signal
 import socket
 import sys
+import time
+from collections import deque
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,50 +28,94 @@ from graphtrack.inference.online import online_engine
 from graphtrack.model import Model
 
 DONE, ASIDE = b"#", b"!"
-"""How a line begins after a row's answers, and one that is none."""
+"""How a line begins after the answers to some rows, and one that is none."""
+
+PIECE = 1 << 16
+"""Bytes that are read at once."""
 
 WARM = "GRAPHTRACK_SERVE_MODEL"
 """Variable of the environment: the model whose code the processes' parent loads, so that they have it."""
 
+_HELD = 0.01
+"""Seconds after which answers go out though more rows are there."""
 
-class Answered(io.TextIOWrapper):
-    """Answers that go out together, when the next row is waited for."""
 
-    def flush(self) -> None:
-        """Not yet: see `send`."""
+class Answered(io.TextIOBase):
+    """Answers that go out together."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection, self._texts = connection, list[str]()
+        self._rows = self._people = 0
+        self._sent = time.monotonic()
+
+    @property
+    def is_held(self) -> bool:
+        """Whether answers have waited for long."""
+        return time.monotonic() > self._sent + _HELD
+
+    def write(self, text: str, /) -> int:
+        """Keep an answer."""
+        self._texts.append(text)
+        return len(text)
+
+    def count(self, people: int) -> None:
+        """All answers to one more row are here; so many people are followed."""
+        self._rows, self._people = self._rows + 1, people
 
     def send(self) -> None:
         """Let everything go that was written."""
-        super().flush()
+        if self._rows:
+            self._texts.append(f"{DONE.decode()}{self._rows} {self._people}\n")
+        if self._texts:
+            self._connection.sendall("".join(self._texts).encode())
+        self._texts.clear()
+        self._rows, self._sent = 0, time.monotonic()
 
 
-class Asking(io.BufferedReader):
-    """Rows; before one is waited for, the answers to those before it go out."""
+class Asking(io.RawIOBase):
+    """Rows; before more are waited for, the answers to those that came go out."""
 
-    answers: Answered
+    def __init__(self, connection: socket.socket, answered: Answered) -> None:
+        self._connection, self._answered = connection, answered
+        self._lines, self._left = deque[bytes](), b""
+
+    def readable(self) -> bool:
+        """Yes."""
+        return True
 
     def readline(self, size: int | None = -1, /) -> bytes:
-        """The next row, with its end; empty where there are no more."""
-        self.answers.send()
-        return super().readline(size)
+        """The next row, with its end; empty where there are no more. One without an end was cut off."""
+        if self._lines and self._answered.is_held:
+            self._answered.send()
+        while not self._lines:
+            self._answered.send()
+            data = self._connection.recv(PIECE)
+            if not data:
+                return b""
+            *lines, self._left = (self._left + data).split(b"\n")
+            self._lines.extend(lines)
+        return self._lines.popleft() + b"\n"
 
 
 def work(connection: socket.socket, answers: Answers, limits: Limits, state: Path | None) -> None:
     """Answer rows from a socket until it says that there are no more.
 
-    The exit status is 0, or 1 if the stream could not be begun or gone on with; the last line says why.
+    Where a state is kept, answers to a row go out before the next row is kept, so that no more than one can
+    be missing. The exit status is 0, or 1 if the stream could not be begun or gone on with; the last line
+    says why.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever began the stream ends it
-    rows = Asking(connection.makefile("rb", buffering=0))
-    said = rows.answers = Answered(connection.makefile("wb"), encoding="utf-8")
-    sys.stdin, sys.stdout = io.TextIOWrapper(rows), said
+    said = Answered(connection)
+    sys.stdin, sys.stdout = io.TextIOWrapper(Asking(connection, said)), said
 
     def aside(message: dict[str, Any]) -> None:
         said.write(f"{ASIDE.decode()}{json.dumps(message)}\n")
         said.send()
 
     def answered(people: Answering) -> None:
-        said.write(f"{DONE.decode()}{people.count}\n")
+        said.count(people.count)
+        if state is not None:
+            said.send()
 
     def went_on(rows: int, line: int, again: bool) -> None:
         aside({"rows": rows, "line": line, "given_again": again})
@@ -93,8 +141,14 @@ def work(connection: socket.socket, answers: Answers, limits: Limits, state: Pat
         with suppress(OSError):  # nobody may be there any more
             aside({"error": str(error)})
         sys.exit(1)
+    except ConnectionError:  # nobody hears the answers any more
+        sys.exit(1)
 
 
 if WARM in os.environ:  # in the parent of the processes, once
     _model = Model.from_dict(json.loads(os.environ[WARM]))
     warm_up(_model, online_engine(_model, "auto"))
+    # What is here by now is in the memory of all streams as long as none of them writes to it; their
+    # collectors would.
+    gc.collect()
+    gc.freeze()

@@ -58,7 +58,7 @@ class FrameRows:
         """Write a step into a row; what was packed."""
         seen, record, problem = step.observation, self.rows[row], self.problem
         packed = self._packer(seen, step.dt, step.starts, step.camera)
-        record[:] = packed.records.view(float)
+        record[:] = packed.numbers
         if step.camera is not None:
             problem.shared[:] = packed.shared  # the camera is part of it
         record[self.place["dt"]] = 0.0 if step.dt is None else step.dt

@@ -131,7 +131,7 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
             if not isinstance(value, str) or isinstance(value, _Literal):
                 raise InputError(_shown(value), "text or null", column=name)
             cells[name] = value
-    for group in schema.together(cells):
+    for group in schema.together(tuple(cells)):
         _check_group(group, cells)
     return cells
 

@@ -105,6 +105,11 @@ class PackedTracks:
         return np.concatenate([track.input(name, *size) for track in self.tracks])
 
     @cached_property
+    def numbers(self) -> FloatArray:
+        """The records as rows of numbers, one after another."""
+        return self.records.view(float)
+
+    @cached_property
     def t(self) -> FloatArray:
         """(N,) seconds."""
         return np.concatenate([track.t for track in self.tracks])
@@ -153,8 +158,6 @@ class RecordTypes(NamedTuple):
     shared: np.dtype
 
 
-_LIVE = ("position", "body", "head")
-_STATED = ("position_std", "body_kappa", "head_kappa")
 _KINDS = 256
 """Kinds of frame that are remembered, packed."""
 
@@ -174,6 +177,8 @@ class FramePacker:
     def __init__(self, terms: Sequence[Term], types: RecordTypes) -> None:
         self._terms, self._types = terms, types
         self._repeats = all(term.states("repeats") and term.repeats for term in terms)
+        # Most terms have nothing that is live; to ask each takes longer than to write what the others have.
+        self._live = [term.live for term in terms if term.live.__qualname__ != "Term.live"]
         self._known: dict[tuple[object, ...], PackedTracks] = {}
 
     def __call__(
@@ -185,8 +190,16 @@ class FramePacker:
         simple = seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None
         if not (simple and self._repeats) or seen.inputs:
             return self._packed(seen, seconds, starts, camera)
-        stated = [getattr(seen, name) for name in _STATED]
-        kind = (seconds, starts, *stated, *[getattr(seen, name) is None for name in _LIVE])
+        kind = (
+            seconds,
+            starts,
+            seen.position_std,
+            seen.body_kappa,
+            seen.head_kappa,
+            seen.position is None,
+            seen.body is None,
+            seen.head is None,
+        )
         known = self._known.get(kind)
         if known is None:
             if len(self._known) == _KINDS:
@@ -196,8 +209,8 @@ class FramePacker:
 
     def live(self, seen: Observation) -> Iterator[tuple[str, float]]:
         """Fields, with their values, that frames of a kind do not share."""
-        for term in self._terms:
-            yield from term.live(seen)
+        for live in self._live:
+            yield from live(seen)
 
     def _packed(
         self, seen: Observation, dt: float, starts: bool, camera: GroundCamera | None
