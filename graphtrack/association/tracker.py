@@ -20,10 +20,10 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.observed import checked
-from graphtrack.inference.offline import processors
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother
 from graphtrack.inference.state import DAMAGES, Estimate, damaged, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
+from graphtrack.model.kernels.beside import processors
 from graphtrack.scene import GivenScene, SceneParameters, known_values
 
 Key = tuple[int, int]
