@@ -25,21 +25,21 @@ SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online 
 """What is compiled here, in words: both, or one of the two."""
 
 # Seconds that compiling takes on a core, about.
-_START: Costs = {initialise: 8.0, finish: 1.0}
-_MODES: Costs = {renew_tracks: 2.0}
-_COUPLINGS: Costs = {renew_couplings: 9.0}
+_START: Costs = {initialise: 3.0, finish: 0.5}
+_MODES: Costs = {renew_tracks: 1.0}
+_COUPLINGS: Costs = {renew_couplings: 6.5}
 
 
 def _steps(program: ChainProgram) -> Costs:
-    return {program.solve_tracks: 22.0}
+    return {program.solve_tracks: 11.0}
 
 
 def _descent(program: ChainProgram) -> Costs:
-    return {program.minimise: 18.0}
+    return {program.minimise: 10.0}
 
 
 def _window(program: ChainProgram) -> Costs:
-    return {program.solve_window: 10.0, program.let_go: 7.0}
+    return {program.solve_window: 4.5, program.let_go: 3.5}
 
 
 def warm_up(
