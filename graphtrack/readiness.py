@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,22 @@ UNNOTICED = 3.0
 
 
 @dataclass(frozen=True)
+class Part:
+    """A compiled function that can be compiled before what calls it.
+
+    Attributes
+    ----------
+    function : compiled
+    run : calls it
+    statement : has another process do so
+    """
+
+    function: CompiledFunction
+    run: Callable[[], object]
+    statement: str
+
+
+@dataclass(frozen=True)
 class Rehearsal:
     """Something made up that calls compiled functions, so that nobody waits for them later.
 
@@ -50,11 +66,13 @@ class Rehearsal:
     run : calls them
     called : those that Python calls, and what only they call
     inlined : what they share with others
+    parts : what of it may be compiled before: here, and at the same time in another process
     """
 
     run: Callable[[], object]
     called: Costs
     inlined: Costs = field(default_factory=dict)
+    parts: Callable[[], tuple[Sequence[Part], Sequence[Part]]] = lambda: ((), ())
 
     @property
     def seconds(self) -> dict[CompiledFunction, float]:
@@ -83,7 +101,23 @@ def make_ready(what: str, *rehearsals: Rehearsal) -> None:
         about = 5 * max(1, round(sum(cold.values()) / 5))
         logger.warning("compiling %s, %s: about %d s …", what, when, about)
     start = time.perf_counter()
+    if cold:
+        _run_parts(waiting)
     for one in waiting:
         one.run()
     if cold:
         logger.warning("compiled in %.0f s", time.perf_counter() - start)
+
+
+def _run_parts(waiting: Sequence[Rehearsal]) -> None:
+    """Compile the parts that are cold, in two processes where that is possible."""
+    from graphtrack.model.kernels.beside import compiled_beside
+
+    parts = [one.parts() for one in waiting]
+    elsewhere = {part.function: part.statement for _, beside in parts for part in beside}
+    statements = [statement for function, statement in elsewhere.items() if is_cold(function)]
+    with compiled_beside(statements) as taken_over:
+        for part in (part for here, _ in parts for part in here):
+            if is_cold(part.function):
+                part.run()
+        taken_over()

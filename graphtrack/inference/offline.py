@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -32,6 +31,7 @@ from graphtrack.inference.solution import (
 from graphtrack.inference.warm import WHOLE, solver_rehearsal
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
+from graphtrack.model.kernels.beside import processors
 from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track, TrackSet
 from graphtrack.trust import Trust, trusted
@@ -235,14 +235,6 @@ def smooth_track(
     if isinstance(result, Failure):
         raise SolveError(result.track_id, result.reason)
     return result
-
-
-def processors() -> int:
-    """The processors that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on Linux
-        return os.cpu_count() or 1
 
 
 def _batches(tracks: TrackSet) -> Iterator[list[Track]]:

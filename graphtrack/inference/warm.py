@@ -8,43 +8,38 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.engine import finish, is_chain, solve_packed
+from graphtrack.inference.chain.engine import finish, is_chain
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram, program_of
 from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.initial import pack
+from graphtrack.inference.parts import STEP, TRACK, parts_of, solve
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between
-from graphtrack.readiness import Costs, Rehearsal, make_ready
-from graphtrack.tracks import Track
+from graphtrack.readiness import Costs, Part, Rehearsal, is_cold, make_ready
 
 SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
 """What is compiled here, in words: both, or one of the two."""
 
 # Seconds that compiling takes on a core, about.
-_START: Costs = {initialise: 8.0, finish: 1.0}
-_MODES: Costs = {renew_tracks: 2.0}
-_COUPLINGS: Costs = {renew_couplings: 9.0}
+_START: Costs = {initialise: 3.0, finish: 0.5}
+_MODES: Costs = {renew_tracks: 1.0}
+_COUPLINGS: Costs = {renew_couplings: 6.5}
 
 
 def _steps(program: ChainProgram) -> Costs:
-    return {program.solve_tracks: 22.0}
+    return {program.solve_tracks: 11.0}
 
 
 def _descent(program: ChainProgram) -> Costs:
-    return {program.minimise: 18.0}
+    return {program.minimise: 10.0}
 
 
 def _window(program: ChainProgram) -> Costs:
-    return {program.solve_window: 10.0, program.let_go: 7.0}
-
-
-_STEP = 0.1
-TRACK = Track(0, np.arange(4), np.linspace(0.0, 3 * _STEP, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
-"""Somebody made up, for whom compiled functions are called the first time."""
+    return {program.solve_window: 4.5, program.let_go: 3.5}
 
 
 def warm_up(
@@ -93,7 +88,12 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     called, inlined = {**_START, **_steps(program)}, _descent(program)
     if model.has_modes:
         called, inlined = {**called, **_MODES, program.spread_tracks: 3.0}, {**inlined, **_COUPLINGS}
-    return Rehearsal(lambda: _solve(_like(model)), called, inlined)
+        here, beside = "start descent spread", "grid modes"
+    else:
+        here, beside = "start descent", "grid"
+    return Rehearsal(
+        lambda: solve(_like(model)), called, inlined, lambda: (_parts(model, here), _parts(model, beside))
+    )
 
 
 def graph_rehearsal(model: Model) -> Rehearsal:
@@ -109,16 +109,28 @@ def graph_rehearsal(model: Model) -> Rehearsal:
 
 def start_rehearsal() -> Rehearsal:
     """The linear solution, which is where GTSAM starts, too."""
-    return Rehearsal(lambda: _solve(Model("position")), _START)
+    return Rehearsal(lambda: solve(Model("position")), _START)
 
 
 def online_rehearsal(model: Model) -> Rehearsal:
     """What the compiled window calls."""
     program = program_of(model)
     called = {**_window(program), **({**_COUPLINGS, program.spread_newest: 2.0} if model.has_modes else {})}
+
+    def parts() -> tuple[tuple[Part, ...], tuple[Part, ...]]:
+        # The window calls the grid: it can be compiled meanwhile where the grid is there already.
+        window = "" if is_cold(program.find_other_basin) else " window"
+        here, beside = ("newest", "couplings ") if model.has_modes else ("", "")
+        return _parts(model, f"descent{window} {here}"), _parts(model, f"{beside}grid leaving")
+
     return Rehearsal(
-        lambda: _slide(ChainWindow(_like(model), 1.5 * _STEP, 1e-8, 5)), called, _descent(program)
+        lambda: _slide(ChainWindow(_like(model), 1.5 * STEP, 1e-8, 5)), called, _descent(program), parts
     )
+
+
+def _parts(model: Model, names: str) -> tuple[Part, ...]:
+    """Parts of an engine; none for one with kernels of your own, which other processes do not know."""
+    return () if has_own_kernels(model) else parts_of(_like(model), *names.split())
 
 
 def _like(model: Model) -> Model:
@@ -128,12 +140,8 @@ def _like(model: Model) -> Model:
     return Model("full" if model.has_modes else "joint")
 
 
-def _solve(model: Model) -> None:
-    solve_packed(pack([TRACK], model), model)
-
-
 def _search(model: Model) -> None:
-    _solve(Model("position"))
+    solve(Model("position"))
     view, states = ChainView(TRACK, model, None), np.zeros((len(TRACK), 6))
     view.other(states, 0.0)
     if model.has_modes:

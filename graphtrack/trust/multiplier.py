@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.trust.pieces import Pieces
@@ -77,7 +77,7 @@ def multiplier_of(pieces: Pieces, density: Density) -> Multiplier | None:
     scatter = (slopes - slopes.mean(axis=0)).T @ (slopes - slopes.mean(axis=0)) * blocks / (blocks - 1)
     # Neither sees all: where tracks differ the sandwich is the wider one, where they are few the curvature.
     variance = max((inverse @ scatter @ inverse)[0, 0], inverse[0, 0])
-    half = min(float(stats.t.ppf(0.5 + 0.5 * SURE, blocks - 1) * np.sqrt(variance)), _WIDEST)
+    half = min(float(special.stdtrit(blocks - 1, 0.5 + 0.5 * SURE) * np.sqrt(variance)), _WIDEST)
     low, value, high = np.exp(best[0] + np.array([-half, 0.0, half])).tolist()
     return Multiplier(value, low, high, seen, count)
 

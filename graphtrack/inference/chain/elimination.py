@@ -195,6 +195,14 @@ def clear(gradient: FloatArray, hessian: FloatArray, transition: FloatArray) -> 
 
 
 @compiled
+def assign(target: FloatArray, source: FloatArray) -> None:
+    """Copy a matrix. Assigning to a slice does the same, but takes most of a second to compile."""
+    for k in range(len(target)):
+        for i in range(target.shape[1]):
+            target[k, i] = source[k, i]
+
+
+@compiled
 def sweep_back(n: int, workspace: Workspace) -> float:
     """The Newton step (n, 6) from a factorisation; returns the decrease of cost that it promises."""
     inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step

@@ -96,7 +96,8 @@ def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> Non
     between, doubled = np.empty_like(before), np.empty(2 * bins, before.dtype)
     for b in range(bins):
         row = between[b]
-        row[:] = before[b]
+        for h in range(bins):
+            row[h] = before[b, h]
         for shift in range(1, bins):
             other, hop = before[(b + shift) % bins], body_hop[shift]
             for h in range(bins):
@@ -104,9 +105,8 @@ def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> Non
                 row[h] = candidate if candidate < row[h] else row[h]
     for b in range(bins):
         row = now[b]
-        row[:] = between[b]
-        doubled[:bins] = row
-        doubled[bins:] = row
+        for h in range(bins):
+            row[h] = doubled[h] = doubled[bins + h] = between[b, h]
         for shift in range(1, bins):
             other, hop = doubled[shift : shift + bins], head_hop[shift]
             for h in range(bins):
@@ -142,6 +142,17 @@ def add_past(prior: FloatArray, state: FloatArray, angles: FloatArray, cost: Sin
 
 
 @compiled
+def least_of(cost: Single) -> tuple[int, int]:
+    """The first place (b, h) of the least number of a matrix."""
+    b = h = 0
+    for i in range(len(cost)):
+        for j in range(len(cost)):
+            if cost[i, j] < cost[b, h]:
+                b, h = i, j
+    return b, h
+
+
+@compiled
 def best_course(
     problem: Problem, track: int, states: FloatArray, bins: int, spread: float, course: FloatArray
 ) -> None:
@@ -154,8 +165,10 @@ def best_course(
     records = problem.records[a : a + n]
     node = np.empty(n, np.int64)
     count = nodes_of(problem, track, n, spread, node)
-    angles = 2.0 * np.pi * np.arange(bins) / bins
-    cos, sin = np.cos(angles), np.sin(angles)
+    angles, cos, sin = np.empty(bins), np.empty(bins), np.empty(bins)
+    for i in range(bins):
+        angles[i] = 2.0 * math.pi * i / bins
+        cos[i], sin[i] = math.cos(angles[i]), math.sin(angles[i])
     body, head, kappa = np.zeros((count, bins)), np.zeros((count, bins)), np.zeros(count)
     body_turn, head_turn = np.zeros(count), np.zeros(count)
     add_over(problem, track, states, cos, sin, node, body, head)
@@ -182,10 +195,13 @@ def best_course(
         for b in range(bins):
             for h in range(bins):
                 now[b, h] += body[g, b] + head[g, h] + kappa[g] * (1.0 - cos[(h - b) % bins])
-        now -= now.min()
+        b, h = least_of(now)
+        least = now[b, h]
+        for i in range(bins):
+            for j in range(bins):
+                now[i, j] -= least
     # Back along the course: which turn led here is found again, which is less work than to note them all.
-    at = int(np.argmin(value[count - 1]))
-    b, h = at // bins, at % bins
+    b, h = least_of(value[count - 1])
     k = n - 1
     for g in range(count - 1, -1, -1):
         while k >= 0 and node[k] == g:
@@ -194,10 +210,10 @@ def best_course(
         if g > 0:
             hops(body_turn[g], cos, body_hop)
             hops(head_turn[g], cos, head_hop)
-            least, to_b, to_h = math.inf, b, h
+            cheapest, to_b, to_h = math.inf, b, h
             for i in range(bins):
                 for j in range(bins):
                     total = value[g - 1, i, j] + body_hop[(b - i) % bins] + head_hop[(h - j) % bins]
-                    if total < least:
-                        least, to_b, to_h = total, i, j
+                    if total < cheapest:
+                        cheapest, to_b, to_h = total, i, j
             b, h = to_b, to_h

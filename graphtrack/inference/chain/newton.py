@@ -9,7 +9,14 @@ from __future__ import annotations
 import math
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.elimination import Workspace, clear, eliminate, invert_cholesky, sweep_back
+from graphtrack.inference.chain.elimination import (
+    Workspace,
+    assign,
+    clear,
+    eliminate,
+    invert_cholesky,
+    sweep_back,
+)
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import N
@@ -119,7 +126,9 @@ def minimise(
         if not definite or not math.isfinite(decrement):
             return first_cost, cost, iteration, NOT_FINITE, False
         if decrement <= tolerance * (1.0 + abs(cost)):
-            states += step[:n]
+            for k in range(n):
+                for i in range(N):
+                    states[k, i] += step[k, i]
             return first_cost, cost, iteration, CONVERGED, exact
         if iteration == max_iterations:
             break
@@ -137,5 +146,5 @@ def minimise(
             _, exact = sweep_forward(problem, track, start, states, full, workspace)
             return first_cost, cost, iteration, CONVERGED if exact else NOT_CONVERGED, exact
         cost = found
-        states[:] = candidate
+        assign(states, candidate)
     return first_cost, cost, max_iterations, NOT_CONVERGED, exact

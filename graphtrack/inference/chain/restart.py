@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.elimination import Workspace, marginals
+from graphtrack.inference.chain.elimination import Workspace, assign, marginals
 from graphtrack.inference.chain.grid import best_course, greatest_gain
 from graphtrack.inference.chain.newton import as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.result import NOT_FINITE, Result
@@ -53,8 +53,9 @@ def find_other_basin(
         best_course(problem, track, states, bins, spread, course)
         if not lies_elsewhere(states, course, near):
             return False
-    found[:] = states
-    found[:, BODY], found[:, HEAD] = course[:, 0], course[:, 1]
+    assign(found, states)
+    for k in range(len(states)):
+        found[k, BODY], found[k, HEAD] = course[k, 0], course[k, 1]
     return True
 
 
@@ -76,7 +77,7 @@ def solve_tracks(
         if begun_elsewhere:
             # Contradictions make a poor start, from which the descent is long.
             begun, _ = sweep_forward(problem, track, states[0].copy(), states, full, workspace)
-            states[:] = again
+            assign(states, again)
         first_cost, cost, iterations, status, exact = minimise(
             problem, track, states, max_iterations, tolerance, workspace
         )
@@ -88,7 +89,7 @@ def solve_tracks(
             )
             iterations += more
             if ended != NOT_FINITE and found < cost:
-                states[:] = again
+                assign(states, again)
                 cost, status, exact = found, ended, sound
             elif exact:
                 # The workspace holds the other descent's factorisation.

@@ -101,4 +101,5 @@ def initialise(problem: Problem, seen: Seen, only: bool, angles: FloatArray, res
                 continue
             running_mean(t, vectors[a:b], seen.window, angle)
             fill(t, angle, angles[1, :n] if place == HEAD and len(seen.body) > 0 else heading)
-            states[:, place] = angle
+            for k in range(n):
+                states[k, place] = angle[k]

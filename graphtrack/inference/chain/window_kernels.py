@@ -7,7 +7,14 @@ import math
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.elimination import Workspace, clear, eliminate, invert_cholesky, sweep_back
+from graphtrack.inference.chain.elimination import (
+    Workspace,
+    assign,
+    clear,
+    eliminate,
+    invert_cholesky,
+    sweep_back,
+)
 from graphtrack.inference.chain.newton import add_prior, as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.restart import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
@@ -53,13 +60,14 @@ def solve_window(
         turn_past(problem.prior, here, again)
         _, found, _, ended, sound = minimise(problem, track, again, max_iterations, tolerance, memory)
         if ended != NOT_FINITE and found < cost:
-            here[:], exact = again, sound
+            assign(here, again)
+            exact = sound
         else:
-            problem.prior[:] = before
+            assign(problem.prior, before)
             _, exact = sweep_forward(problem, track, here[0].copy(), here, full, memory)
     if not exact and not sweep_forward(problem, track, here[0].copy(), here, not full, memory)[1]:
         return False
-    memory.newest[:] = memory.scratch[1 + (last & 1)]
+    assign(memory.newest, memory.scratch[1 + (last & 1)])
     finite = True
     for i in range(N):
         finite = finite and math.isfinite(here[last, i])
@@ -122,7 +130,7 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     last = len(states) - 1
     gradients, hessians, transition = memory.scratch[0], memory.scratch[1:3], memory.scratch[3]
     memory.scratch[:] = 0.0
-    hessians[0] = memory.newest
+    assign(hessians[0], memory.newest)
     add_frame(
         problem,
         the_only(problem),
@@ -159,7 +167,9 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
         for i in range(N):
             if not math.isfinite(memory.step[k, i]) or (i in (BODY, HEAD) and abs(memory.step[k, i]) > _FAR):
                 return
-    states += memory.step[: last + 1]
+    for k in range(last + 1):
+        for i in range(N):
+            states[k, i] += memory.step[k, i]
 
 
 @compiled

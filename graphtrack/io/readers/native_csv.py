@@ -23,6 +23,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table import schema
+from graphtrack.table.arrow import arrow_array
 from graphtrack.table.as_read import restored
 from graphtrack.table.columns import from_columns, to_columns
 from graphtrack.table.moments import date_texts
@@ -188,7 +189,7 @@ def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    table = pa.table({name: pa.array(_clean(values), from_pandas=True) for name, values in columns.items()})
+    table = pa.table({name: arrow_array(_clean(values)) for name, values in columns.items()})
     options = arrow_csv.WriteOptions(include_header=False)
     with pa.OSFile(str(path), "wb") as raw:
         packed = path.name.lower().endswith(".gz")

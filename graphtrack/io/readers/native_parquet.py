@@ -17,6 +17,7 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table import schema
+from graphtrack.table.arrow import arrow_array
 from graphtrack.table.as_read import restored
 from graphtrack.table.columns import from_columns, to_columns
 from graphtrack.table.rows import Rows
@@ -122,7 +123,7 @@ def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    table = pa.table({name: arrow_array(values) for name, values in columns.items()})
     pq.write_table(table, path, row_group_size=ROW_GROUP, write_page_checksum=True)
 
 

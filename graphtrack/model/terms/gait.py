@@ -118,7 +118,8 @@ def drift(probability: FloatArray, variance: float, memory: FloatArray) -> None:
     passes = int(min(math.ceil(2.0 * share), _MOST_DRIFT))
     side = min(0.5 * share / passes, 1.0 / 3.0)
     for _ in range(passes):
-        memory[:BINS] = probability[:BINS]
+        for j in range(BINS):
+            memory[j] = probability[j]
         for j in range(1, BINS - 1):
             probability[j] += side * (memory[j - 1] + memory[j + 1] - 2.0 * memory[j])
         last = BINS - 1
@@ -180,12 +181,16 @@ def infer_modes(
     likelihood, memory, ahead = log_likelihood, np.empty(BINS), np.ones(ROW)
     now = before.copy()
     if not dt[0] > 0.0:
-        now[:BINS] = (1.0 - modes.aligned) * modes.anywhere
-        now[BINS:] = modes.aligned * modes.share
+        for j in range(BINS):
+            now[j] = (1.0 - modes.aligned) * modes.anywhere[j]
+        for j in range(NEAR):
+            now[BINS + j] = modes.aligned * modes.share[j]
     for k in range(n):
         if dt[k] > 0.0:
             switch(now, modes, dt[k], memory)
-        greatest, total = likelihood[k].max(), 0.0
+        greatest, total = likelihood[k, 0], 0.0
+        for j in range(1, ROW):
+            greatest = max(greatest, likelihood[k, j])
         for j in range(ROW):
             likelihood[k, j] = math.exp(likelihood[k, j] - greatest)
             now[j] *= likelihood[k, j]

@@ -1,0 +1,93 @@
+"""Compiling in a second process beside this one: numba compiles in one thread at a time."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numba
+from numba.core.dispatcher import Dispatcher
+
+from graphtrack.model.kernels.compiled import cache_home
+
+
+def processors() -> int:
+    """The processors that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on Linux
+        return os.cpu_count() or 1
+
+
+@contextmanager
+def compiled_beside(statements: Sequence[str]) -> Iterator[Callable[[], None]]:
+    """Execute statements in another process while the block runs, for the machine code that they leave.
+
+    What is given to the block waits for the other process; then its machine code can be loaded. Whatever
+    goes wrong there is compiled here when it is called. There is no other process where there is one
+    processor, or no folder that machine code is kept in.
+    """
+    home = cache_home()
+    if not statements or home is None or not sys.executable or processors() < 2 or numba.config.DISABLE_JIT:
+        yield lambda: None
+        return
+    # A folder of its own: two processes that write about one function at once would spoil each other's work.
+    own = Path(tempfile.mkdtemp(prefix="compiling-", dir=home))
+    try:
+        _seed(home, own)
+        lines = (f"import sys; sys.path[:] = {sys.path!r}", *statements)
+        with subprocess.Popen(
+            [sys.executable, "-c", "\n".join(lines)],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(own)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        ) as other:
+            try:
+                yield lambda: _take_over(own, home) if other.wait() == 0 else None
+            finally:
+                other.kill()
+    finally:
+        shutil.rmtree(own, ignore_errors=True)
+
+
+def _seed(home: Path, own: Path) -> None:
+    """Put the machine code into another folder that modules of this process have on disk."""
+    functions = [
+        function
+        for name, module in list(sys.modules.items())
+        if name.partition(".")[0] == __name__.partition(".")[0]
+        for function in list(vars(module).values())
+        if isinstance(function, Dispatcher)
+    ]
+    known = {function.stats.cache_path for function in functions}
+    for folder in (Path(path) for path in known if path and Path(path).is_relative_to(home)):
+        for path in folder.glob("*.nb[ic]"):
+            _link(path, own / path.relative_to(home))
+
+
+def _link(path: Path, to: Path) -> None:
+    """Have a file in two places; numba replaces files and never writes to one."""
+    to.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        to.hardlink_to(path)
+    except OSError:
+        shutil.copyfile(path, to)
+
+
+def _take_over(own: Path, home: Path) -> None:
+    """Move the machine code of functions that have none in ``home``; an index last, which names the rest."""
+    for index in own.rglob("*.nbi"):
+        to = home / index.relative_to(own)
+        if to.exists():
+            continue
+        to.parent.mkdir(parents=True, exist_ok=True)
+        for code in index.parent.glob(f"{index.stem}.*.nbc"):
+            code.replace(to.parent / code.name)
+        index.replace(to)

@@ -1,0 +1,43 @@
+"""Columns as Arrow has them: what pyarrow would make of them itself, without pandas."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from graphtrack.table.arrow import arrow_array
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.array([1.5, np.nan, -0.0, np.inf]),
+        np.arange(20.0)[::2],
+        np.array([3, -(2**62)]),
+        np.array(["Zoë", None, ""], dtype=object),
+        np.array([None, None], dtype=object),
+        np.array([], dtype=object),
+        np.array([], dtype=float),
+        np.array(["2026-01-01", "NaT"], dtype="datetime64[us]"),
+        np.array([True, False]),
+    ],
+)
+def test_columns_are_what_pyarrow_makes_of_them(values: np.ndarray) -> None:
+    found, expected = arrow_array(values), pa.array(values, from_pandas=True)
+    found.validate(full=True)
+    assert found.type == expected.type and found.equals(expected)
+
+
+def test_a_table_is_written_without_pandas() -> None:
+    lines = (
+        "import sys, numpy as np, pyarrow as pa",
+        "from graphtrack.table.arrow import arrow_array",
+        "columns = [np.ones(2), np.arange(2), np.array(['a', None], dtype=object)]",
+        "pa.table({str(k): arrow_array(column) for k, column in enumerate(columns)})",
+        "assert 'pandas' not in sys.modules",
+    )
+    subprocess.run([sys.executable, "-c", "\n".join(lines)], check=True)
