@@ -126,11 +126,16 @@ async def oversized(address: str, end: float) -> None:
 
 
 async def slow(address: str, rate: float, end: float) -> None:
-    """Send and never read."""
+    """Send and never read, and go away in the end: no more can be said where nothing is read."""
     with suppress(ConnectionClosed, TimeoutError):
         async with connect(address, max_queue=1) as socket:
-            for frame in range(1 << 30):
-                await asyncio.wait_for(socket.send(row(0, frame, rate)), max(0.01, end - time.monotonic()))
+            try:
+                for frame in range(1 << 30):
+                    await asyncio.wait_for(
+                        socket.send(row(0, frame, rate)), max(0.01, end - time.monotonic())
+                    )
+            finally:
+                socket.transport.abort()
 
 
 async def half_open(port: int, end: float) -> None:

@@ -140,9 +140,11 @@ async def by_websocket(websocket: WebSocket) -> None:
         async with streams.opened(name) as stream:
             await websocket.accept()
             together = websocket.query_params.get("answers") == "together"
-            code, reason = await _exchange(websocket, stream, streams.service.limits.patience, together)
-        with suppress(RuntimeError, WebSocketDisconnect):
-            await websocket.close(code, reason)
+            patience = streams.service.limits.patience
+            code, reason = await _exchange(websocket, stream, patience, together)
+        # To who does not read there is no way of saying so.
+        with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
+            await asyncio.wait_for(websocket.close(code, reason), patience)
     except Refused as refused:
         streams.metrics.refused.labels(refused.status).inc()
         await websocket.accept()
