@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from graphtrack.cli import options
 from graphtrack.cli.console import console
+from graphtrack.display import counted
 
 
 def convert(inputs: options.Inputs, output: options.Output, reading: options.CameraReading) -> None:
@@ -13,4 +14,5 @@ def convert(inputs: options.Inputs, output: options.Output, reading: options.Cam
     options.check_outputs({"--output": output}, reading.inputs(inputs), table=output)
     tracks = reading.tracks(inputs)
     write(tracks, output)
-    console.print(f"wrote {output}: {len(tracks)} tracks, {tracks.n_frames} person-frames", markup=False)
+    people, rows = counted(len(tracks), "track"), counted(tracks.n_frames, "person-frame")
+    console.print(f"wrote {output}: {people}, {rows}", markup=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -47,4 +48,7 @@ class Showing:
 
         found = Target(self.save, self.connect)
         found.check()
+        if self.connect is not None:
+            # A viewer that does not answer is one error, without the lines of Rerun's own log before it.
+            os.environ.setdefault("RUST_LOG", "off")
         return found

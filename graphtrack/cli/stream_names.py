@@ -87,8 +87,12 @@ class StreamNames:
 
     def restored(self, answer: Mapping[str, Any]) -> dict[str, Any]:
         """An answer under the stream's own names, in its unit."""
-        return {self.columns.get(key, key): self._time(value) if key in _TIMES else value
-                for key, value in answer.items()}  # fmt: skip
+        return {self.columns.get(key, key): self._value(key, value) for key, value in answer.items()}
+
+    def _value(self, key: str, value: Any) -> Any:
+        if isinstance(value, list):  # what is revised, and forecasts, are rows themselves
+            return [self.restored(one) if isinstance(one, Mapping) else one for one in value]
+        return self._time(value) if key in _TIMES else value
 
     def _time(self, value: Any) -> Any:
         if self.per_second == 1.0 or not isinstance(value, int | float):

@@ -229,6 +229,9 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
     place = table_in(place_of(path))
     if is_bag(place):
         return Source(place, b"")
+    if place.is_dir():
+        expected = "a file, a ROS 2 bag, or a sequence of MOTChallenge (with gt/gt.txt or det/det.txt)"
+        raise InputError("a directory", expected, path=path)
     if options.topic is not None or options.fixed_frame is not None:
         found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
         raise InputError(found, "a bag or MCAP file", path=path)

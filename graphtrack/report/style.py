@@ -35,6 +35,11 @@ def person_colour(index: int) -> str:
     return PERSON_COLOURS[index % len(PERSON_COLOURS)]
 
 
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue, from 0 to 255, of a colour such as ``#0072B2``."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
 def person_dash(index: int) -> tuple[float, ...]:
     """The dashes of the person at ``index`` in the set; with the colour they repeat after 24 people."""
     return PERSON_DASHES[index // len(PERSON_COLOURS) % len(PERSON_DASHES)]

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
-from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR, person_colour
+from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR, person_colour, rgb
 from graphtrack.ros.definitions import MARKERS, SCENE
 from graphtrack.ros.estimates import EYES, HEIGHT, WIDTH, Make, Person, header_of, pose_at, time_of
 
@@ -51,10 +51,10 @@ def arrows_of(one: Person) -> Iterator[Arrow]:
 
 
 @cache
-def rgb(colour: str) -> tuple[float, float, float]:
-    """Red, green and blue, from 0 to 1, of a colour such as #0072B2."""
-    red, green, blue = (int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
-    return red, green, blue
+def _shares(colour: str) -> tuple[float, float, float]:
+    """Red, green and blue, from 0 to 1."""
+    red, green, blue = rgb(colour)
+    return red / 255.0, green / 255.0, blue / 255.0
 
 
 def scene_message(make: Make, stamp: int, frame_id: str, people: Iterable[Person]) -> Any:
@@ -83,7 +83,7 @@ def scene_message(make: Make, stamp: int, frame_id: str, people: Iterable[Person
 
 
 def _colour(make: Make, name: str, alpha: float = 1.0) -> Any:
-    red, green, blue = rgb(name)
+    red, green, blue = _shares(name)
     return make("foxglove_msgs/msg/Color", r=red, g=green, b=blue, a=alpha)
 
 
@@ -150,7 +150,7 @@ def markers_message(make: Make, stamp: int, frame_id: str, people: Iterable[Pers
     found = [make("visualization_msgs/msg/Marker", header=header, action=_DELETE_ALL_MARKERS)]
 
     def add(name: str, one: Person, kind: int, pose: Any, scale: Any, colour: str, **more: Any) -> None:
-        red, green, blue = rgb(colour)
+        red, green, blue = _shares(colour)
         shade = make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=more.pop("alpha", 1.0))
         found.append(
             make(

@@ -83,7 +83,7 @@ class GraphtrackNode(Node):
     def take(self, message: Any) -> None:
         """Take in a message, and publish what is then known."""
         try:
-            told = self._live.take(message)
+            told = self._live.take(message, self.get_clock().now().nanoseconds)
         except GraphtrackError as error:
             self.get_logger().warning(str(error))
             return

@@ -99,8 +99,12 @@ class Live:
         if self._last is not None:
             self.transforms.forget(self._last - _KEPT)
 
-    def take(self, message: Any) -> Told | None:
+    def take(self, message: Any, received: int | None = None) -> Told | None:
         """Take in a message of the topic.
+
+        Parameters
+        ----------
+        received : when it came (ns); the time of a message that nobody stamped
 
         Returns
         -------
@@ -112,10 +116,13 @@ class Live:
             For a message that cannot be used.
         """
         frame = frame_of(message, self._kind)
+        if frame.stamp == 0 and received is not None:
+            frame = frame._replace(stamp=received)
         if self._last is not None and frame.stamp <= self._last:
             if frame.stamp > self._last - _JUMP:
                 return None
             self._begin()
+            self.transforms.forget_after(frame.stamp)
         seen = Seen.of([(frame, 1)])
         columns: dict[str, NDArray[Any]] = {}
         if len(seen):

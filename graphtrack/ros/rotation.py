@@ -14,9 +14,6 @@ from graphtrack.geometry.angles import FloatArray
 _STEEP = 0.1
 """Of an axis: the part along the ground (sine of its angle to the vertical) below which it has no heading."""
 
-_YAW = 35
-_PLANE = (0, 1, 6, 7)
-
 
 def yaw_of(quaternion: FloatArray, axis: str = "x") -> FloatArray:
     """Headings (n,) of an axis of rotated frames, in radians counter-clockwise from x.
@@ -83,20 +80,6 @@ def spread_of(covariance: FloatArray, turn: FloatArray | None = None) -> tuple[F
     with np.errstate(invalid="ignore"):
         std = np.where(both & (variance > 0.0), np.sqrt(variance), np.nan)
         return std, np.where((covariance[:, 5, 5] > 0.0) & (turns[:, 2, 2] > 0.0), turns[:, 2, 2], np.nan)
-
-
-def covariance_of(plane: FloatArray, yaw_variance: FloatArray) -> FloatArray:
-    """Covariances (n, 36) of poses on the ground; zeros where nothing is known.
-
-    Parameters
-    ----------
-    plane : (n, 2, 2) m²
-    yaw_variance : (n,) rad²
-    """
-    found = np.zeros((len(plane), 36))
-    found[:, _PLANE] = np.nan_to_num(plane).reshape(-1, 4)
-    found[:, _YAW] = np.nan_to_num(yaw_variance)
-    return found
 
 
 def kappa_of(variance: FloatArray) -> FloatArray:

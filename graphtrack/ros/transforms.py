@@ -120,6 +120,16 @@ class Transforms:
                 del link.stamps[:half], link.poses[: 7 * half]
                 link.sorted = None
 
+    def forget_after(self, now: int) -> None:
+        """Drop what was told of a time (ns) to come, by a clock that was set back since."""
+        for link in self._links.values():
+            if link.static:
+                continue
+            kept = [k for k, stamp in enumerate(link.stamps) if stamp <= now + _REACH]
+            link.poses = array("d", (v for k in kept for v in link.poses[7 * k : 7 * k + 7]))
+            link.stamps = array("q", (link.stamps[k] for k in kept))
+            link.sorted = None
+
     def placement(self, frame: str, fixed: str, stamps: NDArray[np.int64]) -> Placement:
         """The poses of a frame in another at some times (n,), in nanoseconds.
 

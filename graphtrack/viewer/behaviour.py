@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from graphtrack.behaviour.groups import KINDS, Groups
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.style import group_colour
+from graphtrack.report.style import group_colour, rgb
 from graphtrack.viewer.layout import Extent
-from graphtrack.viewer.people import GROUND, PEOPLE, rgb
+from graphtrack.viewer.people import CIRCLE, GROUND, PEOPLE
 from graphtrack.viewer.recording import IntArray, Recording
 
 GROUPS: Final = "ground/groups"
@@ -22,7 +22,6 @@ Place = Callable[[int, float], FloatArray | None]
 """Where (2,) a person was at a time; None where nobody knows."""
 
 _LINE, _DOT = -1.0, -3.0
-_CIRCLE = np.linspace(0.0, 2.0 * np.pi, 33)
 
 
 def arrange_groups(to: Recording) -> None:
@@ -104,7 +103,7 @@ def _of_person(
         now = place(person, float(t[ahead[0]]))
         path = there[ahead] if now is None else np.vstack([now, there[ahead]])
         end = ahead[-1]
-        circle = radius[end] * np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
+        circle = radius[end] * np.column_stack([np.cos(CIRCLE), np.sin(CIRCLE)])
         strips += [path, there[end] + circle]
     columns = to.rr.LineStrips2D.columns(strips=strips).partition(np.full(len(first), 2))
     to.rows(f"{PEOPLE}/{person}/forecast", t[first], frame[first], columns)

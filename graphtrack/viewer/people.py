@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.pairing import finite_rows, observed_angle
 from graphtrack.report.shapes import NORMAL_95, longest_step, probability_ellipse
-from graphtrack.report.style import ANGLE_COLOURS, VELOCITY_COLOUR, person_colour
+from graphtrack.report.style import ANGLE_COLOURS, VELOCITY_COLOUR, person_colour, rgb
 from graphtrack.tracks import Track
 from graphtrack.viewer.recording import IntArray, Recording
 
@@ -30,7 +30,8 @@ _STRIPS = {"ellipse": 255, "trail": 255, "forecast": 130}
 """Lines, and how opaque they are."""
 _TRAIL, _TRAIL_POINTS = 4.0, 20
 """Seconds of the path that are drawn behind somebody, and in how many points."""
-_CIRCLE = np.linspace(0.0, 2.0 * np.pi, 33)
+CIRCLE: Final = np.linspace(0.0, 2.0 * np.pi, 33)
+"""Angles of the points of an ellipse."""
 
 
 @dataclass
@@ -152,10 +153,8 @@ class ShownPeople:
         if not there.any():
             return
         turned = np.stack([np.cos(ellipse.angle), np.sin(ellipse.angle)], axis=-1)[there, None, :]
-        along = ellipse.semi_major[there, None, None] * np.cos(_CIRCLE)[:, None] * turned
-        across = (
-            ellipse.semi_minor[there, None, None] * np.sin(_CIRCLE)[:, None] * turned[..., ::-1] * [-1, 1]
-        )
+        along = ellipse.semi_major[there, None, None] * np.cos(CIRCLE)[:, None] * turned
+        across = ellipse.semi_minor[there, None, None] * np.sin(CIRCLE)[:, None] * turned[..., ::-1] * [-1, 1]
         strips = track.position[there, None, :] + along + across
         columns = self._to.rr.LineStrips2D.columns(strips=strips)
         self._rows(path, track, columns.partition(there.astype(int)))
@@ -200,11 +199,6 @@ class ShownPeople:
             sizes = np.full(len(lines), lines.shape[1])
             at = track.t[there], track.frame[there]
             self._to.rows(f"{SERIES}/{track.track_id}/{name}", *at, columns.partition(sizes))
-
-
-def rgb(colour: str) -> tuple[int, int, int]:
-    """The parts of a colour such as ``#0072B2``."""
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 def _trails(t: FloatArray, position: FloatArray) -> FloatArray:

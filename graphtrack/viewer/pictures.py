@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.style import person_colour
+from graphtrack.report.style import person_colour, rgb
 from graphtrack.tracks import TrackSet
 from graphtrack.viewer.layout import VIDEO
-from graphtrack.viewer.people import rgb
 from graphtrack.viewer.recording import IntArray, Recording
 
 READERS: Final = "graphtrack.frames"

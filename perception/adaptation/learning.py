@@ -126,21 +126,21 @@ def learn(
     angle = labels.angle
     few = len(np.unique(labels.person)) < parameters.many_people
     rendered = rendered_people(sight, rng) if sight is not None and few else None
-    helpers = _helpers(rendered)
+    of_rendered = _of_rendered(rendered)
     fold = folds_of(labels.person, rng)
     some = _some(len(patches), parameters.first_heads)
     first = np.array([_found(patches[k], package.head_localiser) for k in some.tolist()])
     figures = _of_package([patches[k] for k in some.tolist()], first, angle[some], package)
     place = np.median(first, axis=0)
     advance(1)
-    given = _attempt(patches, np.tile(place, (len(patches), 1)), labels, fold, helpers)
+    given = _attempt(patches, np.tile(place, (len(patches), 1)), labels, fold, of_rendered)
     figures |= _figures(given, labels, "_boxes_as_given")
     advance(1)
     best, templates, known = given, None, first
     for _ in range(parameters.rounds):
         samples = HeadSamples.of([patches[k] for k in some.tolist()], known, angle[some], rng)
         heads = _placed(patches, samples, fold[some], labels, fold)
-        tried = _attempt(patches, heads, labels, fold, helpers)
+        tried = _attempt(patches, heads, labels, fold, of_rendered)
         if tried.loss(angle) < best.loss(angle):
             best, templates = tried, samples.templates(np.ones(len(some), bool))
         known = heads[some]
@@ -184,10 +184,10 @@ def _placed(
     return heads
 
 
-_Helpers = Sequence[tuple[NDArray[np.float32], FloatArray] | None]
+_Rendered = Sequence[tuple[NDArray[np.float32], FloatArray] | None]
 
 
-def _helpers(rendered: RenderedPeople | None) -> _Helpers:
+def _of_rendered(rendered: RenderedPeople | None) -> _Rendered:
     """What body and head of rendered people look like, and where they point."""
     if rendered is None:
         return None, None
@@ -199,11 +199,11 @@ def _attempt(
     heads: FloatArray,
     labels: WalkingLabels,
     fold: NDArray[np.int64],
-    helpers: _Helpers,
+    rendered: _Rendered,
 ) -> _Attempt:
     found = [
-        taught(view.all_features(patches, heads), view.sign, labels.angle, labels.person, fold, helper)
-        for view, helper in zip((BODY, HEAD), helpers, strict=True)
+        taught(view.all_features(patches, heads), view.sign, labels.angle, labels.person, fold, known)
+        for view, known in zip((BODY, HEAD), rendered, strict=True)
     ]
     (body, body_out), (head, head_out) = found
     return _Attempt(heads, body, head, body_out, head_out)

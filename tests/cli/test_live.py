@@ -15,6 +15,7 @@ from command import TRACK_STREAM, going_on
 
 from graphtrack.cli import live, main
 from graphtrack.cli.state_file import StateFile, seal
+from graphtrack.cli.stream_names import StreamNames
 from graphtrack.errors import InputError
 from graphtrack.model import Model
 
@@ -309,6 +310,20 @@ def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path):
             )
     code, _, said = track(lines, "--state", state)
     assert code == 2 and "columns" in said
+
+
+def test_what_is_told_within_an_answer_has_the_same_names_and_unit():
+    names = StreamNames({"t": "stamp", "x": "pos_x"}, 1e3)
+    answer = {
+        "end": 1.7,
+        "revised": [{"t": 0.9, "before": -1, "after": 1}],
+        "forecast": [{"ahead": 0.4, "x": 2.0}],
+    }
+    assert names.restored(answer) == {
+        "end": 1700,
+        "revised": [{"stamp": 900, "before": -1, "after": 1}],
+        "forecast": [{"ahead": 0.4, "pos_x": 2.0}],
+    }
 
 
 @pytest.mark.parametrize(

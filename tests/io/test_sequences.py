@@ -83,4 +83,6 @@ def test_an_output_within_nothing_that_is_read(sequence: Path) -> None:
     (sequence / "gt" / "gt.txt").unlink()
     (sequence / "det" / "det.txt").unlink()
     done = run_graphtrack("info", sequence)
-    assert done.returncode == 2 and "a directory" in done.stderr
+    assert (
+        done.returncode == 2 and "a directory" in done.stderr and "a sequence of MOTChallenge" in done.stderr
+    )

@@ -1,6 +1,7 @@
 """The node, with a stand-in for rclpy: messages in, messages out; and what it follows people by."""
 
 import importlib
+import itertools
 import math
 import sys
 import types
@@ -49,6 +50,7 @@ class FakeNode:
         self.name, self.said = name, []
         self.subscribed, self.published = {}, {}
         self._publishers = ["rclpy's own"]
+        self._seconds = itertools.count()
 
     def declare_parameter(self, name, default):
         self.parameters.setdefault(name, default)
@@ -66,6 +68,10 @@ class FakeNode:
 
     def get_logger(self):
         return types.SimpleNamespace(warning=self.said.append)
+
+    def get_clock(self):
+        now = types.SimpleNamespace(nanoseconds=nanoseconds(next(self._seconds)))
+        return types.SimpleNamespace(now=lambda: now)
 
     def destroy_node(self):
         self.said.append("destroyed")
@@ -233,6 +239,32 @@ def test_late_messages_say_nothing_and_a_clock_that_is_set_back_begins_anew():
     told = live.take(people(-60.0, [person("anna", 9.0, 0.0)]))
     assert told.people[0].of.x == pytest.approx(9.0)
     assert told.people[0].of.vx == pytest.approx(0.0, abs=0.1)
+
+
+def test_messages_that_nobody_stamped_have_the_time_at_which_they_came(node_of):
+    node = node_of()
+    for k in range(4):
+        message = people(0.0, [person("anna", 1.0 * k, 0.0)])
+        message.header.stamp.sec = message.header.stamp.nanosec = 0
+        node.subscribed["/people"][1](message)
+    told = node.published["/graphtrack/people"]
+    assert [one.header.stamp.sec for one in told] == [nanoseconds(k) // 10**9 for k in range(4)]
+    assert told[-1].people[0].velocity.x == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_clock_that_is_set_back_takes_its_tf_with_it():
+    live = Live(PEOPLE, "joint", fixed_frame="map")
+
+    def seen(t, x):
+        live.take_transforms(transforms(transform(t, "map", "base", x, 0.0, turned(0.0))))
+        return live.take(people(t, [person("anna", 0.0, 0.0)], "base"))
+
+    for k in range(5):
+        seen(10.0 + 0.1 * k, 5.0)
+    seen(0.0, 20.0)
+    # Between two tellings of the new time there is none of the old.
+    late = live.take(people(0.4, [person("ben", 0.0, 0.0)], "base"))
+    assert [one.of.x for one in late.people] == [pytest.approx(20.0)]
 
 
 def test_who_is_not_seen_for_long_is_forgotten():

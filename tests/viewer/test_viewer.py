@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from command import run
 from rerun_recordings import nanoseconds, read_recording
 
 import graphtrack as gt
+from graphtrack.cli.showing import Showing
 from graphtrack.errors import InputError
 from graphtrack.viewer import recording
 from graphtrack.viewer.layout import Extent
@@ -190,6 +192,17 @@ def test_the_command_writes_what_python_writes(tmp_path: Path) -> None:
         atol=1e-6,
     )
     assert {"/ground/groups", "/ground/people/3/forecast"} <= set(found)
+
+
+def test_a_viewer_elsewhere_is_connected_to_without_reruns_own_log(monkeypatch):
+    monkeypatch.setenv("RUST_LOG", "info")  # so that it is put back
+    Showing(connect="rerun://there/proxy").target()
+    assert os.environ["RUST_LOG"] == "info"
+    monkeypatch.delenv("RUST_LOG")
+    Showing(save=Path("run.rrd")).target()
+    assert "RUST_LOG" not in os.environ
+    Showing(connect="rerun://there/proxy").target()
+    assert os.environ["RUST_LOG"] == "off"
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def to_movement(tracks: TrackSet) -> Any:
     """A dataset of the package movement: poses of one keypoint, metres and seconds.
 
     Each attribute of a `Track` is a data variable of its name: ``body`` and ``head`` in radians,
-    ``covariance``, and so on. ``std`` (time, state, individuals) has its diagonal's roots. `from_movement`
+    ``covariance``, and so on. ``std`` (time, individuals, state) has its diagonal's roots. `from_movement`
     gives the same tracks back, to the last bit.
 
     Returns

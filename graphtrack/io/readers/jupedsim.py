@@ -176,11 +176,7 @@ def _fill(
     connection.executemany(f"INSERT INTO trajectory_data VALUES ({', '.join('?' * len(kinds))})", rows)
     connection.execute("CREATE INDEX frame_id_idx ON trajectory_data(frame, id)")
     x, y = own["pos_x"], own["pos_y"]
-    low = (
-        (float(x.min(initial=np.inf)) - _AROUND, float(y.min(initial=np.inf)) - _AROUND)
-        if len(x)
-        else (0.0, 0.0)
-    )
+    low = (float(x.min()) - _AROUND, float(y.min()) - _AROUND) if len(x) else (0.0, 0.0)
     high = (float(x.max()) + _AROUND, float(y.max()) + _AROUND) if len(x) else (0.0, 0.0)
     corners = [low, (high[0], low[1]), high, (low[0], high[1]), low]
     wkt = f"POLYGON (({', '.join(f'{a!r} {b!r}' for a, b in corners)}))"
