@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.result import NOT_FINITE, Result
-from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
 from graphtrack.model.kernels.compiled import compiled
@@ -18,6 +20,8 @@ from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import gait_of
+
+IntArray = NDArray[np.int64]
 
 PASSES = 2
 """Times that the modes of the couplings, and the states with them, are found anew; a third changes
@@ -59,7 +63,8 @@ def solve_packed(
     longest = int(np.diff(packed.offsets).max())
     initialise(problem, seen, linear, np.empty((3, longest)), result)
     if not linear:
-        solve_terms(model, problem, max_iterations, tolerance, restart, workspace(longest), result)
+        memory = workspace(longest)
+        solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, seen)
     finish(problem, model.has_body, model.has_head, result)
     return result
 
@@ -72,8 +77,13 @@ def solve_terms(
     restart: bool,
     memory: Workspace,
     result: Result,
+    seen: Seen | None = None,
 ) -> None:
-    """Solve all tracks from the states in ``result``, in place; modes of couplings alternate with states."""
+    """Solve all tracks from the states in ``result``, in place; modes of couplings alternate with states.
+
+    ``seen``: what the angles in ``result`` are made of. Without couplings nothing holds those that were never
+    seen, so they stay as they are until there are couplings.
+    """
     program = program_of(model)
     solve_tracks = program.solve_tracks
     if not model.has_modes:
@@ -82,12 +92,24 @@ def solve_terms(
     # Without couplings first: from there both the modes and the states are found.
     for gate in program.switched:
         problem.records[gate] = 0.0
+    first = result.states.copy()
     solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+    if seen is not None:
+        keep_unseen(problem.offsets, seen, first, result.states)
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
     for _ in range(PASSES):
         renew_tracks(problem, result.states, gait, result.modes, spread)
         solve_tracks(problem, max_iterations, tolerance, False, memory, result)
     program.spread_tracks(problem, result.states, spread, memory, result.covariance)
+
+
+def keep_unseen(offsets: IntArray, seen: Seen, first: FloatArray, states: FloatArray) -> None:
+    """Put the first angles back into the states (N, 6) of tracks in which the angle was never seen."""
+    for place, vectors in ((BODY, seen.body), (HEAD, seen.head)):
+        if len(vectors):
+            was_seen = np.logical_or.reduceat(np.isfinite(vectors[:, 0]), offsets[:-1])
+            never = np.repeat(~was_seen, np.diff(offsets))
+            states[never, place] = first[never, place]
 
 
 @compiled
