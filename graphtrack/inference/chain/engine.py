@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import program_of
@@ -20,8 +19,6 @@ from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import gait_of
-
-IntArray = NDArray[np.int64]
 
 PASSES = 2
 """Times that the modes of the couplings, and the states with them, are found anew; a third changes
@@ -63,8 +60,9 @@ def solve_packed(
     longest = int(np.diff(packed.offsets).max())
     initialise(problem, seen, linear, np.empty((3, longest)), result)
     if not linear:
+        guessed = never_seen(packed, seen)
         memory = workspace(longest)
-        solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, seen)
+        solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
     finish(problem, model.has_body, model.has_head, result)
     return result
 
@@ -77,12 +75,11 @@ def solve_terms(
     restart: bool,
     memory: Workspace,
     result: Result,
-    seen: Seen | None = None,
+    guessed: BoolArray | None = None,
 ) -> None:
     """Solve all tracks from the states in ``result``, in place; modes of couplings alternate with states.
 
-    ``seen``: what the angles in ``result`` are made of. Without couplings nothing holds those that were never
-    seen, so they stay as they are until there are couplings.
+    ``guessed`` (N, 2): angles that nothing holds without couplings; they stay as they are until there are.
     """
     program = program_of(model)
     solve_tracks = program.solve_tracks
@@ -92,10 +89,11 @@ def solve_terms(
     # Without couplings first: from there both the modes and the states are found.
     for gate in program.switched:
         problem.records[gate] = 0.0
-    first = result.states.copy()
+    angles = result.states[:, BODY : HEAD + 1]
+    first = angles.copy()
     solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
-    if seen is not None:
-        keep_unseen(problem.offsets, seen, first, result.states)
+    if guessed is not None:
+        angles[guessed] = first[guessed]
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
     for _ in range(PASSES):
         renew_tracks(problem, result.states, gait, result.modes, spread)
@@ -103,13 +101,15 @@ def solve_terms(
     program.spread_tracks(problem, result.states, spread, memory, result.covariance)
 
 
-def keep_unseen(offsets: IntArray, seen: Seen, first: FloatArray, states: FloatArray) -> None:
-    """Put the first angles back into the states (N, 6) of tracks in which the angle was never seen."""
-    for place, vectors in ((BODY, seen.body), (HEAD, seen.head)):
+def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
+    """Body and head (N, 2) of tracks in which they were never seen, and of which nothing else is known."""
+    found = np.zeros((packed.offsets[-1], 2), bool)
+    known = np.array([bool(track.inputs) for track in packed.tracks])
+    for place, vectors in enumerate((seen.body, seen.head)):
         if len(vectors):
-            was_seen = np.logical_or.reduceat(np.isfinite(vectors[:, 0]), offsets[:-1])
-            never = np.repeat(~was_seen, np.diff(offsets))
-            states[never, place] = first[never, place]
+            was_seen = np.logical_or.reduceat(np.isfinite(vectors[:, 0]), packed.offsets[:-1])
+            found[:, place] = np.repeat(~was_seen & ~known, np.diff(packed.offsets))
+    return found
 
 
 @compiled
