@@ -153,11 +153,16 @@ def track_stream(
         scenes = Scenes(lambda: OnlineTracker(model, **options), fps, listener.note, **more)
         return lines, scenes, restore
 
+    def tell(row: dict[str, Any]) -> None:
+        give(row if names.are_native else names.restored(row))
+        if copy is not None:
+            copy(row)
+
     known = {"never": False, "always": True}.get(associate)
     warm_up(model, chosen, behaviour=asked is not None or model.has_groups)
     if state is None:
         lines, rows, _ = answering(names.native_lines(lines_of(stream, 1)), known)
-        return _answer(lines, rows, None, listener, names, copy)
+        return _answer(lines, rows, None, listener, tell)
     with closing(StateFile(state, save_every)) as file:
         settings = settings_of(model, chosen, lag, fps, camera)
         lines = iter(())
@@ -174,11 +179,11 @@ def track_stream(
         settings |= {} if names.are_native else names.settings()
         saving = Saving(file, rows, settings, every)
         if file.entries:
-            _go_on(saving, rows, restore, state, len(file.entries), listener, names, copy)
+            _go_on(saving, rows, restore, state, len(file.entries), listener, tell)
             lines = names.native_lines(lines_of(stream, rows.line + 1))
         else:
             saving.begin()
-        answered = _answer(lines, rows, saving, listener, names, copy)
+        answered = _answer(lines, rows, saving, listener, tell)
         saving.finish()
     return answered
 
@@ -205,8 +210,7 @@ def _go_on(
     state: Path,
     entries: int,
     listener: Listener,
-    names: StreamNames,
-    copy: Callable[[dict[str, Any]], object] | None,
+    tell: Callable[[dict[str, Any]], None],
 ) -> None:
     """Bring people to where the last run ended, say where that is, and answer what it may not have."""
     with progress_bar(entries, "rows") as advance:
@@ -217,7 +221,7 @@ def _go_on(
     last = f"; the answer to row {people.rows} is given again" if again else ""
     console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
     for row in again:
-        _give(row, names, copy)
+        tell(row)
 
 
 def _answer(
@@ -225,8 +229,7 @@ def _answer(
     people: Answering,
     saving: Saving | None,
     listener: Listener,
-    names: StreamNames,
-    copy: Callable[[dict[str, Any]], object] | None,
+    tell: Callable[[dict[str, Any]], None],
 ) -> tuple[int, int]:
     before, wrong = people.rows, 0
     # What there is by now stays: the collector need not look at it again while rows wait.
@@ -239,12 +242,12 @@ def _answer(
                     saving.take(number, line)
                 for row in people.answers(number, line):
                     wrong += "error" in row
-                    _give(row, names, copy)
+                    tell(row)
                 listener.answered(people)
                 if saving is not None:
                     saving.tend()
             for row in people.finish():
-                _give(row, names, copy)
+                tell(row)
     finally:
         gc.unfreeze()
     return people.rows - before, wrong
@@ -277,12 +280,6 @@ def open_streams() -> IO[bytes]:
     stream = getattr(sys.stdin, "buffer", None)
     # What stands in for it in a test or a notebook may have no bytes.
     return io.BytesIO(sys.stdin.read().encode()) if stream is None else stream
-
-
-def _give(row: dict[str, Any], names: StreamNames, copy: Callable[[dict[str, Any]], object] | None) -> None:
-    give(row if names.are_native else names.restored(row))
-    if copy is not None:
-        copy(row)
 
 
 def give(answer: dict[str, Any]) -> None:
