@@ -14,6 +14,7 @@ from graphtrack.behaviour.online_attention import OnlineAttention
 from graphtrack.behaviour.online_groups import OnlineGroups
 from graphtrack.inference.online import Estimate, OnlineSmoother
 from graphtrack.model import Model, Observation
+from graphtrack.model.observation import observation_at
 from graphtrack.ros.definitions import IDS
 from graphtrack.ros.estimates import Person, person_of, quantities_of
 from graphtrack.ros.ground import Ground, Seen
@@ -33,7 +34,15 @@ _JUMP = NANOSECONDS
 _LOOKS = 0.5
 """Probability from which somebody is said to look at somebody."""
 
-_ANGLES = ("body_rad", "body_kappa", "head_rad", "head_kappa")
+_CHANNELS = {
+    "position_std": "pos_std",
+    "body": "body_rad",
+    "body_kappa": "body_kappa",
+    "head": "head_rad",
+    "head_kappa": "head_kappa",
+    "score": "score",
+}
+"""Channel of an observation → column."""
 
 
 @dataclass(frozen=True)
@@ -189,23 +198,9 @@ def _sure(probability: float) -> float:
 def _observations(t: float, columns: dict[str, NDArray[Any]]) -> list[Observation]:
     if not columns:
         return []
-    numbers = np.column_stack([columns[name] for name in ("x", "y", "pos_std", *_ANGLES, "score")])
-    found = []
-    for x, y, *others in numbers.astype(float).tolist():
-        std, body, body_kappa, head, head_kappa, score = (v if v == v else None for v in others)
-        found.append(
-            Observation(
-                t=t,
-                position=(x, y),
-                position_std=std,
-                body=body,
-                body_kappa=body_kappa,
-                head=head,
-                head_kappa=head_kappa,
-                score=score,
-            )
-        )
-    return found
+    channels = {name: columns[column].astype(float) for name, column in _CHANNELS.items()}
+    channels["position"] = np.column_stack([columns["x"], columns["y"]]).astype(float)
+    return [observation_at(k, t, 0, channels) for k in range(len(channels["position"]))]
 
 
 def _people(found: dict[int, tuple[str, Estimate, float]]) -> list[Person]:
