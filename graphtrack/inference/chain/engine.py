@@ -60,7 +60,7 @@ def solve_packed(
     longest = int(np.diff(packed.offsets).max())
     initialise(problem, seen, linear, np.empty((3, longest)), result)
     if not linear:
-        guessed = never_seen(packed, seen)
+        guessed = never_seen(packed, seen) if model.has_modes else None
         memory = workspace(longest)
         solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
     finish(problem, model.has_body, model.has_head, result)
