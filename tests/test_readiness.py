@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numba
 import pytest
 
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.readiness import Rehearsal, is_cold, make_ready
+from graphtrack.readiness import Rehearsal, collecting_rarely, is_cold, make_ready
 
 
 def kernel():
@@ -66,3 +67,11 @@ def test_where_nothing_can_be_kept_it_says_so_every_time(monkeypatch, tmp_path: 
 def test_functions_that_are_not_compiled_at_all_are_ready() -> None:
     assert not is_cold(len)
     make_ready("something", Rehearsal(pytest.fail, {len: 1.0}))
+
+
+def test_garbage_is_collected_as_before_whatever_happens() -> None:
+    before = gc.get_threshold()
+    with pytest.raises(ValueError, match="meanwhile"), collecting_rarely():
+        assert gc.get_threshold()[0] > before[0]
+        raise ValueError("meanwhile")
+    assert gc.get_threshold() == before

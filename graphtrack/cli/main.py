@@ -28,6 +28,7 @@ from graphtrack.cli import (
 from graphtrack.cli.console import BAD_INPUT, fail, printed_log
 from graphtrack.cli.options import expanded
 from graphtrack.errors import GraphtrackError
+from graphtrack.readiness import collecting_rarely
 
 UsageError: Any = typer.BadParameter.__base__
 """Click's error of that name, which typer brings along or imports, depending on its version."""
@@ -96,7 +97,7 @@ def main() -> None:
 def run(program: typer.Typer, name: str) -> None:
     """Run a program's command line: wrong use and bad input end with one line and exit status 2."""
     try:
-        with printed_log():
+        with printed_log(), collecting_rarely():
             code = program(prog_name=name, standalone_mode=False)
         raise SystemExit(code or 0)
     except UsageError as error:

@@ -33,9 +33,15 @@ def compiled(function: Function, *, inline: Literal["never", "always"] = "never"
     given, folder = numba.config.CACHE_DIR, _folder(cast(FunctionType, function))
     numba.config.CACHE_DIR = folder or given
     try:
-        return numba.njit(cache=bool(folder), nogil=True, error_model="numpy", fastmath=_FAST, inline=inline)(
-            function
-        )
+        # Nobody calls it from C; without what would let them, it is compiled sooner.
+        return numba.njit(
+            cache=bool(folder),
+            nogil=True,
+            error_model="numpy",
+            fastmath=_FAST,
+            inline=inline,
+            no_cfunc_wrapper=True,
+        )(function)
     finally:
         numba.config.CACHE_DIR = given
 
