@@ -22,10 +22,10 @@ from graphtrack.tracks import TrackSet
 FORMAT_MODULES = (
     "bag",
     "native_parquet",
+    "geographic",
     "ndjson",
     "movement",
     "jupedsim",
-    "geographic",
     "mocap",
     "native_csv",
     "caviar",

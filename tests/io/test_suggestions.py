@@ -16,6 +16,7 @@ import pytest
 from graphtrack import io
 from graphtrack.cli.options import Reading
 from graphtrack.errors import InputError
+from graphtrack.io.tables.suggestion import suggest
 from graphtrack.tracks import TrackSet
 
 STEPS = 12
@@ -189,3 +190,21 @@ def test_what_cannot_be_read_is_told_with_what_is_missing(here: Path) -> None:
         )
     done = command.run("info", "table.csv", "--suggest", "--fps", 5, program="graphtrack")
     assert done.returncode == 2 and "--suggest" in done.stderr
+
+
+def test_what_is_no_table_is_told_as_its_reader_tells_it(tmp_path: Path) -> None:
+    import sqlite3
+
+    points, database = tmp_path / "people.mfjson", tmp_path / "people.gpkg"
+    points.write_text(
+        '{"type": "FeatureCollection", "features": [{"temporalGeometry": {"type": "MovingPoint"}}]}'
+    )
+    connection = sqlite3.connect(database)
+    connection.execute("create table gpkg_contents (x)")
+    connection.close()
+    for path, expected in ((points, "only written"), (database, "--sql")):
+        with pytest.raises(InputError) as read:
+            io.read(path)
+        with pytest.raises(InputError) as suggested:
+            suggest(path)
+        assert expected in str(read.value) and str(suggested.value) == str(read.value)

@@ -20,6 +20,10 @@ def _by_no_content(head: bytes, path: Path) -> bool:
     return False
 
 
+def _looks_like_mfjson(head: bytes, path: Path) -> bool:
+    return head.lstrip().startswith(b"{") and b'"temporalGeometry"' in head
+
+
 def _unread(source: Source, options: ReadOptions) -> Rows:
     expected = "a table, such as GeoParquet (.geoparquet); a query (--sql) reads a GeoPackage's layer"
     raise InputError("a format that is only written", expected, path=source.path)
@@ -38,12 +42,18 @@ def _write_geoparquet(tracks: TrackSet, path: Path) -> None:
     to_geopandas(tracks).to_parquet(path, index=False)
 
 
-def _written(name: str, description: str, suffix: str, write: Callable[[TrackSet, Path], None]) -> Format:
-    return Format(name, description, (suffix,), _by_no_content, _unread, write, is_read=False)
+def _written(
+    name: str,
+    description: str,
+    suffix: str,
+    write: Callable[[TrackSet, Path], None],
+    looks_like: Callable[[bytes, Path], bool] = _by_no_content,
+) -> Format:
+    return Format(name, description, (suffix,), looks_like, _unread, write, is_read=False)
 
 
 FORMATS = (
     _written("geopackage", "points of a GeoPackage (extra geo)", ".gpkg", _write_geopackage),
     _written("geoparquet", "points as GeoParquet (extra geo)", ".geoparquet", _write_geoparquet),
-    _written("mfjson", "OGC Moving Features JSON", ".mfjson", to_mfjson),
+    _written("mfjson", "OGC Moving Features JSON", ".mfjson", to_mfjson, _looks_like_mfjson),
 )

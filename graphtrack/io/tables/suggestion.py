@@ -17,6 +17,7 @@ from graphtrack.io.marks import as_told
 from graphtrack.io.numbers import parse_number
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.reading import cells_of_file, rows_of_file
+from graphtrack.io.registry import formats
 from graphtrack.io.source import Source
 from graphtrack.io.tables.cells import Cells
 from graphtrack.io.tables.headings import LENGTHS, TIMES, meanings, plain, wide
@@ -57,7 +58,8 @@ def suggest(path: Path) -> Suggestion:
             if _as_people(rows_of_file(path, None, ReadOptions())):
                 return Suggestion()
         except InputError:
-            pass
+            if not _may_be_table(Source.open(path)):
+                raise
         found = _marks(Source.open(path))
         try:
             if found.options and _as_people(rows_of_file(path, None, _read_options(found))):
@@ -67,6 +69,12 @@ def suggest(path: Path) -> Suggestion:
         found = _columns(path, found)
         rows_of_file(path, None, _read_options(found))
     return found
+
+
+def _may_be_table(source: Source) -> bool:
+    """Whether options could name columns and marks: no database, and nothing that is only written."""
+    known = next((one for one in formats() if one.looks_like(source.head, source.path)), None)
+    return known is None or (known.is_read and not source.head.startswith(b"SQLite format 3"))
 
 
 def _read_options(found: Suggestion) -> ReadOptions:
