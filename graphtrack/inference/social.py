@@ -75,7 +75,7 @@ def with_neighbours(
     def told(track: Track) -> Track:
         group = np.full((len(track), 3), np.nan)
         mine = identity == track.track_id
-        group[np.searchsorted(track.frame, frame[mine])] = values[mine]
+        group[np.searchsorted(track.frame, frame[mine])] = np.where(values[mine, 2:] > 0.0, values[mine], np.nan)
         group[:, :2] *= counts(group[:, :2], track.dt, correlation_time)[:, None]
         return with_group(track, group)
 

@@ -75,3 +75,18 @@ def test_a_direction_counts_in_full_once_and_by_the_time_later() -> None:
     ramp = np.outer(np.linspace(0.0, 0.8, 21), [1.0, 0.0])
     whole = np.sum(counts(ramp, np.zeros(21), 100.0) * np.linalg.norm(ramp, axis=1))
     np.testing.assert_allclose(whole, 0.8)
+
+
+def test_people_of_whom_places_alone_are_known_and_who_meet_nobody_are_as_without_groups() -> None:
+    rng = np.random.default_rng(6)
+    frame = np.arange(80)
+    walkers = []
+    for k in range(4):
+        speed = np.repeat(rng.uniform(0.0, 1.4, 4) * [1.0, 0.0, 1.0, 1.0], 20)
+        way = unit(np.cumsum(rng.normal(0.0, 0.15, 80)))
+        position = np.cumsum(0.2 * speed[:, None] * way, axis=0) + [30.0 * k, 0.0]
+        walkers.append(gt.Track(k, frame, 0.2 * frame, position + rng.normal(0.0, 0.05, (80, 2))))
+    one, other = (gt.smooth(gt.TrackSet(tuple(walkers)), model) for model in ("full", "social"))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a.body, b.body, atol=1e-9)
+        np.testing.assert_allclose(a.head, b.head, atol=1e-9)
