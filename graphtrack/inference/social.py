@@ -70,12 +70,13 @@ def with_neighbours(
 ) -> TrackSet:
     """The tracks, each with the direction of the o-space, and how surely there is a conversation."""
     values = neighbours(people, evidence)
+    values[values[:, 2] == 0.0] = np.nan
     frame, identity = people.frame[people.frame_of], people.ids[people.person]
 
     def told(track: Track) -> Track:
         group = np.full((len(track), 3), np.nan)
         mine = identity == track.track_id
-        group[np.searchsorted(track.frame, frame[mine])] = np.where(values[mine, 2:] > 0.0, values[mine], np.nan)
+        group[np.searchsorted(track.frame, frame[mine])] = values[mine]
         group[:, :2] *= counts(group[:, :2], track.dt, correlation_time)[:, None]
         return with_group(track, group)
 

@@ -22,7 +22,6 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import Track, TrackSet
 
-
 _LEAST = np.float32(-40.0)
 """Logarithm of the least weight: less counts for nothing, and denormal numbers are slow."""
 

@@ -373,6 +373,4 @@ def test_velocities_of_companions_are_averaged_with_one_s_own():
     weight = 3.0 * np.exp(-0.5 * (apart**2 + unlike**2))
     weight[others, np.arange(len(others))] = 0.0
     expected = (velocity + weight @ velocity[others]) / (1.0 + weight.sum(axis=1))[:, None]
-    np.testing.assert_allclose(
-        kernel_means(position, velocity, others, 1.5, 0.2, 3.0), expected, atol=1e-8
-    )
+    np.testing.assert_allclose(kernel_means(position, velocity, others, 1.5, 0.2, 3.0), expected, atol=1e-8)

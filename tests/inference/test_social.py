@@ -84,7 +84,7 @@ def test_people_of_whom_places_alone_are_known_and_who_meet_nobody_are_as_withou
     for k in range(4):
         speed = np.repeat(rng.uniform(0.0, 1.4, 4) * [1.0, 0.0, 1.0, 1.0], 20)
         way = unit(np.cumsum(rng.normal(0.0, 0.15, 80)))
-        position = np.cumsum(0.2 * speed[:, None] * way, axis=0) + [30.0 * k, 0.0]
+        position = np.array([30.0 * k, 0.0]) + np.cumsum(0.2 * speed[:, None] * way, axis=0)
         walkers.append(gt.Track(k, frame, 0.2 * frame, position + rng.normal(0.0, 0.05, (80, 2))))
     one, other = (gt.smooth(gt.TrackSet(tuple(walkers)), model) for model in ("full", "social"))
     for a, b in zip(one, other, strict=True):

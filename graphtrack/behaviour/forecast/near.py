@@ -1,4 +1,4 @@
-"""Sums over what is near, weighed by Gaussian kernels, compiled: no threads, which would wait for each other."""
+"""Sums over what is near, weighed by Gaussian kernels, compiled: without threads that wait for each other."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def solve_terms(
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
-    """Body and head (N, 2) of tracks in which they were never seen, in frames that say nothing else of them."""
+    """Body and head (N, 2) of tracks in which they were never seen, in frames that tell nothing else."""
     found = np.zeros((packed.offsets[-1], 2), bool)
     known = np.concatenate([_says_more(track) for track in packed.tracks])
     for place, vectors in enumerate((seen.body, seen.head)):
