@@ -185,4 +185,5 @@ class Places:
         sums = kernel_sums(here, self._where, self._outcome, len(self))
         real, imaginary, square, weight = np.split(sums, 4, axis=1)
         total = np.maximum(weight, 1e-12)
-        return Seen(weight, (real + np.multiply(1j, imaginary)) / total, square / total)
+        deviation: ComplexArray = np.asarray((real + 1j * imaginary) / total, dtype=complex)
+        return Seen(weight, deviation, square / total)
