@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import tomli_w
 
+from graphtrack.behaviour.attention import AttentionParameters
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.parameters import GroupParameters
+from graphtrack.bounds import with_table
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
 
 
-def save_parameters(parameters: GroupParameters, path: str | Path) -> None:
-    """Write parameters of groups (TOML), whole or not at all."""
+def save_parameters(parameters: GroupParameters | AttentionParameters, path: str | Path) -> None:
+    """Write parameters of groups or of attention (TOML), whole or not at all."""
+    if isinstance(parameters, AttentionParameters):
+        content = {"attention": asdict(parameters)}
+    else:
+        content = {"groups": parameters.to_dict()}
     with atomic_path(path) as temporary:
-        temporary.write_text(tomli_w.dumps({"groups": parameters.to_dict()}), encoding="utf-8")
+        temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
 
 
 def load_parameters(path: str | Path) -> GroupParameters:
@@ -27,15 +35,36 @@ def load_parameters(path: str | Path) -> GroupParameters:
     InputError
         With the file and the key.
     """
+    table = _table(path, "groups")
+    try:
+        return GroupParameters.from_dict(table, DEFAULT)
+    except InputError as error:
+        raise InputError(error.found, error.expected, path=path) from error
+
+
+def load_attention(path: str | Path) -> AttentionParameters:
+    """Read parameters of attention (TOML); what is not named is as by default.
+
+    Raises
+    ------
+    InputError
+        With the file and the key.
+    """
+    table = _table(path, "attention")
+    try:
+        return with_table(AttentionParameters(), "attention", table)
+    except InputError as error:
+        raise InputError(error.found, error.expected, path=path) from error
+
+
+def _table(path: str | Path, name: str) -> dict[str, Any]:
     try:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(error.strerror or str(error), "a readable file of parameters", path=path) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"no TOML ({error})", "a file of parameters", path=path) from error
-    if not isinstance(content.get("groups"), dict):
-        raise InputError("no table [groups]", "what 'graphtrack fit --groups' writes", path=path)
-    try:
-        return GroupParameters.from_dict(content["groups"], DEFAULT)
-    except InputError as error:
-        raise InputError(error.found, error.expected, path=path) from error
+    table = content.get(name)
+    if not isinstance(table, dict):
+        raise InputError(f"no table [{name}]", f"what 'graphtrack fit --{name}' writes", path=path)
+    return table

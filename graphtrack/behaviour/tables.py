@@ -19,6 +19,9 @@ from graphtrack.io.source import Source
 
 IntArray = NDArray[np.int64]
 
+NOBODY, UNLABELLED = -1, -2
+"""Targets of looks that are at nobody, and of which nothing is said."""
+
 _FIRST_LINE = 2
 _TARGETS = ("person", "place", "nothing")
 
@@ -49,9 +52,10 @@ class _Rows:
         self.refuse(~np.isfinite(found) & (needed | ~empty), name, "a finite number")
         return found
 
-    def whole(self, name: str) -> IntArray:
-        """Whole numbers."""
-        found = self.numbers(name)
+    def whole(self, name: str, *, needed: bool = True) -> IntArray:
+        """Whole numbers; `UNLABELLED` for empty cells that are not needed."""
+        found = self.numbers(name, needed=needed)
+        found = np.where(np.isnan(found), UNLABELLED, found)
         self.refuse((found != np.round(found)) | (abs(found) > bounds.LARGEST_ID), name, "a whole number")
         return found.astype(np.int64)
 
@@ -126,6 +130,53 @@ def read_group_table(path: str | Path) -> Groups:
         probability[order],
         centre[order],
     )
+
+
+@dataclass(frozen=True, eq=False)
+class LookLabels:
+    """Whom people look at, as somebody labelled it: (n,) rows of a person in a frame.
+
+    Attributes
+    ----------
+    frame, track_id : ascending by the person, then by the frame
+    target : id of who is looked at; `NOBODY`: nobody
+    path : of the file
+    """
+
+    frame: IntArray
+    track_id: IntArray
+    target: IntArray
+    path: Path
+
+    def of(self, track_id: int, frame: IntArray) -> IntArray:
+        """(n,) targets of a person in frames, ascending; `UNLABELLED` where nothing is said."""
+        mine = self.track_id == track_id
+        known, found = self.frame[mine], np.full(len(frame), UNLABELLED, dtype=np.int64)
+        _, here, there = np.intersect1d(frame, known, return_indices=True)
+        found[here] = self.target[mine][there]
+        return found
+
+
+def read_looks(path: str | Path) -> LookLabels:
+    """Read labelled looks: CSV with ``frame``, ``track_id`` and ``target``, an id or −1 for nobody.
+
+    Rows whose target is empty say nothing.
+
+    Raises
+    ------
+    InputError
+        With line and column: no whole number, somebody who looks at themselves, a person twice in a frame.
+    """
+    rows = _read(path, ("frame", "track_id", "target"))
+    frame, person = rows.whole("frame"), rows.whole("track_id")
+    rows.once(frame, person)
+    said = np.isfinite(rows.numbers("target", needed=False))
+    target = rows.whole("target", needed=False)
+    rows.refuse(said & (target < NOBODY), "target", "an id, or -1 for nobody")
+    rows.refuse(said & (target == person), "target", "somebody else than who looks, or -1 for nobody")
+    order = np.lexsort((frame, person))
+    order = order[said[order]]
+    return LookLabels(frame[order], person[order], target[order], rows.path)
 
 
 def read_attention(path: str | Path) -> list[Attention]:

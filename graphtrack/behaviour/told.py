@@ -28,7 +28,7 @@ _BODY, _HEAD = STATE.index("body"), STATE.index("head")
 def numbers_of(estimate: Estimate) -> Numbers:
     """What groups and attention take of an estimate."""
     spread = estimate.covariance
-    angles = (estimate.body, estimate.head, float(spread[_BODY, _BODY]), float(spread[_HEAD, _HEAD]))
+    angles = (estimate.body, estimate.head, spread.item(_BODY, _BODY), spread.item(_HEAD, _HEAD))
     return (*estimate.position.tolist(), *estimate.velocity.tolist(), *angles)
 
 

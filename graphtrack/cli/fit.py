@@ -46,6 +46,15 @@ def fit(
             show_default=False,
         ),
     ] = None,
+    attention: Annotated[
+        Path | None,
+        typer.Option(
+            "--attention",
+            help="Learn how people look, from this file of labelled looks (.csv): frame, track_id and "
+            "target, an id or -1; for graphtrack attention --parameters.",
+            show_default=False,
+        ),
+    ] = None,
     model: Annotated[
         str | None,
         typer.Option(
@@ -96,22 +105,28 @@ def fit(
             "--report": report,
             "--json": json_path,
         },
-        {**reading.inputs(inputs, model), "--groups": groups},
+        {**reading.inputs(inputs, model), "--groups": groups, "--attention": attention},
     )
+    if sum((forecast, groups is not None, attention is not None)) > 1:
+        raise InputError("several of --forecast, --groups and --attention", "one of them")
     if forecast:
         from graphtrack.cli.fit_forecast import learn_forecast
 
         unused = {"--scene": scene, "--model": model is not None, "--criterion": criterion is not None}
         learn_forecast(inputs, reading, output, report, json_path, unused)
         return
-    if groups is not None:
+    for truth, what in ((groups, "groups"), (attention, "attention")):
+        if truth is None:
+            continue
+        from graphtrack.cli.attention import learn_attention
         from graphtrack.cli.groups import learn_groups
 
         unused = {"--scene": scene, "--model": model is not None, "--criterion": criterion is not None}
         for name, given in {**unused, "--report": report is not None}.items():
             if given:
-                raise InputError(f"{name} with --groups", "tracks and their labelled groups alone")
-        learn_groups(reading.tracks(inputs), groups, hold_out, output, json_path)
+                raise InputError(f"{name} with --{what}", f"tracks and the labels of --{what} alone")
+        learn_labelled = learn_groups if what == "groups" else learn_attention
+        learn_labelled(reading.tracks(inputs), truth, hold_out, output, json_path)
         return
     rows, are_detections = reading.rows(inputs[0]) if len(inputs) == 1 else (None, False)
     if scene or are_detections:

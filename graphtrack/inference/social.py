@@ -70,6 +70,7 @@ def with_neighbours(
 ) -> TrackSet:
     """The tracks, each with the direction of the o-space, and how surely there is a conversation."""
     values = neighbours(people, evidence)
+    values[values[:, 2] == 0.0] = np.nan
     frame, identity = people.frame[people.frame_of], people.ids[people.person]
 
     def told(track: Track) -> Track:

@@ -16,11 +16,14 @@ from graphtrack.behaviour.forecast.expected import together
 from graphtrack.behaviour.forecast.forecaster import Forecaster
 from graphtrack.behaviour.forecast.motion import ComplexArray, standing
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
-from graphtrack.behaviour.forecast.places import EVERY, LAGS, nearness
+from graphtrack.behaviour.forecast.places import EVERY, LAGS
 from graphtrack.behaviour.forecast.recorded import SeenFrame, frames_of
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import Track, TrackSet
+
+_LEAST = np.float32(-40.0)
+"""Logarithm of the least weight: less counts for nothing, and denormal numbers are slow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +160,15 @@ def errors_at_once(of: Rows, parameters: ForecastParameters) -> tuple[float, flo
         real, imaginary, count = total[:, :size], total[:, size : 2 * size], total[:, 2 * size :]
         mean[rows] += (real + 1j * imaginary) / (count + parameters.place_prior)
     return relative_errors((of.actual - mean)[whole], (of.actual - of.straight)[whole])
+
+
+def nearness(here: NDArray[np.float32], there: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weights (n, m) of points (m, 4) for points (n, 4): of a Gaussian kernel of width 1."""
+    logs = here @ there.T
+    logs -= 0.5 * (here**2).sum(axis=1)[:, None]
+    logs -= 0.5 * (there**2).sum(axis=1)
+    np.maximum(logs, _LEAST, out=logs)
+    return np.exp(logs, out=logs)
 
 
 def relative_errors(error: ComplexArray, straight: ComplexArray) -> tuple[float, float]:

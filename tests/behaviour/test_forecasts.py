@@ -5,6 +5,7 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.behaviour.forecast.forecaster import Forecaster, times_ahead
+from graphtrack.behaviour.forecast.near import kernel_means, kernel_sums
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.behaviour.forecast.spread import offsets, radius
 from graphtrack.behaviour.forecast.table import is_forecast, read_forecasts
@@ -348,3 +349,28 @@ def test_companions_keep_together():
         return abs(position[0, 1] - 0.05)
 
     assert speed(0.8) < 0.8 * speed(50.0)
+
+
+def test_sums_over_what_is_near_are_those_of_all_weights():
+    rng = np.random.default_rng(5)
+    here, there = rng.normal(0, 2, (4, 30)).astype(np.float32), rng.normal(0, 2, (4, 200)).astype(np.float32)
+    values = rng.normal(0, 1, (200, 7)).astype(np.float32)
+    count = 150
+    square = ((here[:, :, None] - there[:, None, :count]) ** 2).sum(axis=0)
+    expected = np.exp(-0.5 * square) @ values[:count]
+    found = kernel_sums(here, there, values, count)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    np.testing.assert_array_equal(kernel_sums(here[:, 3:4].copy(), there, values, count)[0], found[3])
+
+
+def test_velocities_of_companions_are_averaged_with_one_s_own():
+    rng = np.random.default_rng(6)
+    position, velocity = rng.normal(0, 2, (40, 2)), rng.normal(0, 0.3, (40, 2))
+    others = np.arange(0, 40, 2)
+    apart, unlike = (
+        np.linalg.norm(one[:, None] - one[others], axis=2) for one in (position / 1.5, velocity / 0.2)
+    )
+    weight = 3.0 * np.exp(-0.5 * (apart**2 + unlike**2))
+    weight[others, np.arange(len(others))] = 0.0
+    expected = (velocity + weight @ velocity[others]) / (1.0 + weight.sum(axis=1))[:, None]
+    np.testing.assert_allclose(kernel_means(position, velocity, others, 1.5, 0.2, 3.0), expected, atol=1e-8)

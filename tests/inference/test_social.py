@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 import graphtrack as gt
 from graphtrack.behaviour.evidence import pair_evidence
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.people import people_of
-from graphtrack.geometry.angles import mean_absolute_error, unit
+from graphtrack.errors import InputWarning
+from graphtrack.geometry.angles import mean_absolute_error, unit, wrap
 from graphtrack.inference.social import LEAST, counts, neighbours
+from graphtrack.io.groups import read_groups
 from graphtrack.simulation.party import party
 
 
@@ -75,3 +79,49 @@ def test_a_direction_counts_in_full_once_and_by_the_time_later() -> None:
     ramp = np.outer(np.linspace(0.0, 0.8, 21), [1.0, 0.0])
     whole = np.sum(counts(ramp, np.zeros(21), 100.0) * np.linalg.norm(ramp, axis=1))
     np.testing.assert_allclose(whole, 0.8)
+
+
+def test_people_of_whom_places_alone_are_known_and_who_meet_nobody_are_as_without_groups() -> None:
+    rng = np.random.default_rng(6)
+    frame = np.arange(80)
+    walkers = []
+    for k in range(4):
+        speed = np.repeat(rng.uniform(0.0, 1.4, 4) * [1.0, 0.0, 1.0, 1.0], 20)
+        way = unit(np.cumsum(rng.normal(0.0, 0.15, 80)))
+        position = np.array([30.0 * k, 0.0]) + np.cumsum(0.2 * speed[:, None] * way, axis=0)
+        walkers.append(gt.Track(k, frame, 0.2 * frame, position + rng.normal(0.0, 0.05, (80, 2))))
+    one, other = (gt.smooth(gt.TrackSet(tuple(walkers)), model) for model in ("full", "social"))
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a.body, b.body, atol=1e-9)
+        np.testing.assert_allclose(a.head, b.head, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_those_who_stand_in_groups_and_those_who_walk_by_in_recordings(data_dir: Path) -> None:
+    """Positions alone: bodies of a party that was not learned from, and walkers as `full` has them."""
+    standing = gt.read(data_dir / "salsa" / "features.txt").map(lambda track: track[track.t > 1000.0])
+    with pytest.warns(InputWarning):
+        labels = read_groups(data_dir / "salsa" / "groups.txt")
+    found = gt.smooth(standing.map(lambda track: replace(track, body=None, head=None)), "social")
+    people = people_of(standing)
+    of_row = labels.labels(
+        people.frame[people.frame_of], people.t[people.frame_of], people.ids[people.person]
+    )
+    errors = []
+    for estimate, track in zip(found, standing, strict=True):
+        together = of_row[people.ids[people.person] == track.track_id] >= 0
+        errors.append(np.abs(wrap(estimate.body - track.body))[together])
+    assert np.degrees(np.concatenate(errors).mean()) < 48.0
+
+    walking = gt.read(data_dir / "ucy" / "zara01" / "obsmat.txt")
+    noisy = gt.add_noise(walking, position_std=0.1, rng=np.random.default_rng(1))
+    errors_of = {}
+    for model in ("full", "social"):
+        off = []
+        for estimate, track in zip(gt.smooth(noisy, model), walking, strict=True):
+            if len(track) > 2:
+                velocity = np.gradient(track.position, track.t, axis=0)
+                moves = np.linalg.norm(velocity, axis=1) > 0.5
+                off.append(np.abs(wrap(estimate.body - np.arctan2(velocity[:, 1], velocity[:, 0])))[moves])
+        errors_of[model] = float(np.concatenate(off).mean())
+    assert errors_of["social"] < 1.02 * errors_of["full"]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.behaviour.forecast.motion import ComplexArray
+from graphtrack.behaviour.forecast.near import kernel_means
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.behaviour.forecast.places import LAGS
 from graphtrack.geometry.angles import FloatArray
@@ -47,12 +48,9 @@ def together(
     others : (m,) which of them count as others
     """
     near, alike = parameters.companion_distance, parameters.companion_velocity
-    apart = np.abs(position[:, None] - position[others]) / near
-    unlike = np.abs(velocity[:, None] - velocity[others]) / alike
-    weight = parameters.companion_weight * np.exp(-0.5 * (apart**2 + unlike**2))
-    weight[others, np.arange(len(others))] = 0.0
-    found: ComplexArray = (velocity + weight @ velocity[others]) / (1.0 + weight.sum(axis=1))
-    return found
+    points, ways = (np.ascontiguousarray(one).view(float).reshape(-1, 2) for one in (position, velocity))
+    found = kernel_means(points, ways, others, near, alike, parameters.companion_weight)
+    return np.asarray(found.view(complex)[:, 0])
 
 
 def spreads(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.behaviour.forecast.motion import ComplexArray
+from graphtrack.behaviour.forecast.near import kernel_sums
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.geometry.angles import FloatArray
 
@@ -28,8 +29,6 @@ _CAPACITY = 4096
 """Anchors that are kept; when there are more, new ones take the places of any."""
 _OF_ALL = ("_position", "_velocity", "_outcome")
 _OF_OPEN = ("_t", "_owner", "_next", "_expected", "_spread")
-_LEAST = np.float32(-40.0)
-"""Logarithm of the least weight: less counts for nothing, and denormal numbers are slow."""
 _LONGEST_GAP = 1.0
 """Seconds without a person beyond which nobody knows where the person was in between."""
 
@@ -50,15 +49,6 @@ class Seen:
     square: FloatArray
 
 
-def nearness(here: NDArray[np.float32], there: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Weights (n, m) of points (m, 4) for points (n, 4): of a Gaussian kernel of width 1."""
-    logs = here @ there.T
-    logs -= 0.5 * (here**2).sum(axis=1)[:, None]
-    logs -= 0.5 * (there**2).sum(axis=1)
-    np.maximum(logs, _LEAST, out=logs)
-    return np.exp(logs, out=logs)
-
-
 class Places:
     """The anchors of a scene.
 
@@ -74,7 +64,7 @@ class Places:
         self._parameters, self._judge = parameters, judge
         self._random = np.random.default_rng(0)
         self._count = 0
-        self._where = np.zeros((_CAPACITY, 4), np.float32)
+        self._where = np.zeros((4, _CAPACITY), np.float32)
         self._outcome = np.zeros((_CAPACITY, 4 * len(LAGS)), np.float32)
         self._position, self._velocity = np.zeros(_CAPACITY, complex), np.zeros(_CAPACITY, complex)
         self._t, self._owner = np.zeros(_CAPACITY), np.full(_CAPACITY, -1)
@@ -101,12 +91,12 @@ class Places:
             getattr(self, name)[: len(self)] = state[name]
         for name in _OF_OPEN:
             getattr(self, name)[self._active] = state[name]
-        self._where[: len(self)] = self._scaled(self._position[: len(self)], self._velocity[: len(self)])
+        self._where[:, : len(self)] = self._scaled(self._position[: len(self)], self._velocity[: len(self)])
 
     def _scaled(self, position: ComplexArray, velocity: ComplexArray) -> NDArray[np.float32]:
         near, alike = self._parameters.place_distance, self._parameters.place_velocity
         columns = (position.real / near, position.imag / near, velocity.real / alike, velocity.imag / alike)
-        return np.stack(columns, axis=1).astype(np.float32)
+        return np.stack(columns).astype(np.float32)
 
     def add(
         self,
@@ -131,7 +121,7 @@ class Places:
         free[over] = self._random.choice(_CAPACITY, int(over.sum()), replace=False)
         self._count += len(owner)
         self._position[free], self._velocity[free], self._t[free] = position, velocity, t
-        self._where[free] = self._scaled(position, velocity)
+        self._where[:, free] = self._scaled(position, velocity)
         self._owner[free], self._next[free], self._outcome[free] = owner, 0, 0.0
         self._expected[free], self._spread[free] = expected, spread
         self._active = np.union1d(self._active, free)
@@ -191,12 +181,9 @@ class Places:
 
     def near(self, position: ComplexArray, velocity: ComplexArray) -> Seen:
         """What was seen near people of those positions and velocities (n,)."""
-        count, size = len(self), len(LAGS)
-        if not count:
-            none = np.zeros((len(position), size))
-            return Seen(none, none.astype(complex), none)
-        there, here = self._where[:count], self._scaled(position, velocity)
-        weights = nearness(here, there)
-        real, imaginary, square, weight = np.split((weights @ self._outcome[:count]).astype(float), 4, axis=1)
+        here = self._scaled(position, velocity)
+        sums = kernel_sums(here, self._where, self._outcome, len(self))
+        real, imaginary, square, weight = np.split(sums, 4, axis=1)
         total = np.maximum(weight, 1e-12)
-        return Seen(weight, (real + 1j * imaginary) / total, square / total)
+        deviation: ComplexArray = np.asarray((real + 1j * imaginary) / total, dtype=complex)
+        return Seen(weight, deviation, square / total)

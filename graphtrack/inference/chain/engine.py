@@ -19,6 +19,7 @@ from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import gait_of
+from graphtrack.tracks import Track
 
 PASSES = 2
 """Times that the modes of the couplings, and the states with them, are found anew; a third changes
@@ -102,14 +103,22 @@ def solve_terms(
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
-    """Body and head (N, 2) of tracks in which they were never seen, and of which nothing else is known."""
+    """Body and head (N, 2) of tracks in which they were never seen, in frames that tell nothing else."""
     found = np.zeros((packed.offsets[-1], 2), bool)
-    known = np.array([bool(track.inputs) for track in packed.tracks])
+    known = np.concatenate([_says_more(track) for track in packed.tracks])
     for place, vectors in enumerate((seen.body, seen.head)):
         if len(vectors):
             was_seen = np.logical_or.reduceat(np.isfinite(vectors[:, 0]), packed.offsets[:-1])
-            found[:, place] = np.repeat(~was_seen & ~known, np.diff(packed.offsets))
+            found[:, place] = ~np.repeat(was_seen, np.diff(packed.offsets)) & ~known
     return found
+
+
+def _says_more(track: Track) -> BoolArray:
+    """(n,) frames in which an input is known."""
+    known = np.zeros(len(track), bool)
+    for values in track.inputs.values():
+        known |= np.isfinite(values.reshape(len(track), -1)).any(axis=1)
+    return known
 
 
 @compiled

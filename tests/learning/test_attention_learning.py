@@ -1,0 +1,138 @@
+"""How people look is learned from labelled looks, and holds where it was not learned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import run as run_program
+
+import graphtrack as gt
+from graphtrack.behaviour.attention import AttentionParameters, attention
+from graphtrack.behaviour.files import load_attention, save_parameters
+from graphtrack.behaviour.tables import NOBODY, UNLABELLED, LookLabels, read_looks
+from graphtrack.errors import InputError
+from graphtrack.evaluation.looks import calibration_error, score_looks
+from graphtrack.learning.attention import fit_attention
+from graphtrack.simulation.party import Party, party
+
+
+def labels_of(made: Party) -> LookLabels:
+    columns = made.look_columns()
+    return LookLabels(columns["frame"], columns["track_id"], columns["target"], Path("looks.csv"))
+
+
+def test_what_is_learned_is_calibrated_in_a_scene_that_was_not_learned_from() -> None:
+    def scene(seed: int) -> Party:
+        return party(np.random.default_rng(seed), people=10, steps=200, fps=2.0)
+
+    wrong = AttentionParameters(look_std=0.05, nothing=0.05, fellows=200.0, switching=0.05)
+    made, other = scene(5), scene(6)
+    found = fit_attention(made.tracks, labels_of(made), wrong, hold_out=0.2)
+    assert found.held_out is not None and found.held_out.frames < found.learned_from.frames
+    before, after = (
+        score_looks(attention(other.tracks, parameters=parameters), labels_of(other))
+        for parameters in (wrong, found.parameters)
+    )
+    assert after.log_score > before.log_score + 0.3
+    assert after.target_calibration_error < 0.02
+    assert after.calibration_error < min(0.09, 0.5 * before.calibration_error)
+
+
+def test_calibration_errors_are_none_of_what_holds_and_all_of_what_never_does() -> None:
+    rng = np.random.default_rng(0)
+    p = rng.random(200_000)
+    assert calibration_error(p, rng.random(len(p)) < p) < 0.01
+    assert calibration_error(np.ones(5), np.zeros(5, dtype=bool)) == 1.0
+
+
+def test_labels_that_are_sure_of_the_truth_score_best() -> None:
+    made = party(np.random.default_rng(3), people=5, steps=30)
+    labels = labels_of(made)
+    sure = []
+    for one in attention(made.tracks):
+        target = labels.of(one.track_id, one.frame)
+        true = target[:, None] == np.array([*one.people, NOBODY])
+        sure.append(replace(one, probability=true.astype(float)))
+    score = score_looks(sure, labels)
+    assert (score.right, score.log_score, score.calibration_error) == (1.0, 0.0, 0.0)
+    half = score_looks(sure, labels, (7.0, np.inf))
+    assert 0 < half.frames < score.frames
+
+
+def test_rows_without_a_target_say_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "looks.csv"
+    path.write_text("frame,track_id,target\n3,1,2\n1,1,-1\n2,1,\n")
+    labels = read_looks(path)
+    assert labels.of(1, np.array([0, 1, 2, 3])).tolist() == [UNLABELLED, NOBODY, UNLABELLED, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frame,track_id\n1,1\n", "no column target"),
+        ("frame,track_id,target\n1,1,1\n", "line 2, column target: found '1', expected somebody else"),
+        ("frame,track_id,target\n1,1,-2\n", "line 2, column target: found '-2', expected an id, or -1"),
+        ("frame,track_id,target\n1,1,0.5\n", "line 2, column target: found '0.5', expected a whole number"),
+        ("frame,track_id,target\n1,1,2\n1,1,3\n", "line 3"),
+    ],
+)
+def test_labels_that_cannot_be_are_told(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "looks.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as told:
+        read_looks(path)
+    assert message in str(told.value)
+
+
+def test_labels_of_others_and_of_no_look_are_told() -> None:
+    made = party(np.random.default_rng(3), people=4, steps=10)
+    labels = labels_of(made)
+    for wrong, message in (
+        (replace(labels, target=np.full(len(labels.target), 9)), "found target 9"),
+        (replace(labels, track_id=labels.track_id + 7), "found track"),
+        (replace(labels, target=np.full(len(labels.target), NOBODY)), "no look at anybody"),
+        (replace(labels, frame=labels.frame + 1000), "no frame with labelled looks"),
+    ):
+        with pytest.raises(InputError) as told:
+            fit_attention(made.tracks, wrong)
+        assert message in str(told.value)
+
+
+def test_parameters_come_back_from_their_file(tmp_path: Path) -> None:
+    path = tmp_path / "learned.toml"
+    parameters = AttentionParameters(look_std=0.21, nothing=0.4)
+    save_parameters(parameters, path)
+    assert load_attention(path) == parameters
+    path.write_text("[attention]\nlook_std = 9.0\n")
+    with pytest.raises(InputError, match=r"attention\.look_std = 9\.0"):
+        load_attention(path)
+    path.write_text("[groups]\n")
+    with pytest.raises(InputError, match="no table \\[attention\\]"):
+        load_attention(path)
+
+
+def test_the_commands_learn_and_judge(tmp_path: Path) -> None:
+    made = party(np.random.default_rng(4), people=4, steps=40)
+    gt.write(made.tracks, tmp_path / "party.csv")
+    rows = zip(*made.look_columns().values(), strict=True)
+    lines = ["frame,t,track_id,target", *(",".join(map(str, row)) for row in rows)]
+    (tmp_path / "looks.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "groups.csv").write_text("frame,track_id,group\n0,0,1\n0,1,1\n")
+    scene, looks, learned = (tmp_path / name for name in ("party.csv", "looks.csv", "learned.toml"))
+    done = run_program("fit", scene, "--attention", looks, "-o", learned, program="graphtrack")
+    assert done.returncode == 0, done.stderr
+    assert load_attention(learned) != AttentionParameters()
+    judged = run_program(
+        *("attention", scene, "-o", tmp_path / "attention.csv"),
+        *("--parameters", learned, "--truth", looks),
+        program="graphtrack",
+    )
+    assert judged.returncode == 0 and "calibration error" in judged.stdout + judged.stderr
+    both = run_program(
+        *("fit", scene, "-o", learned, "--attention", looks, "--groups", tmp_path / "groups.csv"),
+        program="graphtrack",
+    )
+    assert both.returncode == 2 and "several of --forecast, --groups and --attention" in both.stderr
