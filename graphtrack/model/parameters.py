@@ -311,7 +311,7 @@ class Parameters:
 
 
 def steady(parameters: Parameters) -> Parameters:
-    """The same for people who move as the terms say: no sway, no accelerations and turns that last."""
+    """The same for people who move as the terms say: no sway, nothing that lasts but the couplings' modes."""
     return replace(
         parameters,
         motion=replace(parameters.motion, sway_std=0.0, lasting_std=0.0),
@@ -322,4 +322,5 @@ def steady(parameters: Parameters) -> Parameters:
             body_turn_rate=0.0,
             head_turn_rate=0.0,
         ),
+        gait=replace(parameters.gait, head_common=1.0),
     )
