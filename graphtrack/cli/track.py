@@ -95,6 +95,14 @@ def track(
         bool, typer.Option("--view", help="With -: show the answers in Rerun as they come.")
     ] = False,
     showing: Showing = Showing(),
+    trust: Annotated[
+        Literal["declared", "check"],
+        typer.Option(
+            "--trust",
+            help="Of a file with tracks: check, a note says in the end where the data contradict the noise "
+            "that it or the model declares; declared, nothing is checked.",
+        ),
+    ] = "declared",
     person: Annotated[
         int | None,
         typer.Option(
@@ -111,6 +119,7 @@ def track(
     from graphtrack.inference.recorded import track_online
     from graphtrack.io import write
     from graphtrack.model import Model
+    from graphtrack.trust import trusted
 
     options.check_outputs(
         {"--output": output, "--state": state, "--save": showing.save},
@@ -124,7 +133,7 @@ def track(
         raise InputError("--associate repair", "graphtrack smooth: to repair tracks is to look ahead")
     check_lag(kept, online_engine(chosen, engine))
     if input == "-":
-        _refuse_with_stream({"output": output} | reading.given())
+        _refuse_with_stream({"output": output, "trust": trust == "check"} | reading.given())
         horizon, asked = horizon_of(forecast), asked_of(groups, attention, places)
         shown = (showing, person) if view else None
         _track_stream(chosen, engine, kept, reading, state, save_every, horizon, asked, shown)
@@ -144,6 +153,8 @@ def track(
     if are_detections:
         if reading.select:
             raise InputError("--select", "identities to select by; these rows have none")
+        if trust == "check":
+            raise InputError("--trust check", "tracks: these rows have no identities")
         _track_detections(rows, output, chosen, engine, kept)
         return
     tracks = reading.tracks([place_of(input)], rows)
@@ -164,6 +175,9 @@ def track(
             f"wrote {output}",
             markup=False,
         )
+    # What is tracked at a frame cannot have waited for it: it is said, and not corrected.
+    for line in trusted(tracks, chosen, trust)[2]:
+        console.print(f"  note: {line}", markup=False)
     for track_id in unseen:
         console.print(f"error: {SolveError(track_id, NO_POSITION)}", markup=False)
     if unseen:

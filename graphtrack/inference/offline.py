@@ -270,7 +270,7 @@ def _solve_chains(
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
     ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-    covariance = stated(found.covariance, model.parameters, ends)
+    covariance = stated(found.covariance, found.states[:, 2:4], model.parameters, ends)
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         a, b = packed.offsets[m], packed.offsets[m + 1]

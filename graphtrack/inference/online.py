@@ -26,6 +26,7 @@ from graphtrack.inference.graph.guided import Guided
 from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.observed import checked
 from graphtrack.inference.offline import engine_of, refuse_only_compiled
+from graphtrack.inference.solution import stated_newest
 from graphtrack.inference.state import (
     Estimate,
     Newest,
@@ -334,6 +335,7 @@ class OnlineSmoother:
 
     def _estimate(self, newest: Newest, observation: Observation, status: Status) -> Estimate:
         state, covariance = newest
+        covariance = stated_newest(covariance, state[2:4], self.model.parameters)
         body, head = map(wrapped, state[4:].tolist())
         smoother = self._smoother
         aligned, offset = getattr(smoother, "modes", (math.nan, math.nan))

@@ -12,7 +12,15 @@ import numpy as np
 from graphtrack.display import counted, html_pairs, line_of_track
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
 from graphtrack.model.parameters import Parameters
-from graphtrack.model.sway import head_lag, lagging, newest_lag, sway_variances, swaying
+from graphtrack.model.sway import (
+    kept_shares,
+    lagging,
+    newest_lag,
+    seconds_behind,
+    sway_variances,
+    swaying,
+    turn_lags,
+)
 from graphtrack.tracks import Track
 
 OfflineEngine = Literal["chain", "gtsam"]
@@ -82,7 +90,9 @@ class Failure:
     reason: str
 
 
-def stated(covariance: FloatArray, parameters: Parameters, ends: FloatArray | float = 0.0) -> FloatArray:
+def stated(
+    covariance: FloatArray, velocity: FloatArray, parameters: Parameters, ends: FloatArray | float = 0.0
+) -> FloatArray:
     """Covariances (..., 6, 6) as estimates state them, from the inverse curvature of the cost; in place.
 
     Of angles, an inverse curvature P is that of a von Mises density with concentration 1/P, whose root mean
@@ -93,51 +103,70 @@ def stated(covariance: FloatArray, parameters: Parameters, ends: FloatArray | fl
     Parameters
     ----------
     covariance : NaN where the model has no such state
+    velocity : (..., 2) that was estimated, m/s: who turns, turns that too
     ends : seconds from each frame (...) to the nearer end of its track, 0 of the newest online
     """
+    behind = seconds_behind(covariance, velocity, parameters)
     lagging(covariance, parameters.motion, ends)
     swaying(covariance, parameters.motion)
     variance = np.einsum("...ii->...i", covariance)[..., 4:]
     with np.errstate(invalid="ignore", divide="ignore"):
         widest = UNIFORM_STD / np.sqrt(variance)
         shrink = np.minimum(np.interp(variance / (1.0 + variance), _SHARES, _SHRINK), widest)
+    shrink *= np.sqrt(kept_shares(parameters.orientation))
     covariance[..., 4:, :] *= shrink[..., :, None]
     covariance[..., :, 4:] *= shrink[..., None, :]
-    head = variance[..., 1]
-    head += head_lag(head, parameters.orientation, ends)
-    np.minimum(head, UNIFORM_STD**2, out=head)
+    for place, lag in enumerate(turn_lags(behind, parameters.orientation, ends)):
+        variance[..., place] += lag
+    np.minimum(variance, UNIFORM_STD**2, out=variance)
     return covariance
 
 
-def stated_newest(covariance: FloatArray, parameters: Parameters) -> FloatArray:
+def stated_newest(covariance: FloatArray, velocity: FloatArray, parameters: Parameters) -> FloatArray:
     """As `stated`, to the last bit, of the newest frame's covariance (6, 6), which is left as it is.
 
     Online that is asked for with every row, and NumPy takes several times as long for so few numbers.
     """
     rows: list[list[float]] = covariance.tolist()
     if not min(rows[k][k] for k in range(4)) > 0.0 or rows[4][4] <= 0.0 or rows[5][5] <= 0.0:
-        return stated(covariance.copy(), parameters)
+        return stated(covariance.copy(), velocity, parameters)
     motion, orientation = parameters.motion, parameters.orientation
+    vx, vy = velocity.tolist()
+    behind = [
+        abs(
+            (row[3] * vx - row[2] * vy) / motion.acceleration_density
+            + _known(row[4] / orientation.body_diffusion)
+            + _known(row[5] / orientation.head_diffusion)
+        )
+        for row in rows[4:]
+    ]
     if motion.lasting_std != 0.0:
         own = 0.5 * (rows[2][2] + rows[3][3])
         seconds = 0.5 * (rows[0][2] + rows[1][3]) / own
-        lag = newest_lag(own, motion.acceleration_density, motion.lasting_std, motion.lasting_time)
+        lag = newest_lag(own / motion.acceleration_density, motion.lasting_std, motion.lasting_time)
         for axis in (0, 1):
-            position, velocity = rows[axis], rows[2 + axis]
-            position[axis] += lag * seconds**2
-            position[2 + axis] += lag * seconds
-            velocity[axis] += lag * seconds
-            velocity[2 + axis] += lag
-    for place, variance in enumerate(sway_variances(motion)):
-        rows[place][place] += variance
-    body, head = _newest_shrink(rows[4][4]), _newest_shrink(rows[5][5])
+            place, speed = rows[axis], rows[2 + axis]
+            place[axis] += lag * seconds**2
+            place[2 + axis] += lag * seconds
+            speed[axis] += lag * seconds
+            speed[2 + axis] += lag
+    for k, variance in enumerate(sway_variances(motion)):
+        rows[k][k] += variance
+    kept = kept_shares(orientation)
+    body, head = (_newest_shrink(rows[4 + k][4 + k]) * math.sqrt(kept[k]) for k in (0, 1))
     rows[4], rows[5] = [one * body for one in rows[4]], [one * head for one in rows[5]]
     for row in rows:
         row[4] *= body
         row[5] *= head
-    turns = orientation.head_diffusion, orientation.head_turn_rate, orientation.head_turn_time
-    rows[5][5] = min(rows[5][5] + newest_lag(rows[5][5], *turns), UNIFORM_STD**2)
+    o = orientation
+    turns = (o.body_turn_rate, o.body_turn_time), (o.head_turn_rate, o.head_turn_time)
+    for k, seconds, turn in zip((4, 5), behind, turns, strict=True):
+        rows[k][k] = min(rows[k][k] + newest_lag(seconds, *turn), UNIFORM_STD**2)
     return np.array(rows)
+
+
+def _known(value: float) -> float:
+    return value if value == value else 0.0
 
 
 def _newest_shrink(variance: float) -> float:

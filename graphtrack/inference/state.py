@@ -23,7 +23,8 @@ STATE_VERSION = 3
 Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed"]
 Angles = tuple[float, float]
 Newest = tuple[FloatArray, FloatArray]
-"""State (6,) and covariance (6, 6) of the newest step."""
+"""State (6,) and covariance (6, 6) of the newest step, the latter as curvature and modes have it; what
+estimates state is made of it by `solution.stated_newest`."""
 
 
 @dataclass(frozen=True, eq=False)

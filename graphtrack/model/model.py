@@ -18,7 +18,13 @@ from graphtrack.io.atomic import atomic_path
 from graphtrack.model.factors.derived import Couplings, derived_factors
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States, Step
-from graphtrack.model.parameters import LikelihoodParameters, MotionParameters, Parameters
+from graphtrack.model.parameters import (
+    LikelihoodParameters,
+    MotionParameters,
+    OrientationParameters,
+    Parameters,
+    steady,
+)
 from graphtrack.model.term import Term
 from graphtrack.model.terms.anchor import Anchor
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
@@ -69,10 +75,21 @@ def every_term() -> tuple[type[Term], ...]:
 
 
 _FULL = Parameters(
-    motion=MotionParameters(acceleration_density=0.1, head_rate=2.2, sway_std=0.0125, lasting_std=0.4),
+    motion=MotionParameters(acceleration_density=0.1, head_rate=2.2, sway_std=0.0118, lasting_std=0.28),
     likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=5.0, outlier_probability=0.05),
 )
-preset_parameters: dict[str, Parameters] = {"full": _FULL, "social": _FULL}
+# Couplings that always hold take a turn's beginning for noise: more is stated of what they lag behind.
+_JOINT = Parameters(
+    motion=MotionParameters(lasting_std=0.26),
+    orientation=OrientationParameters(body_turn_rate=0.7, head_turn_rate=0.69),
+)
+# Nothing turns: what a term of one's own says of an angle is all that there is to say.
+_NOTHING_TURNS = Parameters(orientation=steady(Parameters()).orientation)
+preset_parameters: dict[str, Parameters] = {
+    "position": _NOTHING_TURNS,
+    **dict.fromkeys(("joint-body", "joint", "joint-intentional", "joint-place"), _JOINT),
+    **dict.fromkeys(("full", "social"), _FULL),
+}
 """Default parameters of the presets for which those of `Parameters` are not the best."""
 
 

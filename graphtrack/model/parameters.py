@@ -97,15 +97,21 @@ class OrientationParameters(_Group):
     Attributes
     ----------
     body_diffusion, head_diffusion : rad²/s
-    head_turn_rate : rad/s, 1-σ of the rate at which heads turn on, beside diffusion. An estimate lags behind
-        such a turn; it is part of the stated uncertainty of heads (see docs/model.md), and of no estimate.
-    head_turn_time : seconds for which such a rate lasts
+    body_white_share, head_white_share : share of the diffusion that is white in truth, 0 to 1; in place of
+        the rest people turn on at rates that last
+    body_turn_rate, head_turn_rate : rad/s, 1-σ of such rates. An estimate lags behind a turn; that is part of
+        the stated uncertainty of angles (see docs/model.md), as is the share, and of no estimate.
+    body_turn_time, head_turn_time : seconds for which such a rate lasts
     """
 
     body_diffusion: float = _number(0.24, 1e-6, 1e4, "rad²/s")
     head_diffusion: float = _number(0.11, 1e-6, 1e4, "rad²/s")
-    head_turn_rate: float = _number(0.35, 0.0, 100.0, "rad/s", learned=False)
-    head_turn_time: float = _number(2.8, 1e-3, 1e3, "s", learned=False)
+    body_white_share: float = _number(0.26, 0.0, 1.0, learned=False)
+    head_white_share: float = _number(0.0, 0.0, 1.0, learned=False)
+    body_turn_rate: float = _number(0.59, 0.0, 100.0, "rad/s", learned=False)
+    body_turn_time: float = _number(0.29, 1e-3, 1e3, "s", learned=False)
+    head_turn_rate: float = _number(0.49, 0.0, 100.0, "rad/s", learned=False)
+    head_turn_time: float = _number(0.74, 1e-3, 1e3, "s", learned=False)
 
 
 @dataclass(frozen=True)
@@ -177,7 +183,7 @@ class GaitParameters(_Group):
     head_offset_kappa: float = _number(3.0, 0.0, 100.0)
     head_rate_seen: float = _share(0.54)
     # It changes what is stated and nothing that is estimated.
-    head_common: float = _number(0.47, 0.0, 1.0, learned=False)
+    head_common: float = _number(0.27, 0.0, 1.0, learned=False)
 
 
 @dataclass(frozen=True)
@@ -305,9 +311,16 @@ class Parameters:
 
 
 def steady(parameters: Parameters) -> Parameters:
-    """The same for people who move as the terms say: no sway, no accelerations and turns that last."""
+    """The same for people who move as the terms say: no sway, nothing that lasts but the couplings' modes."""
     return replace(
         parameters,
         motion=replace(parameters.motion, sway_std=0.0, lasting_std=0.0),
-        orientation=replace(parameters.orientation, head_turn_rate=0.0),
+        orientation=replace(
+            parameters.orientation,
+            body_white_share=1.0,
+            head_white_share=1.0,
+            body_turn_rate=0.0,
+            head_turn_rate=0.0,
+        ),
+        gait=replace(parameters.gait, head_common=1.0),
     )

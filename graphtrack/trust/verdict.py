@@ -80,7 +80,7 @@ class ChannelNoise:
             said.append(f"people are seen turned {abs(degrees):.0f}° to the {side} of where they go")
         if not said:
             return None
-        end = "corrected" if corrected else "--trust learn corrects it"
+        end = "corrected" if corrected else "graphtrack smooth --trust learn corrects it"
         return f"{self.name}: {' and '.join(said)}; {end}"
 
 

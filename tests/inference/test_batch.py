@@ -320,7 +320,7 @@ def test_covariances_are_the_inverse_of_the_exact_curvature(preset: str, situati
     assert np.linalg.eigvalsh(curvature).min() > 0.0
     expected = np.linalg.inv(curvature)
     assert found.covariance is not None
-    for k, whole in enumerate(stated_blocks(expected, columns, model, track)):
+    for k, whole in enumerate(stated_blocks(expected, columns, model, found)):
         block = whole[np.ix_(columns, columns)]
         scale = np.sqrt(np.diag(block))
         np.testing.assert_allclose(

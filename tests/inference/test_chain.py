@@ -127,7 +127,7 @@ def test_covariances_are_the_inverse_of_the_cost_differences(preset: str, robust
     covariance = np.linalg.inv(hessian(cost_around(states_of(found), track, model, camera), size))
     assert found.covariance is not None
     for block, expected in zip(
-        found.covariance, stated_blocks(covariance, range(6), model, track), strict=True
+        found.covariance, stated_blocks(covariance, range(6), model, found), strict=True
     ):
         scale = np.sqrt(np.diag(expected))
         np.testing.assert_allclose(

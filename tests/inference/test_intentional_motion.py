@@ -69,7 +69,7 @@ def test_covariances_are_the_inverse_of_the_cost_differences(preset: str) -> Non
     used = free(model)
     covariance = np.linalg.inv(hessian(cost_around(states_of(found), track, model), len(used) * len(track)))
     assert found.covariance is not None
-    for block, whole in zip(found.covariance, stated_blocks(covariance, used, model, track), strict=True):
+    for block, whole in zip(found.covariance, stated_blocks(covariance, used, model, found), strict=True):
         expected = whole[np.ix_(used, used)]
         scale = np.sqrt(np.diag(expected))
         np.testing.assert_allclose(

@@ -80,7 +80,7 @@ def gauss_newton_covariance(smoothed: Track, track: Track, model: Model) -> np.n
     graph, values = build_graph(steps, model, states)
     keys = [key for step in steps for key in variable_keys(step, model)]
     information = graph.linearize(values).hessian(gtsam.Ordering(keys))[0]
-    return stated(np.linalg.inv(information)[-6:, -6:].copy(), model.parameters)
+    return stated(np.linalg.inv(information)[-6:, -6:].copy(), smoothed.velocity[-1], model.parameters)
 
 
 # Against independent solutions.

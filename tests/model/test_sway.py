@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from graphtrack.geometry.angles import UNIFORM_STD, von_mises_log_density
+from graphtrack.geometry.angles import UNIFORM_STD, von_mises_log_density, wrap
+from graphtrack.inference.chain.engine import solve_packed
+from graphtrack.inference.initial import pack
 from graphtrack.inference.solution import seconds_to_ends, stated, stated_newest
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import MotionParameters, OrientationParameters, steady
-from graphtrack.model.sway import head_lag, lagging, swaying
+from graphtrack.model.sway import kept_shares, lagging, seconds_behind, swaying, turn_lags
 from graphtrack.model.terms.motion import process_noise, transition_matrix
+from graphtrack.tracks import Track
 
-STILL = steady(Parameters())
+STILL, RESTING = steady(Parameters()), np.zeros(2)
 
 
 def of_angle(variance: float) -> np.ndarray:
@@ -26,7 +29,7 @@ def of_angle(variance: float) -> np.ndarray:
 
 @pytest.mark.parametrize("variance", [1e-4, 0.01, 0.1, 0.5, 1.0, 3.0, 50.0])
 def test_an_angle_states_the_root_mean_square_of_its_von_mises(variance: float) -> None:
-    found = stated(of_angle(variance), STILL)
+    found = stated(of_angle(variance), RESTING, STILL)
     reach = min(np.pi, 12.0 * np.sqrt(variance))
 
     def weighted(angle: float) -> float:
@@ -42,13 +45,13 @@ def test_an_angle_states_the_root_mean_square_of_its_von_mises(variance: float) 
 @pytest.mark.parametrize("variance", [1e5, 1e12])
 def test_nothing_is_less_certain_than_the_uniform_density(variance: float) -> None:
     covariance = np.diag([1.0, 1.0, 1.0, 1.0, variance, 0.1])
-    assert stated(covariance, Parameters())[4, 4] == pytest.approx(UNIFORM_STD**2, rel=2e-3)
+    assert stated(covariance, RESTING, Parameters())[4, 4] == pytest.approx(UNIFORM_STD**2, rel=2e-3)
 
 
 def test_what_a_model_does_not_have_stays_unknown() -> None:
     covariance = np.full((3, 6, 6), np.nan)
     covariance[:, :4, :4] = 0.1 * np.eye(4)
-    found = stated(covariance, Parameters(), np.zeros(3))
+    found = stated(covariance, np.ones((3, 2)), Parameters(), np.zeros(3))
     assert np.isnan(found[:, 4:]).all() and np.isfinite(found[:, :4, :4]).all()
 
 
@@ -59,15 +62,16 @@ def test_the_newest_frame_states_the_same_to_the_last_bit(missing: list[int], la
     parameters = replace(parameters, motion=replace(parameters.motion, lasting_std=lasting))
     for scale in (1e-3, 0.1, 1.0, 30.0, 1e4):
         for root in scale * rng.normal(size=(40, 6, 6)):
-            covariance = root @ root.T
+            covariance, velocity = root @ root.T, rng.normal(size=2)
             covariance[missing] = covariance[:, missing] = np.nan
             np.testing.assert_array_equal(
-                stated_newest(covariance, parameters), stated(covariance.copy(), parameters)
+                stated_newest(covariance, velocity, parameters),
+                stated(covariance.copy(), velocity, parameters),
             )
     # Where something is known for certain, too.
     with np.errstate(all="ignore"):
-        nothing = stated(np.zeros((6, 6)), parameters)
-        np.testing.assert_array_equal(stated_newest(np.zeros((6, 6)), parameters), nothing)
+        nothing = stated(np.zeros((6, 6)), RESTING, parameters)
+        np.testing.assert_array_equal(stated_newest(np.zeros((6, 6)), RESTING, parameters), nothing)
 
 
 def test_sway_is_that_of_a_sine() -> None:
@@ -80,9 +84,11 @@ def test_sway_is_that_of_a_sine() -> None:
     assert found[0, 2] == 0.0 and not swaying(np.zeros((6, 6)), replace(motion, sway_std=0.0)).any()
 
 
-def test_a_head_lags_behind_turns_as_a_filter_and_a_smoother_do() -> None:
+def test_angles_lag_behind_turns_as_a_filter_and_a_smoother_do() -> None:
     """Exponential means of turns whose rate is an Ornstein–Uhlenbeck process."""
-    orientation = OrientationParameters(head_diffusion=0.1, head_turn_rate=0.5, head_turn_time=0.8)
+    orientation = OrientationParameters(
+        body_turn_rate=1.0, body_turn_time=0.8, head_turn_rate=0.5, head_turn_time=0.8
+    )
     rng, dt, n = np.random.default_rng(0), 0.01, 400_000
     keep = np.exp(-dt / 0.8)
     noise = 0.5 * np.sqrt(1.0 - keep**2) * rng.standard_normal(n)
@@ -99,8 +105,49 @@ def test_a_head_lags_behind_turns_as_a_filter_and_a_smoother_do() -> None:
         future[n - 1 - k] = future[n - k] + share * (angle[n - 1 - k] - future[n - k])
     inner = slice(1000, -1000)
     behind, around = (angle - past)[inner].var(), (angle - 0.5 * (past + future))[inner].var()
-    assert float(head_lag(np.array(0.1 * seconds), orientation, 0.0)) == pytest.approx(behind, rel=0.1)
-    assert float(head_lag(np.array(0.05 * seconds), orientation, 1e3)) == pytest.approx(around, rel=0.1)
+    # A smoother, which is twice as sure, looks as far to both sides.
+    for share, ends, found in ((1.0, 0.0, behind), (0.5, 1e3, around)):
+        body, head = turn_lags(np.full(2, share * seconds), orientation, ends)
+        assert float(head) == pytest.approx(found, rel=0.1)
+        assert body == pytest.approx(4.0 * head)
+
+
+@pytest.mark.parametrize("preset", ["separate", "joint-body", "joint"])
+@pytest.mark.parametrize("position_std", [0.05, 0.3])
+def test_an_estimate_is_so_many_seconds_behind_somebody_who_turns(preset: str, position_std: float) -> None:
+    """The newest frame of somebody who has long walked in a wide circle, against the engine's estimate."""
+    rate, t = 0.02, np.arange(0.0, 12.0, 0.1)
+    heading, speed = rate * t, 1.3
+    place = speed / rate * np.column_stack([np.sin(heading), 1.0 - np.cos(heading)])
+    track = Track(
+        track_id=1,
+        frame=np.arange(len(t)),
+        t=t,
+        position=place,
+        position_std=np.full(len(t), position_std),
+        body=heading,
+        body_kappa=np.full(len(t), 2.0),
+        head=heading,
+        head_kappa=np.full(len(t), 3.0),
+    )
+    model = Model(preset)
+    found = solve_packed(pack([track], model), model)
+    covariance, velocity = found.covariance[-1], found.states[-1, 2:4]
+    behind = seconds_behind(covariance, velocity, model.parameters)
+    off = np.abs(wrap(heading[-1] - found.states[-1, 4:])) / rate
+    assert behind == pytest.approx(off, rel=0.1)
+
+
+def test_half_of_what_a_filter_states_is_noise() -> None:
+    """The noise that is in the steady Kalman filter of a diffusing angle that is seen often."""
+    process, noise = 1e-4, 1.0
+    variance = noise_part = 0.5 * (np.sqrt(process**2 + 4.0 * process * noise) - process)
+    gain = (variance + process) / (variance + process + noise)
+    for _ in range(2000):
+        noise_part = (1.0 - gain) ** 2 * noise_part + gain**2 * noise
+    nothing, everything = (OrientationParameters(body_white_share=share) for share in (0.0, 1.0))
+    assert kept_shares(nothing)[0] == pytest.approx(noise_part / variance, rel=0.02)
+    assert kept_shares(everything)[0] == 1.0
 
 
 def test_velocity_and_position_lag_behind_an_acceleration_as_the_filter_does() -> None:
@@ -128,17 +175,18 @@ def test_velocity_and_position_lag_behind_an_acceleration_as_the_filter_does() -
 
 def test_the_presets_state_more_than_steady_ones_and_stay_positive_definite() -> None:
     rng = np.random.default_rng(1)
-    for preset in ("separate", "full"):
+    for preset in ("separate", "joint", "full"):
         parameters = Model(preset).parameters
         root = rng.normal(0.0, 0.2, (50, 6, 6))
         covariance = root @ root.transpose(0, 2, 1) + 1e-4 * np.eye(6)
         ends = rng.uniform(0.0, 2.0, 50)
+        velocity = rng.normal(size=(50, 2))
         found, least = (
-            stated(covariance.copy(), parameters, ends),
-            stated(covariance, steady(parameters), ends),
+            stated(covariance.copy(), velocity, parameters, ends),
+            stated(covariance, velocity, steady(parameters), ends),
         )
         assert np.linalg.eigvalsh(found).min() > 0.0
-        assert np.linalg.eigvalsh(found - least).min() > -1e-9
+        assert np.linalg.eigvalsh((found - least)[:, :4, :4]).min() > -1e-9
 
 
 def test_seconds_to_the_nearer_end() -> None:

@@ -10,6 +10,7 @@ import pytest
 from graphtrack.geometry.angles import FloatArray, difference, direction, wrap
 from graphtrack.inference import smooth
 from graphtrack.model import GaitParameters, Model, Parameters
+from graphtrack.model.model import default_parameters
 from graphtrack.model.parameters import steady
 from graphtrack.simulation import sampling
 from graphtrack.simulation.glances import sample_glances
@@ -135,7 +136,7 @@ def consistency(preset: str, fps: float, people: int, monkeypatch: pytest.Monkey
     found: dict[str, list[float]] = {}
     columns = {"position": slice(0, 2), "velocity": slice(2, 4), "body": slice(4, 5), "head": slice(5, 6)}
     # Simulated people neither sway nor turn for long, as real ones do, for which the defaults allow.
-    for i, track in enumerate(smooth(tracks, Model(preset, steady(Parameters())))):
+    for i, track in enumerate(smooth(tracks, Model(preset, steady(default_parameters(preset))))):
         for name, column in columns.items():
             if name not in kept:
                 continue
@@ -155,9 +156,9 @@ def test_estimates_of_simulated_people_know_their_errors(
 ) -> None:
     found = consistency(preset, fps, 60, monkeypatch)
     print("|", preset, fps, *(f"{name} {value:.2f}" for name, value in found.items()))
-    # What `full` says of angles knows of its modes in part.
-    judged = [value for name, value in found.items() if preset != "full" or name in ("position", "velocity")]
-    assert all(0.9 < value < 1.1 for value in judged), found
+    # Bodies of `full` are not quite as well known as it says.
+    most = {"body": 1.2} if preset == "full" else {}
+    assert all(0.9 < value < most.get(name, 1.1) for name, value in found.items()), found
 
 
 def test_joint_knows_its_errors_on_its_own_simulation(monkeypatch: pytest.MonkeyPatch) -> None:

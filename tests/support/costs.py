@@ -73,10 +73,13 @@ def hessian(cost: Callable[[np.ndarray], float], size: int, step: float = 2e-4) 
     return found / step**2
 
 
-def stated_blocks(covariance: np.ndarray, columns: Sequence[int], model: Model, track: Track) -> np.ndarray:
-    """What is stated (n, 6, 6) of states whose free columns have a joint covariance; NaN elsewhere."""
+def stated_blocks(
+    covariance: np.ndarray, columns: Sequence[int], model: Model, estimate: Track
+) -> np.ndarray:
+    """What is stated (n, 6, 6) of an estimate whose free columns have a joint covariance; NaN elsewhere."""
+    assert estimate.velocity is not None
     m, used = len(columns), np.ix_(list(columns), list(columns))
-    blocks = np.full((len(track), 6, 6), np.nan)
-    for k in range(len(track)):
+    blocks = np.full((len(estimate), 6, 6), np.nan)
+    for k in range(len(estimate)):
         blocks[k][used] = covariance[k * m : (k + 1) * m, k * m : (k + 1) * m]
-    return stated(blocks, model.parameters, seconds_to_ends(track.t))
+    return stated(blocks, estimate.velocity, model.parameters, seconds_to_ends(estimate.t))

@@ -13,7 +13,6 @@ from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.window_modes import WindowModes
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
-from graphtrack.inference.solution import stated_newest
 from graphtrack.inference.state import Angles, Newest, Window
 from graphtrack.model import Model, Step
 from graphtrack.model.kernels.layout import BODY, HEAD, N
@@ -267,9 +266,7 @@ class ChainWindow:
         for has, place in ((self._model.has_body, BODY), (self._model.has_head, HEAD)):
             if not has:
                 covariance[place] = covariance[:, place] = np.nan
-        return np.array(self._read(int(self._offsets[1]) - 1)), stated_newest(
-            covariance, self._model.parameters
-        )
+        return np.array(self._read(int(self._offsets[1]) - 1)), covariance
 
     def _slide(self) -> None:
         horizon = self._steps[-1].observation.t - self._lag

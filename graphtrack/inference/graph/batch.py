@@ -152,7 +152,7 @@ def smooth_graph(
     states = descent.states(values)
     if view is not None and model.has_modes:
         view.widen(states, covariance)
-    stated(covariance, model.parameters, seconds_to_ends(track.t))
+    stated(covariance, states[:, 2:4], model.parameters, seconds_to_ends(track.t))
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, "the estimate is not finite")
     if costs[-1] > costs[0]:

@@ -11,7 +11,6 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.graph.batch import anchors, variable_keys
 from graphtrack.inference.prior import marginal_prior
-from graphtrack.inference.solution import stated
 from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, present, read_step
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
@@ -285,4 +284,4 @@ def _covariance_of_last(bayes_net: gtsam.GaussianBayesNet, keys: Sequence[int], 
     rows = present(model)
     covariance = np.full((6, 6), np.nan)
     covariance[np.ix_(rows, rows)] = root @ root.T
-    return stated(covariance, model.parameters)
+    return covariance

@@ -20,7 +20,6 @@ from graphtrack.inference.graph.linearizers import (
 )
 from graphtrack.inference.graph.links import Link, is_recoupled
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
-from graphtrack.inference.solution import stated
 from graphtrack.inference.state import Angles, Newest, Window, finite, present
 from graphtrack.inference.warm import has_own_kernels
 from graphtrack.model import Model, Step
@@ -178,10 +177,10 @@ class Isam2:
         state = finite(self._state(link, link.moved))
         found = self._isam.marginalCovariance(link.key)
         if len(self._present) == len(state):
-            return state, stated(found, self._model.parameters)
+            return state, found
         covariance = np.full((6, 6), np.nan)
         covariance[np.ix_(self._present, self._present)] = found
-        return state, stated(covariance, self._model.parameters)
+        return state, covariance
 
     def _read(self) -> float:
         """Read the estimates that have changed; the greatest distance from where one was linearised."""

@@ -67,12 +67,15 @@ def _turning(name: Variable) -> Kernel:
     return Kernel(add_turn, gate=f"{name}_turn_kappa", variables=(name,), before=(name,), names=names)
 
 
+_READ = ("diffusion", "white_share", "turn_rate", "turn_time")
+
+
 class BodyDynamics(Term):
     """V(θ_t; θ_{t−1}, 1/(diffusion·Δt)) (002 eq. 8, first factor)."""
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
     repeats = True
-    reads = ("orientation.body_diffusion",)
+    reads = tuple(f"orientation.body_{name}" for name in _READ)
     fields = (Field("body_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
     kernels = (_turning("body"),)
 
@@ -102,7 +105,7 @@ class HeadDynamics(Term):
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
     repeats = True
-    reads = ("orientation.head_diffusion", "orientation.head_turn_rate", "orientation.head_turn_time")
+    reads = tuple(f"orientation.head_{name}" for name in _READ)
     fields = (Field("head_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
     kernels = (_turning("head"),)
 
