@@ -238,8 +238,9 @@ class _Run:
         from perception.adaptation.models import CameraModels
         from perception.models import HEAD_POSE, load_classifier, load_head_localiser
         from perception.observe import pipeline
+        from perception.observe.detections import to_detections
         from perception.observe.journal import FrameJournal
-        from perception.report.people import who_is_who
+        from perception.report.people import who_is_who, who_is_who_of
 
         place, taught = self.folder.file("observations"), self.folder.file("models")
         identified = self.people[0].identified
@@ -263,9 +264,16 @@ class _Run:
             try:
                 with decoded_frames(self.frames, lambda k: k not in known, count, one_size=True) as decoded:
                     pipeline.observe(decoded, self.people, models, journal, refuse=refused.setdefault)
-                seen = pipeline.seen_in(journal)
-                observed = pipeline.to_tracks(seen, models.head_classes, self.camera, self.rate)
-                tracks = who_is_who(observed.tracks, self.people, identified=identified)
+                classes, camera = models.head_classes, self.camera
+                if identified:
+                    seen = pipeline.seen_in(journal)
+                    observed = pipeline.to_tracks(seen, classes, camera, self.rate).tracks
+                    beyond = observed.summary.refused
+                    tracks = who_is_who(observed, self.people, identified=True)
+                else:
+                    found = to_detections(journal.frames, classes, camera, self.rate)
+                    beyond = found.refused
+                    tracks = who_is_who_of(found.columns, found.number, self.people)
             except InputError:  # the same command would end in the same way
                 journal.close(remove=True)
                 raise
@@ -273,7 +281,7 @@ class _Run:
                 journal.close(remove=False)
             write(tracks, place)
             journal.close(remove=True)
-            left_out = [f"refused {n}: {why}" for why, n in observed.tracks.summary.refused.items()]
+            left_out = [f"refused {n}: {why}" for why, n in beyond.items()]
             return [*tracks.summary.notes, *left_out, *_told(refused)]
 
         self.assume(*self.folder.stage("observations", self.rate, ("observations",), work))
