@@ -290,13 +290,14 @@ class _Run:
         """Stage 5: where everybody is, how they move and point."""
         from graphtrack.io import write
         from perception.adaptation.models import CameraModels
-        from perception.report.people import estimated
+        from perception.report.people import FILTERS, estimated
 
         def work(key: str) -> list[str]:
             assert self.camera is not None
             observations = self._read("observations")
             taught = self.folder.file("models")
-            adapted = CameraModels.load(taught).graph if taught.is_file() else lambda model: model
+            own = taught.is_file() and method not in FILTERS
+            adapted = CameraModels.load(taught).graph if own else lambda model: model
             with progress_bar(observations.n_frames) as advance:
                 found, said = estimated(observations, self.camera, method, advance, adapted)
             write(found, self.folder.file("tracks"))

@@ -25,6 +25,8 @@ from perception.detection.boxes import PersonBox
 METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
 """The graph's smoother; 002's joint particle filter, smoothed (``ffbs``) or online (``particle``); the graph
 online."""
+FILTERS = ("ffbs", "particle")
+"""What a camera teaches itself of the graph's share of outliers is none of theirs: they forget as they go."""
 
 _BOX = "box"
 """The input of a track that says which box each row was seen in; NaN in rows of nothing."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -91,3 +92,27 @@ def test_a_journal_reads_between_writing_and_keeps_only_places(tmp_path: Path) -
     looks = [frames[399].people[0].looks, journal.frames[399].people[0].looks]
     np.testing.assert_array_equal(*looks)
     journal.close(remove=True)
+
+
+def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path) -> None:
+    """Of detections with looks, from the journal to the table; the difference of two lengths."""
+    rng = np.random.default_rng(4)
+    kept = []
+    for count in (100, 500):
+        journal = FrameJournal(tmp_path / f"{count}", "key", SeenFrame.to_record, SeenFrame.from_record)
+        journal.open()
+        tracemalloc.start()
+        try:
+            for k, frame in seen_frames(count, rng).items():
+                journal.add(k, frame)
+            gc.collect()
+            tracemalloc.clear_traces()  # only what comes now is counted
+            found = to_detections(journal.frames, PANS, CAMERA, 5.0)
+            gc.collect()
+            kept.append(tracemalloc.get_traced_memory()[0])
+        finally:
+            tracemalloc.stop()
+        assert len(found.number) == 3 * count
+        journal.close(remove=True)
+        del found
+    assert (kept[1] - kept[0]) / (3 * 400) < 1000.0

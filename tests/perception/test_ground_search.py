@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from command import run
-from pasted_street import CAMERA, FPS, SIZE, PastedStreet, pasted_street
 
 from graphtrack import io
 from graphtrack.errors import InputError
@@ -34,6 +33,7 @@ from perception.detection.rescoring import (
 from perception.detection.sizes import PersonSizes
 from perception.images.frames import Frame
 from perception.synthetic import Camera
+from perception.synthetic.pasted_street import CAMERA, FPS, SIZE, PastedStreet, pasted_street
 
 SEARCHED = TeachingParameters(least_boxes=4, least_people=4)
 

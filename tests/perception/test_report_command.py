@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from command import run
 from made_up_behaviour import standing
-from pasted_street import FPS, PastedStreet, pasted_street
 from rerun_recordings import read_recording
 
 import graphtrack as gt
@@ -25,6 +24,7 @@ from perception.images.drawing.tracked import draw_tracked
 from perception.observe import pipeline
 from perception.report.people import METHODS, ShownPerson, estimated, shown_by_frame, who_is_who
 from perception.report.showing import what_they_do
+from perception.synthetic.pasted_street import FPS, PastedStreet, pasted_street
 
 EVERYTHING = {
     "observations.csv",
