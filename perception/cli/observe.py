@@ -135,6 +135,7 @@ def observe(
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser, load_keypoint_pose
     from perception.observe import pipeline
     from perception.observe.detections import to_detections
+    from perception.observe.identified import to_identified
     from perception.observe.journal import FrameJournal
     from perception.observe.live import LiveObserver
 
@@ -252,13 +253,9 @@ def observe(
     try:
         with _decoded(frames, journal.frames.keys() | empty, one_size=one_size) as decoded:
             count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
-        classes, observed = models.head_classes, None
-        if identified or render is not None:
-            seen = pipeline.seen_in(journal)
-            observed = pipeline.to_tracks(seen, classes, camera, rate, causal=bool(causal))
-        alone = (
-            None if identified else to_detections(journal.frames, classes, camera, rate, causal=bool(causal))
-        )
+        seen = journal.frames, models.head_classes, camera, rate
+        people_seen = to_identified(*seen, causal=bool(causal)) if identified else None
+        alone = None if identified else to_detections(*seen, causal=bool(causal))
     except InputError:  # the same command would end in the same way
         for one in (journal, search, points):
             one.close(remove=True)
@@ -267,18 +264,22 @@ def observe(
     finally:
         journal.close(remove=False)
     seconds = time.perf_counter() - looked
-    if render is not None and observed is not None:
-        _render(frames, observed, render, rate)
+    if render is not None:  # what is drawn stays in memory
+        _render(
+            frames,
+            pipeline.to_tracks(pipeline.seen_in(journal), *seen[1:], causal=bool(causal)),
+            render,
+            rate,
+        )
     if alone is not None:
         write_table(alone.columns, output)
         left_out = alone.refused
         said = counted(len(alone.number), "detection")
     else:
-        assert observed is not None
-        tracks = observed.tracks
-        write(tracks, output)
-        left_out = tracks.summary.refused
-        said = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
+        assert people_seen is not None
+        write(people_seen, output)
+        left_out = people_seen.summary.refused
+        said = f"{counted(people_seen.n_frames, 'person-frame')} in {counted(len(people_seen), 'track')}"
     for one in (journal, search, points):
         one.close(remove=True)
     forget(taught_so_far, adapt)

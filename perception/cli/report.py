@@ -239,6 +239,7 @@ class _Run:
         from perception.models import HEAD_POSE, load_classifier, load_head_localiser
         from perception.observe import pipeline
         from perception.observe.detections import to_detections
+        from perception.observe.identified import to_identified
         from perception.observe.journal import FrameJournal
         from perception.report.people import who_is_who, who_is_who_of
 
@@ -266,8 +267,7 @@ class _Run:
                     pipeline.observe(decoded, self.people, models, journal, refuse=refused.setdefault)
                 classes, camera = models.head_classes, self.camera
                 if identified:
-                    seen = pipeline.seen_in(journal)
-                    observed = pipeline.to_tracks(seen, classes, camera, self.rate).tracks
+                    observed = to_identified(journal.frames, classes, camera, self.rate)
                     beyond = observed.summary.refused
                     tracks = who_is_who(observed, self.people, identified=True)
                 else:

@@ -68,8 +68,8 @@ def to_detections(
     if not any(known.people for known in frames.values()):
         raise InputError("a video without people", "at least one person")
     if camera is None:
-        camera = _scaled_camera(frames, causal=causal)
-    projection = Projection.fixed() if causal else _projection(frames)
+        camera = scaled_camera_of(frames, causal=causal)
+    projection = Projection.fixed() if causal else projection_of(frames)
     names: list[str] = []
     parts: list[FloatArray] = []
     numbers: list[NDArray[np.int64]] = []
@@ -126,7 +126,7 @@ def _some_at_once(frames: Mapping[int, SeenFrame]) -> Iterator[list[SeenPerson]]
         yield items
 
 
-def _scaled_camera(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCamera:
+def scaled_camera_of(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCamera:
     """A view from above in which the median box, of the first frame if ``causal``, is as high as a person."""
     heights: list[float] = []
     for number in sorted(frames):
@@ -136,7 +136,7 @@ def _scaled_camera(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCa
     return GroundCamera.from_scale(PERSON_HEIGHT / float(np.median(heights)))
 
 
-def _projection(frames: Mapping[int, SeenFrame]) -> Projection:
+def projection_of(frames: Mapping[int, SeenFrame]) -> Projection:
     """The one that keeps most of what people look like, as `Projection.fitted` of all of them."""
     count = sum(item.looks is not None for known in frames.values() for item in known.people)
     step = -(-count // _LOOKS) or 1

@@ -13,8 +13,9 @@ import pytest
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.table.columns import to_columns
-from perception.observe import detections
+from perception.observe import detections, identified
 from perception.observe.detections import to_detections
+from perception.observe.identified import to_identified
 from perception.observe.journal import FrameJournal
 from perception.observe.pipeline import to_tracks
 from perception.observe.seen import SeenFrame, SeenPerson
@@ -61,6 +62,31 @@ def test_rows_made_some_at_a_time_are_those_of_tracks(
     np.testing.assert_array_equal(found.number, expected["track_id"][order])
     for name in set(expected) - {"track_id"}:
         np.testing.assert_allclose(found.columns[name], expected[name][order], atol=1.01e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, None], ids=["camera", "scale"])
+@pytest.mark.parametrize("causal", [False, True], ids=["whole", "causal"])
+@pytest.mark.parametrize("known", [False, True], ids=["bare", "looks"])
+def test_tracks_made_piece_by_piece_are_the_same(
+    camera: GroundCamera | None, causal: bool, known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identified, "_AT_ONCE", 7)
+    frames = seen_frames(30, np.random.default_rng(5), known=known)
+    for frame in frames.values():
+        frame.people[:] = [replace(item, track_id=1 + item.track_id % 3) for item in frame.people]
+        del frame.people[2 if frame.people[0].frame % 4 else 3 :]
+    far = frames[9].people[0]
+    frames[9].people[0] = replace(far, box=(100.0, -900.0, 20.0, 50.0))
+    everybody = [person for k in sorted(frames) for person in frames[k].people]
+    expected = to_tracks(everybody, PANS, camera, 5.0, causal=causal).tracks
+    found = to_identified(frames, PANS, camera, 5.0, causal=causal)
+    assert found.summary == expected.summary
+    assert found.camera is not None and expected.camera is not None
+    np.testing.assert_allclose(found.camera.homography, expected.camera.homography)
+    columns, wanted = to_columns(found), to_columns(expected)
+    assert list(columns) == list(wanted)
+    for name, values in wanted.items():
+        np.testing.assert_allclose(columns[name], values, atol=1.01e-4, err_msg=name)
 
 
 def test_people_beyond_the_horizon_are_counted_and_nobody_is_refused() -> None:
