@@ -13,6 +13,7 @@ import pytest
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.table.columns import to_columns
+from graphtrack.tracks import TrackSet
 from perception.observe import detections, identified
 from perception.observe.detections import to_detections
 from perception.observe.identified import to_identified
@@ -120,8 +121,9 @@ def test_a_journal_reads_between_writing_and_keeps_only_places(tmp_path: Path) -
     journal.close(remove=True)
 
 
-def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path) -> None:
-    """Of detections with looks, from the journal to the table; the difference of two lengths."""
+@pytest.mark.parametrize("has_identities", [False, True], ids=["detections", "people"])
+def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, has_identities: bool) -> None:
+    """With looks, from the journal to the table; the difference of two lengths."""
     rng = np.random.default_rng(4)
     kept = []
     for count in (100, 500):
@@ -130,15 +132,18 @@ def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path) ->
         tracemalloc.start()
         try:
             for k, frame in seen_frames(count, rng).items():
+                if has_identities:
+                    frame.people[:] = [replace(item, track_id=item.track_id % 3) for item in frame.people]
                 journal.add(k, frame)
             gc.collect()
             tracemalloc.clear_traces()  # only what comes now is counted
-            found = to_detections(journal.frames, PANS, CAMERA, 5.0)
+            make = to_identified if has_identities else to_detections
+            found = make(journal.frames, PANS, CAMERA, 5.0)
             gc.collect()
             kept.append(tracemalloc.get_traced_memory()[0])
         finally:
             tracemalloc.stop()
-        assert len(found.number) == 3 * count
+        assert (found.n_frames if isinstance(found, TrackSet) else len(found.number)) == 3 * count
         journal.close(remove=True)
         del found
     assert (kept[1] - kept[0]) / (3 * 400) < 1000.0
