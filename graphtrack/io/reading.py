@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
-import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
@@ -33,8 +32,6 @@ from graphtrack.io.registry import (
 from graphtrack.io.source import Source
 from graphtrack.remote import place_of
 from graphtrack.ros.bag import is_bag
-from graphtrack.table.as_read import restored
-from graphtrack.table.columns import to_columns
 from graphtrack.table.rows import Rows, check_identities, check_rows
 from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
@@ -353,18 +350,3 @@ def write(
         tracks = replace(tracks, camera=GroundCamera.from_homography(matrix))
     with atomic_path(path) as temporary:
         chosen.write(tracks, temporary)
-
-
-def write_detections(tracks: TrackSet, path: str | Path) -> None:
-    """Write tracks as detections of nobody in particular: rows in the order of their frames, with the id −1.
-
-    Raises
-    ------
-    InputError
-        If the place cannot be written to, or its ending is of another format than the native table.
-    """
-    as_read = tracks.as_read and tracks.as_read.without_identities()
-    columns = to_columns(tracks)
-    order = np.argsort(columns["frame"], kind="stable")
-    columns = {name: values[order] for name, values in columns.items() if name != "label"}
-    write_table(restored(columns | {"track_id": np.full(len(order), -1)}, as_read), path)

@@ -13,7 +13,7 @@ from graphtrack.cli.console import console, print_table, progress_bar
 from graphtrack.cli.options import Json, Seed, check_outputs
 
 _TABLES = ("pose", "localisation", "recognition", "joint", "published", "keypoints")
-_REAL = ("sigma-pi", "heads", "lobby", "street")
+_REAL = ("sigma-pi", "heads", "lobby", "street", "people")
 """Tables of recordings, which are made where they are asked for."""
 
 Show = Callable[[str, Sequence[Mapping[str, Any]]], None]
@@ -28,7 +28,8 @@ def evaluate(
             "recognition (004 Tables 1-3), joint (002 Table 2), published (002's perception as printed "
             "beside ours), keypoints (body and head by keypoints); these by default. Of recordings in "
             "--data: sigma-pi (003's tracker on CAVIAR's people), heads (004's trackers on Town Centre's "
-            "heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method).",
+            "heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method), "
+            "people (found in Town Centre: how often detections are right).",
             metavar="[TABLE]...",
         ),
     ] = None,
@@ -96,6 +97,8 @@ def evaluate(
             _lobby(recordings / "caviar", seed, show)
         if "street" in wanted:
             _street(recordings / "towncentre", seed, show)
+        if "people" in wanted:
+            _people(recordings / "towncentre", seed, show)
     if json_path is not None:
         write_tables(json_path, shown)
         console.print(f"wrote {json_path}", markup=False)
@@ -277,4 +280,14 @@ def _street(folder: Path, seed: int, show: Show) -> None:
 
     with progress_bar(PARTS + len(METHODS), "steps") as advance:
         table = methods_table(folder, seed, advance)
+    show(table.title, table.records())
+
+
+def _people(folder: Path, seed: int, show: Show) -> None:
+    from perception.evaluation.found_people import reliability_table
+    from perception.images.frames import FrameSource
+
+    count = len(FrameSource.open(folder / "frames_001_150" / "img1").numbers())
+    with progress_bar(count, "frames") as advance:
+        table = reliability_table(folder, seed, advance)
     show(table.title, table.records())

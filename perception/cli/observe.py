@@ -125,7 +125,7 @@ def observe(
     """
     from graphtrack.errors import InputError
     from graphtrack.io import write
-    from graphtrack.io.reading import check_table_name, write_detections
+    from graphtrack.io.reading import check_table_name, write_table
     from perception.adaptation.models import CameraModels
     from perception.cli.observe_stream import observe_stream
     from perception.detection.boxes import read_boxes, write_boxes
@@ -134,6 +134,8 @@ def observe(
     from perception.images.frames import FrameSource
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser, load_keypoint_pose
     from perception.observe import pipeline
+    from perception.observe.detections import to_detections
+    from perception.observe.identified import to_identified
     from perception.observe.journal import FrameJournal
     from perception.observe.live import LiveObserver
 
@@ -251,8 +253,9 @@ def observe(
     try:
         with _decoded(frames, journal.frames.keys() | empty, one_size=one_size) as decoded:
             count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
-        seen = pipeline.seen_in(journal)
-        observed = pipeline.to_tracks(seen, models.head_classes, camera, rate, causal=bool(causal))
+        seen = journal.frames, models.head_classes, camera, rate
+        people_seen = to_identified(*seen, causal=bool(causal)) if identified else None
+        alone = None if identified else to_detections(*seen, causal=bool(causal))
     except InputError:  # the same command would end in the same way
         for one in (journal, search, points):
             one.close(remove=True)
@@ -261,21 +264,30 @@ def observe(
     finally:
         journal.close(remove=False)
     seconds = time.perf_counter() - looked
-    if render is not None:
-        _render(frames, observed, render, rate)
-    tracks = observed.tracks
-    (write if identified else write_detections)(tracks, output)
+    if render is not None:  # what is drawn stays in memory
+        _render(
+            frames,
+            pipeline.to_tracks(pipeline.seen_in(journal), *seen[1:], causal=bool(causal)),
+            render,
+            rate,
+        )
+    if alone is not None:
+        write_table(alone.columns, output)
+        left_out = alone.refused
+        said = counted(len(alone.number), "detection")
+    else:
+        assert people_seen is not None
+        write(people_seen, output)
+        left_out = people_seen.summary.refused
+        said = f"{counted(people_seen.n_frames, 'person-frame')} in {counted(len(people_seen), 'track')}"
     for one in (journal, search, points):
         one.close(remove=True)
     forget(taught_so_far, adapt)
     print_skipped(list(refused))
-    for reason, times in tracks.summary.refused.items():
+    for reason, times in left_out.items():
         console.print(f"  refused {times}: {reason}", markup=False)
     print_camera_note(camera)
-    observed_text = f"{counted(tracks.n_frames, 'person-frame')} in {counted(len(tracks), 'track')}"
-    if not identified:
-        observed_text = counted(tracks.n_frames, "detection")
-    console.print(f"observed {observed_text}; {in_time(count, seconds)}", markup=False)
+    console.print(f"observed {said}; {in_time(count, seconds)}", markup=False)
     print_written(output, render)
 
 

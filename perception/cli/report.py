@@ -238,8 +238,10 @@ class _Run:
         from perception.adaptation.models import CameraModels
         from perception.models import HEAD_POSE, load_classifier, load_head_localiser
         from perception.observe import pipeline
+        from perception.observe.detections import to_detections
+        from perception.observe.identified import to_identified
         from perception.observe.journal import FrameJournal
-        from perception.report.people import who_is_who
+        from perception.report.people import who_is_who, who_is_who_of
 
         place, taught = self.folder.file("observations"), self.folder.file("models")
         identified = self.people[0].identified
@@ -263,9 +265,15 @@ class _Run:
             try:
                 with decoded_frames(self.frames, lambda k: k not in known, count, one_size=True) as decoded:
                     pipeline.observe(decoded, self.people, models, journal, refuse=refused.setdefault)
-                seen = pipeline.seen_in(journal)
-                observed = pipeline.to_tracks(seen, models.head_classes, self.camera, self.rate)
-                tracks = who_is_who(observed.tracks, self.people, identified=identified)
+                classes, camera = models.head_classes, self.camera
+                if identified:
+                    observed = to_identified(journal.frames, classes, camera, self.rate)
+                    beyond = observed.summary.refused
+                    tracks = who_is_who(observed, self.people, identified=True)
+                else:
+                    found = to_detections(journal.frames, classes, camera, self.rate)
+                    beyond = found.refused
+                    tracks = who_is_who_of(found.columns, found.number, self.people)
             except InputError:  # the same command would end in the same way
                 journal.close(remove=True)
                 raise
@@ -273,7 +281,7 @@ class _Run:
                 journal.close(remove=False)
             write(tracks, place)
             journal.close(remove=True)
-            left_out = [f"refused {n}: {why}" for why, n in observed.tracks.summary.refused.items()]
+            left_out = [f"refused {n}: {why}" for why, n in beyond.items()]
             return [*tracks.summary.notes, *left_out, *_told(refused)]
 
         self.assume(*self.folder.stage("observations", self.rate, ("observations",), work))
@@ -282,13 +290,14 @@ class _Run:
         """Stage 5: where everybody is, how they move and point."""
         from graphtrack.io import write
         from perception.adaptation.models import CameraModels
-        from perception.report.people import estimated
+        from perception.report.people import FILTERS, estimated
 
         def work(key: str) -> list[str]:
             assert self.camera is not None
             observations = self._read("observations")
             taught = self.folder.file("models")
-            adapted = CameraModels.load(taught).graph if taught.is_file() else lambda model: model
+            own = taught.is_file() and method not in FILTERS
+            adapted = CameraModels.load(taught).graph if own else lambda model: model
             with progress_bar(observations.n_frames) as advance:
                 found, said = estimated(observations, self.camera, method, advance, adapted)
             write(found, self.folder.file("tracks"))

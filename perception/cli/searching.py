@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -68,7 +68,7 @@ class PeopleSearch:
     _journals: list[FrameJournal[Any]] = field(default_factory=list)
 
     @property
-    def found(self) -> dict[int, Detections]:
+    def found(self) -> Mapping[int, Detections]:
         """By frame, what was found so far."""
         return self._journals[0].frames if self._journals else {}
 

@@ -13,9 +13,6 @@ from perception.detection.people import Detections
 from perception.detection.rescoring import PersonProbability
 from perception.images.pixels import Image
 
-_LEAST = 0.5
-"""Probability from which on a candidate is a detection."""
-
 
 @dataclass(frozen=True, eq=False)
 class GroundDetector:
@@ -44,8 +41,8 @@ class GroundDetector:
         return found.boxes, found.scores
 
     def chosen(self, candidates: Candidates) -> Detections:
-        """The candidates of a frame that are people more probably than not."""
+        """The candidates of a frame that are more like people than like nobody."""
         scored = candidates.scored(self.probability.of(candidates))
         best = joined(scored, self.search.parameters.apart)
-        kept = best.score >= _LEAST
+        kept = best.score >= self.probability.even
         return Detections(foot_boxes(best.foot[kept], best.height[kept]), best.score[kept])

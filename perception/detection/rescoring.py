@@ -16,7 +16,8 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth
 from graphtrack.tracks import TrackSet
-from perception.detection.ground_search import FEATURES, Candidates, SearchParameters, strongest
+from perception.detection.certainty import Certainty, judged_by_other_frames
+from perception.detection.ground_search import FEATURES, Candidates, SearchParameters, joined, strongest
 
 _FRAMES, _RUNS, _STEP = 150, 3, 0.4
 """Frames that are learned from, in how many pieces of the recording, and seconds between them."""
@@ -57,7 +58,8 @@ class PersonProbability:
     Attributes
     ----------
     weight : (d,) of the features; bias
-    first, taught, offset : the log odds are first · score + taught · (weight · features + bias) + offset
+    first, taught, offset : first · score + taught · (weight · features + bias) + offset are log odds
+    certainty : how often it is a person at such log odds; None: they are believed
     people, boxes : sure tracks that it learned from, and their detections; 0: of no recording
     """
 
@@ -68,6 +70,12 @@ class PersonProbability:
     offset: float
     people: int = 0
     boxes: int = 0
+    certainty: Certainty | None = None
+
+    @property
+    def even(self) -> float:
+        """What is said of a candidate that is as much like people as like nobody."""
+        return 0.5 if self.certainty is None else float(self.certainty.of(np.zeros(1))[0])
 
     @classmethod
     def untaught(cls, *, foreground: bool) -> PersonProbability:
@@ -78,7 +86,8 @@ class PersonProbability:
         """As JSON knows it."""
         names = ("bias", "first", "taught", "offset", "people", "boxes")
         weight = base64.b64encode(self.weight.astype("<f4").tobytes()).decode()
-        return {name: getattr(self, name) for name in names} | {"weight": weight}
+        certainty = None if self.certainty is None else self.certainty.to_record()
+        return {name: getattr(self, name) for name in names} | {"weight": weight, "certainty": certainty}
 
     @classmethod
     def from_record(cls, values: dict[str, Any]) -> PersonProbability:
@@ -87,12 +96,17 @@ class PersonProbability:
         if len(weight) != FEATURES:
             raise ValueError("weights of another number")
         bias, first, taught, offset = (float(values[k]) for k in ("bias", "first", "taught", "offset"))
-        return cls(weight, bias, first, taught, offset, int(values["people"]), int(values["boxes"]))
+        known = values["certainty"]
+        certainty = None if known is None else Certainty.from_record(known)
+        return cls(
+            weight, bias, first, taught, offset, int(values["people"]), int(values["boxes"]), certainty
+        )
 
     def of(self, candidates: Candidates) -> FloatArray:
         """Probabilities (n,)."""
         linear = candidates.features.astype(np.float32) @ self.weight + self.bias
-        return np.asarray(expit(self.first * candidates.score + self.taught * linear + self.offset), float)
+        log_odds = self.first * candidates.score + self.taught * linear + self.offset
+        return np.asarray(expit(log_odds) if self.certainty is None else self.certainty.of(log_odds), float)
 
 
 def taught(
@@ -107,44 +121,74 @@ def taught(
 
     Detections by the first filter are associated; those of tracks that are long and lead somewhere are
     people, candidates far from all tracks are not. A linear model is taught on some people and judged on
-    others, and a logistic regression on what it says of those, and on the first filter's score, gives the
-    probability.
+    others, and a logistic regression of what it says, and of the first filter's score, tells people. How
+    often that is right say tracks that have not seen the frame.
     """
-    numbers = np.repeat(sorted(frames), [len(frames[k]) for k in sorted(frames)])
+    order = sorted(frames)
+    numbers = np.repeat(order, [len(frames[k]) for k in order])
     if not len(numbers):
         return None
     foot, height, score = (
-        np.concatenate([getattr(frames[k], name) for k in sorted(frames)])
-        for name in ("foot", "height", "score")
+        np.concatenate([getattr(frames[k], name) for k in order]) for name in ("foot", "height", "score")
     )
     place = camera.image_to_ground(foot)
     found = _best_of_frames(numbers, foot, height, score, search)
-    label, person = _labels(numbers, place, score, found, fps, parameters)
+    found = found[score[found] >= parameters.least_score]
+    if not len(found):
+        return None
+    tracks = _associated(numbers[found], place[found], expit(score[found]), fps)
+    label, person = _labels(numbers, place, score, smooth(tracks, "position"), parameters)
     people = np.unique(person[person >= 0])
     if len(people) < parameters.least_people or not (label == 0).any():
         return None
-    features = np.vstack([frames[k].features for k in sorted(frames)])
-    fold = np.full(len(label), -1)
+    # What is nobody's stays: neighbouring frames show the same, and go to the same part.
+    at = np.searchsorted(order, numbers)
+    fold = (at * 10 // (at.max() + 1)) % parameters.folds
     part = rng.permutation(np.arange(len(people)) % parameters.folds)
     fold[person >= 0] = part[np.searchsorted(people, person[person >= 0])]
-    nobody = label == 0
-    # What is nobody stays: neighbouring frames show the same, and go to the same part.
-    order = np.searchsorted(np.unique(numbers), numbers)
-    fold[nobody] = (order[nobody] * 10 // (order.max() + 1)) % parameters.folds
     known = np.flatnonzero(np.isfinite(label))
     truth = label[known] == 1
-    models = _linear(features[known], truth, fold[known], parameters)
-    linear = np.zeros(len(known))
-    for k, (weight, bias) in enumerate(models[:-1]):
-        out = fold[known] == k
-        linear[out] = features[known[out]].astype(np.float32) @ weight + bias
-    # As they will be met: the best of their surroundings.
-    met = _best_of_frames(numbers[known], foot[known], height[known], score[known] + linear, search)
-    first, second, offset = _logistic(np.column_stack([score[known], linear])[met], truth[met])
-    weight, bias = models[-1]
-    return PersonProbability(
-        weight.astype(np.float32), bias, first, second, offset, len(people), int(truth.sum())
+    features = np.vstack([frames[k].features for k in order])[known]
+    weights, biases = zip(*_linear(features, truth, fold[known], parameters), strict=True)
+    del features
+    # By models that have not seen the person, nor the place at about that time.
+    said = np.vstack([frames[k].features.astype(np.float32) @ np.transpose(weights[:-1]) for k in order])
+    linear = np.take_along_axis(said + biases[:-1], fold[:, None], axis=1)[:, 0]
+    best, places = _met(frames, linear, camera, search)
+    right = judged_by_other_frames(
+        numbers[best],
+        places,
+        tracks,
+        radius=parameters.hit,
+        least_boxes=parameters.least_boxes,
+        least_way=parameters.least_way,
     )
+    sure = np.isfinite(right)
+    both = np.column_stack([score, linear])
+    of_known = _best_of_frames(
+        numbers[known], foot[known], height[known], score[known] + linear[known], search
+    )
+    first, second, offset = _logistic(both[known[of_known]], truth[of_known])
+    certainty = Certainty.fitted(both[best[sure]] @ [first, second] + offset, right[sure] == 1)
+    weight, boxes = weights[-1].astype(np.float32), int(truth.sum())
+    return PersonProbability(weight, biases[-1], first, second, offset, len(people), boxes, certainty)
+
+
+def _met(
+    frames: Mapping[int, Candidates], linear: FloatArray, camera: GroundCamera, search: SearchParameters
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Which candidates are left as they will be, the best of their surroundings, and at what places (n, 2).
+
+    ``linear`` is what the taught model says of all of them, frame by frame.
+    """
+    kept, places, start = [], [], 0
+    for k in sorted(frames):
+        stop = start + len(frames[k])
+        scored = frames[k].scored(np.asarray(expit(frames[k].score + linear[start:stop]), float))
+        kept.append(start + strongest(scored.foot, scored.height, scored.score, search.apart))
+        places.append(camera.image_to_ground(joined(scored, search.apart).foot))
+        start = stop
+    return np.concatenate(kept), np.vstack(places)
 
 
 def _best_of_frames(
@@ -166,16 +210,11 @@ def _labels(
     numbers: NDArray[np.int64],
     place: FloatArray,
     score: FloatArray,
-    found: NDArray[np.int64],
-    fps: float,
+    tracks: TrackSet,
     parameters: TeachingParameters,
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Of n candidates: 1 a person, 0 nobody, NaN not known; and the numbers of the people's tracks, or −1."""
     label, person = np.full(len(numbers), np.nan), np.full(len(numbers), -1)
-    rows = found[score[found] >= parameters.least_score]
-    if not len(rows):
-        return label, person
-    tracks = smooth(_associated(numbers[rows], place[rows], expit(score[rows]), fps), "position")
     ways: list[bool] = []
     of_frame: dict[int, list[tuple[int, FloatArray]]] = {}
     for one in tracks:

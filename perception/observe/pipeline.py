@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -315,6 +316,21 @@ def to_track(
         eq. 13–14)
     projection : of what people look like; None: tracks do not say
     """
+    known = channels_of(items, heads, head_classes, camera, fps, in_image=in_image, projection=projection)
+    return Track(track_id=items[0].track_id, **known)
+
+
+def channels_of(
+    items: Sequence[SeenPerson],
+    heads: NDArray[np.int64],
+    head_classes: PoseClasses,
+    camera: GroundCamera,
+    fps: float,
+    *,
+    in_image: bool = False,
+    projection: Projection | None = None,
+) -> dict[str, Any]:
+    """The fields of a `Track` with a row for each item; the arguments are those of `to_track`."""
     pixel = np.array([item.foot for item in items])
     position = camera.image_to_ground(pixel)
     frame = np.array([item.frame for item in items])
@@ -329,17 +345,16 @@ def to_track(
     if projection is not None and all(item.looks is not None for item in items):
         inputs[APPEARANCE] = projection(np.array([item.looks for item in items], np.uint8))
     scores = np.array([item.score for item in items], float)  # None is NaN
-    return Track(
-        track_id=items[0].track_id,
-        frame=frame,
-        t=frame / fps,
-        position=position,
-        pixel=pixel,
-        body_likelihood=of_body,
-        head_likelihood=of_head,
-        score=scores if np.isfinite(scores).any() else None,
-        inputs=inputs,
-    )
+    return {
+        "frame": frame,
+        "t": frame / fps,
+        "position": position,
+        "pixel": pixel,
+        "body_likelihood": of_body,
+        "head_likelihood": of_head,
+        "score": scores if np.isfinite(scores).any() else None,
+        "inputs": inputs,
+    }
 
 
 def by_track(seen: Iterable[SeenPerson]) -> dict[int, list[SeenPerson]]:

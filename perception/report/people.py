@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.association.tracks import associate
 from graphtrack.errors import InputError
@@ -23,6 +25,8 @@ from perception.detection.boxes import PersonBox
 METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
 """The graph's smoother; 002's joint particle filter, smoothed (``ffbs``) or online (``particle``); the graph
 online."""
+FILTERS = ("ffbs", "particle")
+"""What a camera teaches itself of the graph's share of outliers is none of theirs: they forget as they go."""
 
 _BOX = "box"
 """The input of a track that says which box each row was seen in; NaN in rows of nothing."""
@@ -45,11 +49,25 @@ def who_is_who(tracks: TrackSet, boxes: Sequence[PersonBox], *, identified: bool
     if identified:
         number = {(item.track_id, item.frame): k for k, item in enumerate(boxes)}
         return tracks.map(lambda track: _numbered(track, number))
-    of_box = {item.track_id: k for k, item in enumerate(boxes)}
     columns = to_columns(tracks)
-    columns[f"input_{_BOX}"] = np.array([of_box[k] for k in columns["track_id"].tolist()], float)
-    columns["track_id"] = np.full(len(columns["track_id"]), -1)
-    found = associate({name: values for name, values in columns.items() if name != "label"})
+    ids = columns["track_id"]
+    columns["track_id"] = np.full(len(ids), -1)
+    return who_is_who_of({name: values for name, values in columns.items() if name != "label"}, ids, boxes)
+
+
+def who_is_who_of(
+    columns: Mapping[str, NDArray[Any]], number: NDArray[np.int64], boxes: Sequence[PersonBox]
+) -> TrackSet:
+    """The same of a table of detections.
+
+    Parameters
+    ----------
+    columns : as `perception.observe.detections.to_detections` makes them
+    number : (n,) of each row's box
+    boxes : that were looked at
+    """
+    of_box = {item.track_id: k for k, item in enumerate(boxes)}
+    found = associate({**columns, f"input_{_BOX}": np.array([of_box[k] for k in number.tolist()], float)})
     if not len(found):
         raise InputError("detections that are all taken for false", "people who are seen for a while")
     return found

@@ -17,7 +17,7 @@ from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.io.given import tracks_of
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.reading import rows_of_file, write_detections
+from graphtrack.io.reading import rows_of_file
 from graphtrack.table.moments import from_dates, from_numbers, from_text
 
 STEPS = np.arange(4)
@@ -201,10 +201,6 @@ def test_detections_have_times_and_no_identities(tmp_path: Path) -> None:
     rows = rows_of_file(path, None, ReadOptions(**options))
     assert not rows.has_identity and rows.as_read is not None and rows.as_read.time is not None
     assert rows.as_read.time.restored(rows.channels["t"])[1] == "2025-11-23T10:00:00.1Z"
-    out = tmp_path / "again.csv"
-    write_detections(io.read(frame(), columns=COLUMNS), out)
-    assert "agent" not in pd.read_csv(out)
-    assert len(rows_of_file(out, None, ReadOptions(**options))) == len(frame())
 
 
 def test_radians(tmp_path: Path) -> None:

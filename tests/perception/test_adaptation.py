@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 from command import run
-from pasted_street import FPS, PastedStreet, pasted_street
 
 from graphtrack import io
 from graphtrack.errors import InputError
@@ -25,6 +24,7 @@ from perception.adaptation.teaching import CLASSES, calibrated, folds_of, seen_d
 from perception.detection.boxes import write_boxes
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models, observe_frame
+from perception.synthetic.pasted_street import FPS, PastedStreet, pasted_street
 
 
 def write_street(street: PastedStreet, folder: Path) -> list[object]:

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 from command import run
-from pasted_street import FPS, pasted_street
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
@@ -19,6 +18,7 @@ from perception.adaptation.rendered import Sight, rendered_people
 from perception.adaptation.teaching import CLASSES, folds_of, taught
 from perception.adaptation.tracks import class_outlier_probability, with_outliers
 from perception.detection.boxes import write_boxes
+from perception.synthetic.pasted_street import FPS, pasted_street
 
 
 def _said(rng: np.random.Generator, *, again: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from command import run
-from pasted_street import CAMERA, FPS, SIZE, PastedStreet, pasted_street
 
 from graphtrack import io
 from graphtrack.errors import InputError
@@ -21,6 +20,7 @@ from perception.detection.background import Background, Backgrounds, background_
 from perception.detection.bands import GroundBands
 from perception.detection.blocks import TALL, foot_boxes
 from perception.detection.boxes import foot_point
+from perception.detection.certainty import Certainty
 from perception.detection.ground_detector import GroundDetector
 from perception.detection.ground_search import Candidates, GroundSearch, joined, strongest
 from perception.detection.rescoring import (
@@ -33,6 +33,7 @@ from perception.detection.rescoring import (
 from perception.detection.sizes import PersonSizes
 from perception.images.frames import Frame
 from perception.synthetic import Camera
+from perception.synthetic.pasted_street import CAMERA, FPS, SIZE, PastedStreet, pasted_street
 
 SEARCHED = TeachingParameters(least_boxes=4, least_people=4)
 
@@ -261,8 +262,11 @@ def test_nothing_is_taught_where_nobody_walks(
 
 
 def test_what_was_taught_is_written_down_and_read_again() -> None:
-    one = PersonProbability(np.linspace(-1, 1, FEATURES).astype(np.float32), 0.5, 2.0, 0.4, -1.0, 7, 90)
+    weight, known = np.linspace(-1, 1, FEATURES).astype(np.float32), Certainty(np.zeros(1), np.ones(1))
+    one = PersonProbability(weight, 0.5, 2.0, 0.4, -1.0, 7, 90, known)
     again = PersonProbability.from_record(one.to_record())
+    assert again.even == one.even == pytest.approx(1.0 / (1.0 + np.exp(-1.0)))
+    assert PersonProbability.untaught(foreground=True).even == 0.5
     np.testing.assert_array_equal(again.weight, one.weight)
     assert (again.bias, again.first, again.taught, again.offset, again.people) == (0.5, 2.0, 0.4, -1.0, 7)
     with pytest.raises(ValueError):

@@ -11,20 +11,22 @@ import numpy as np
 import pytest
 from command import run
 from made_up_behaviour import standing
-from pasted_street import FPS, PastedStreet, pasted_street
 from rerun_recordings import read_recording
 
 import graphtrack as gt
 from graphtrack.errors import InputError
+from graphtrack.model import Model
 from graphtrack.tracks import TrackSet
 from perception.adaptation import adapting
 from perception.adaptation.learning import AdaptationParameters, learn
+from perception.adaptation.models import CameraModels
 from perception.cli import report as command
 from perception.detection.boxes import PersonBox, write_boxes
 from perception.images.drawing.tracked import draw_tracked
 from perception.observe import pipeline
 from perception.report.people import METHODS, ShownPerson, estimated, shown_by_frame, who_is_who
 from perception.report.showing import what_they_do
+from perception.synthetic.pasted_street import FPS, PastedStreet, pasted_street
 
 EVERYTHING = {
     "observations.csv",
@@ -155,6 +157,32 @@ def test_a_run_that_breaks_off_goes_on(
     assert looked == [*range(9), *range(8, 21)]
     assert {path.name for path in (tmp_path / "out").iterdir()} == EVERYTHING
     assert (tmp_path / "out" / "tracks.csv").read_bytes() == (reported[0] / "tracks.csv").read_bytes()
+
+
+@pytest.mark.parametrize(("method", "asks"), [("particle", 0), ("chain", 1)])
+def test_what_the_camera_learned_of_the_graph_is_not_the_filters(
+    method: str,
+    asks: int,
+    arguments: list[object],
+    reported: tuple[Path, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import shutil
+
+    shutil.copytree(reported[0], tmp_path / "out")
+    (tmp_path / "out" / "camera.npz").touch()
+    asked = []
+
+    class Learned:
+        def graph(self, model: Model) -> Model:
+            asked.append(model)
+            return model
+
+    monkeypatch.setattr(CameraModels, "load", lambda path: Learned())
+    done = run("report", *arguments, "-o", tmp_path / "out", "--method", method)
+    assert done.returncode == 0, done.stderr
+    assert len(asked) == asks
 
 
 def test_another_method_repeats_only_what_depends_on_it(

@@ -52,12 +52,12 @@ def pasted_street(
     """
     view = replace(CAMERA, focal=_NEAR) if upright else CAMERA
     camera = view.ground_camera()
-    starts, ways = [], 2.0 * np.pi * (np.arange(people) + rng.uniform(0, 1, people)) / people
-    places, angles = [], []
+    places: list[FloatArray] = []
+    angles: list[float] = []
+    ways = 2.0 * np.pi * (np.arange(people) + rng.uniform(0, 1, people)) / people
     for way in rng.permutation(ways).tolist():
         velocity = speed * np.array([np.cos(way), np.sin(way)])
         path = velocity * (np.arange(_STEPS) - _STEPS / 2)[:, None] / FPS + rng.uniform(-1.0, 1.0, 2)
-        starts.append(len(places))
         places += list(path)
         angles += camera.image_angle(np.full(_STEPS, direction(velocity)), path).tolist()
     variation = replace(_SEEN, elevation=(0.3, 0.5)) if upright else _SEEN

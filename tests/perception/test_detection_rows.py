@@ -1,0 +1,149 @@
+"""Rows of detections that are made some frames at a time are those of tracks; journals keep nothing open."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.camera import GroundCamera
+from graphtrack.table.columns import to_columns
+from graphtrack.tracks import TrackSet
+from perception.observe import detections, identified
+from perception.observe.detections import to_detections
+from perception.observe.identified import to_identified
+from perception.observe.journal import FrameJournal
+from perception.observe.pipeline import to_tracks
+from perception.observe.seen import SeenFrame, SeenPerson
+from perception.pose.classes import PoseClasses
+from perception.pose.features.appearance import LENGTH
+from perception.pose.heads import HeadCandidates
+
+PANS = PoseClasses.circle(8)
+CAMERA = GroundCamera.from_homography(np.array([[0.02, 0.0, -1.0], [0.0, -0.02, 9.0], [0.0, 0.001, 0.2]]))
+
+
+def seen_frames(count: int, rng: np.random.Generator, *, known: bool = True) -> dict[int, SeenFrame]:
+    """Three people a frame, whose numbers come in any order; without scores and looks if not ``known``."""
+    frames = {}
+    for k in range(count):
+        people = []
+        for number in rng.permutation(3 * k + np.arange(3)).tolist():
+            left, top, height = rng.uniform(50, 250), rng.uniform(40, 120), rng.uniform(40, 90)
+            heads = HeadCandidates(rng.uniform(2, 30, (2, 4)), rng.normal(size=2))
+            body, pan = np.log(rng.dirichlet(np.ones(8))), np.log(rng.dirichlet(np.ones(8), 2))
+            box = (left, top, 0.4 * height, height)
+            looks = rng.integers(0, 256, LENGTH).astype(np.uint8)
+            person = SeenPerson(k, number, box, body, heads, pan)
+            people.append(replace(person, score=float(rng.uniform()), looks=looks) if known else person)
+        frames[k] = SeenFrame(people, [])
+    return frames
+
+
+@pytest.mark.parametrize("camera", [CAMERA, None], ids=["camera", "scale"])
+@pytest.mark.parametrize("causal", [False, True], ids=["whole", "causal"])
+@pytest.mark.parametrize("known", [False, True], ids=["bare", "looks"])
+def test_rows_made_some_at_a_time_are_those_of_tracks(
+    camera: GroundCamera | None, causal: bool, known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(detections, "_AT_ONCE", 10)
+    frames = seen_frames(30, np.random.default_rng(1), known=known)
+    everybody = [person for k in sorted(frames) for person in frames[k].people]
+    tracks = to_tracks(everybody, PANS, camera, 5.0, causal=causal).tracks
+    expected = to_columns(tracks)
+    order = np.argsort(expected["frame"], kind="stable")
+    found = to_detections(frames, PANS, camera, 5.0, causal=causal)
+    assert list(found.columns) == list(expected)
+    assert (found.columns["track_id"] == -1).all()
+    np.testing.assert_array_equal(found.number, expected["track_id"][order])
+    for name in set(expected) - {"track_id"}:
+        np.testing.assert_allclose(found.columns[name], expected[name][order], atol=1.01e-4, err_msg=name)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, None], ids=["camera", "scale"])
+@pytest.mark.parametrize("causal", [False, True], ids=["whole", "causal"])
+@pytest.mark.parametrize("known", [False, True], ids=["bare", "looks"])
+def test_tracks_made_piece_by_piece_are_the_same(
+    camera: GroundCamera | None, causal: bool, known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identified, "_AT_ONCE", 7)
+    frames = seen_frames(30, np.random.default_rng(5), known=known)
+    for frame in frames.values():
+        frame.people[:] = [replace(item, track_id=1 + item.track_id % 3) for item in frame.people]
+        del frame.people[2 if frame.people[0].frame % 4 else 3 :]
+    far = frames[9].people[0]
+    frames[9].people[0] = replace(far, box=(100.0, -900.0, 20.0, 50.0))
+    everybody = [person for k in sorted(frames) for person in frames[k].people]
+    expected = to_tracks(everybody, PANS, camera, 5.0, causal=causal).tracks
+    found = to_identified(frames, PANS, camera, 5.0, causal=causal)
+    assert found.summary == expected.summary
+    assert found.camera is not None and expected.camera is not None
+    np.testing.assert_allclose(found.camera.homography, expected.camera.homography)
+    columns, wanted = to_columns(found), to_columns(expected)
+    assert list(columns) == list(wanted)
+    for name, values in wanted.items():
+        np.testing.assert_allclose(columns[name], values, atol=1.01e-4, err_msg=name)
+
+
+def test_people_beyond_the_horizon_are_counted_and_nobody_is_refused() -> None:
+    frames = seen_frames(4, np.random.default_rng(2))
+    far = frames[1].people[0]
+    frames[1].people[0] = replace(far, box=(100.0, -900.0, 20.0, 50.0))
+    found = to_detections(frames, PANS, CAMERA, 5.0)
+    assert len(found.number) == 11 and sum(found.refused.values()) == 1
+    with pytest.raises(InputError, match="without people"):
+        to_detections({0: SeenFrame([], [])}, PANS, CAMERA, 5.0)
+
+
+def test_a_journal_reads_between_writing_and_keeps_only_places(tmp_path: Path) -> None:
+    frames = seen_frames(400, np.random.default_rng(3))
+    journal = FrameJournal(tmp_path / "j", "key", SeenFrame.to_record, SeenFrame.from_record)
+    journal.open()
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        for k, frame in frames.items():
+            journal.add(k, frame)
+            again = journal.frames[k // 2]
+            assert [p.track_id for p in again.people] == [p.track_id for p in frames[k // 2].people]
+        kept = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert kept < 250 * len(frames)  # the descriptions of three people alone are 1854 bytes
+    journal.close(remove=False)
+    looks = [frames[399].people[0].looks, journal.frames[399].people[0].looks]
+    np.testing.assert_array_equal(*looks)
+    journal.close(remove=True)
+
+
+@pytest.mark.parametrize("has_identities", [False, True], ids=["detections", "people"])
+def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, has_identities: bool) -> None:
+    """With looks, from the journal to the table; the difference of two lengths."""
+    rng = np.random.default_rng(4)
+    kept = []
+    for count in (100, 500):
+        journal = FrameJournal(tmp_path / f"{count}", "key", SeenFrame.to_record, SeenFrame.from_record)
+        journal.open()
+        tracemalloc.start()
+        try:
+            for k, frame in seen_frames(count, rng).items():
+                if has_identities:
+                    frame.people[:] = [replace(item, track_id=item.track_id % 3) for item in frame.people]
+                journal.add(k, frame)
+            gc.collect()
+            tracemalloc.clear_traces()  # only what comes now is counted
+            make = to_identified if has_identities else to_detections
+            found = make(journal.frames, PANS, CAMERA, 5.0)
+            gc.collect()
+            kept.append(tracemalloc.get_traced_memory()[0])
+        finally:
+            tracemalloc.stop()
+        assert (found.n_frames if isinstance(found, TrackSet) else len(found.number)) == 3 * count
+        journal.close(remove=True)
+        del found
+    assert (kept[1] - kept[0]) / (3 * 400) < 1000.0
