@@ -77,9 +77,3 @@ def _lags(
     past = rate**2 * seconds**2 * lasts / (seconds + lasts)
     whole = 0.5 * rate**2 * around**3 * lasts / (around + lasts) ** 2
     return past, whole, np.exp(-np.asarray(ends) / np.maximum(around, 1e-9))
-
-
-def newest_lag(variance: float, diffusion: float, rate: float, lasts: float) -> float:
-    """Variance of what the estimate of a newest frame lags, to the last bit as above: from the past alone."""
-    seconds = min(variance / diffusion, lasts)
-    return rate**2 * seconds**2 * lasts / (seconds + lasts)
