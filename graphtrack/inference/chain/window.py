@@ -36,7 +36,7 @@ class ChainWindow:
     The frames of the window stand one after another in arrays that the kernels read in place, side by side
     with those of others, so that `extend_together` takes many people's observations in one call. What leaves
     the window is eliminated with its exact curvature, and what it says about the next frame stays as a
-    Gaussian. Time and memory are bounded by the window. Whatever a method raises, the smoother stays as it was.
+    Gaussian. Time and memory are bounded by the window. Whatever a method raises, all stays as it was.
 
     Parameters
     ----------
