@@ -1,4 +1,4 @@
-"""People who are worked in together: the same as one by one, to the last bit, and nobody's failure is another's."""
+"""People who are worked in together: the same as one by one, to the last bit."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_slots_are_used_again_and_blocks_let_go() -> None:
 
 
 def test_a_window_outgrows_its_slot() -> None:
-    """Hundreds of frames in a window: it moves to larger arrays, and goes on as one that has them from the start."""
+    """It moves to larger arrays, and goes on as one that has them from the start."""
     seen = list(observations(walk(300, dt=0.005)))
     smoother = OnlineSmoother("joint", lag=2.0)
     for one in seen[:150]:

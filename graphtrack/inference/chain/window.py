@@ -151,7 +151,7 @@ class ChainWindow:
             prior = self._from_prior(window.prior, window.steps[0], origin)
         if window.modes is not None and self._model.has_modes:
             modes = window.modes
-        size = max(_LEAST_FRAMES, 1 << (2 * len(window.steps) - 1).bit_length())
+        size = _size_for(len(window.steps))
         if size == self._slot.block.size:
             self._clear()
         else:
@@ -188,6 +188,7 @@ class ChainWindow:
         self._slot = blocks_of(self._program).slot(size)
         self._states, self._offsets = self._slot.states, self._slot.offsets
         self._prior, self._origin = self._slot.prior, self._slot.origin[0]
+        self._of_frames = [getattr(self._slot, name) for name in _OF_FRAMES]
         self._clear()
 
     def _clear(self) -> None:
@@ -199,13 +200,14 @@ class ChainWindow:
     def _make_room(self) -> None:
         """Move the window to the front of its arrays, or into larger ones."""
         begin, end = self._offsets.tolist()
-        old, n, warm = self._slot, end - begin, self._warm
-        if 2 * n > len(self._states):
-            self._take_slot(2 * len(self._states))
+        old, rows, n, warm = self._slot, self._of_frames, end - begin, self._warm
+        size = _size_for(n)
+        if size > len(self._states):
+            self._take_slot(size)
             for name in _OF_WINDOW:
                 getattr(self._slot, name)[:] = getattr(old, name)
-        for name in _OF_FRAMES:
-            getattr(self._slot, name)[:n] = getattr(old, name)[begin:end].copy()
+        for new, previous in zip(self._of_frames, rows, strict=True):
+            new[:n] = previous[begin:end]
         self._warm = warm
         self._offsets[:] = 0, n
 
@@ -349,6 +351,14 @@ def _guess(step: Step, model: Model) -> Angles:
     body = next((one for one in (seen.body, seen.head) if one is not None), 0.0)
     head = body if seen.head is None else seen.head
     return math.nan if model.has_body else body, math.nan if model.has_head else head
+
+
+def _size_for(frames: int) -> int:
+    """Rows for a window of so many frames, so that it has to be moved to their front only now and then."""
+    size = _LEAST_FRAMES
+    while 8 * frames > 7 * size:
+        size *= 2
+    return size
 
 
 @lru_cache(64)
