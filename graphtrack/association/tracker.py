@@ -306,8 +306,19 @@ class OnlineTracker:
         list(feed(self._feed_all, [fed[k::parts] for k in range(parts)]))
 
     def _feed_all(self, people: list[tuple[_Person, list[Key]]]) -> None:
+        """Feed some people: those of whom something new was seen and nothing else is thought, all at once."""
+        ahead: list[_Person] = []
+        seen: list[Observation] = []
         for person, keys in people:
-            self._feed(person, keys)
+            if len(keys) == len(person.keys) + 1 and keys[:-1] == person.keys:
+                ahead.append(person)
+                seen.append(person.smoother.usable(self._seen_by(person, keys[-1])))
+                person.keys = keys
+            else:
+                self._feed(person, keys)
+        estimates = OnlineSmoother.update_together([person.smoother for person in ahead], seen)
+        for person, estimate in zip(ahead, estimates, strict=True):
+            person.estimate = estimate
 
     def _feed(self, person: _Person, keys: list[Key]) -> None:
         same = 0

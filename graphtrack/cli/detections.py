@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -104,6 +104,10 @@ class Scenes:
             return self._take(name, pairs)
         except InputError as error:
             return [error_row(pairs, number, error)]
+
+    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
+        """What is to be said after each of some lines."""
+        return [self.answers(number, line) for number, line in lines]
 
     def finish(self) -> list[dict[str, Any]]:
         """What is to be said when no more rows come: of the frames that have not ended."""

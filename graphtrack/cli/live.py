@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import gc
 import io
-import json
 import os
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -34,12 +34,11 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import Conversations
 from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
 from graphtrack.inference.warm import ONLINE, online_rehearsal
+from graphtrack.io.json_lines import encoded
 from graphtrack.io.options import Associate
 from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.model import Model
 from graphtrack.readiness import is_cold, make_ready
-
-_ENCODED = json.JSONEncoder(allow_nan=False).encode
 
 Lines = Iterator[tuple[int, bytes]]
 """Lines with their numbers, from 1."""
@@ -57,6 +56,13 @@ def say_nothing(people: Answering) -> None:
     """Nobody wants to know that a row was answered."""
 
 
+_PIECE = 1 << 16
+"""Bytes that are read at once."""
+
+MOST_TOGETHER = 128
+"""Rows that are answered together, where so many are there: the first of them wait for the last."""
+
+
 @dataclass(frozen=True)
 class Listener:
     """Who is told what is no answer.
@@ -64,14 +70,18 @@ class Listener:
     Attributes
     ----------
     note : of what was passed over, in a sentence
-    went_on : of the rows after which a saved stream goes on, the line of the last of them, and whether its
-        answer is given again; it comes before any answer
+    went_on : of the rows after which a saved stream goes on, the line of the last of them, and to how many of
+        the last the answers are given again; it comes before any answer
     answered : each time that all answers to a row were given
+    all_answered : each time that rows which came together are answered, before the next are kept
+    most_together : rows that are kept and answered together, where so many are there
     """
 
     note: Callable[[str], None] = print_note
-    went_on: Callable[[int, int, bool], None] | None = None
+    went_on: Callable[[int, int, int], None] | None = None
     answered: Callable[[Answering], None] = say_nothing
+    all_answered: Callable[[], None] = lambda: None
+    most_together: int = MOST_TOGETHER
 
 
 def track_stream(
@@ -161,15 +171,18 @@ def track_stream(
     known = {"never": False, "always": True}.get(associate)
     warm_up(model, chosen, behaviour=asked is not None or model.has_groups)
     if state is None:
-        lines, rows, _ = answering(names.native_lines(lines_of(stream, 1)), known)
-        return _answer(lines, rows, None, listener, tell)
+        there = lines_of(stream, 1)
+        lines, rows, _ = answering(names.native_lines(there), known)
+        return _answer(lines, rows, None, listener, tell, _is_here(there))
     with closing(StateFile(state, save_every)) as file:
         settings = settings_of(model, chosen, lag, fps, camera)
-        lines = iter(())
+        incoming: Lines = iter(())
+        lines = incoming
         if file.entries:
             known = bool(saved_setting(file, "detections")) if known is None else known
         else:
-            lines = names.native_lines(lines_of(stream, 1))
+            incoming = lines_of(stream, 1)
+            lines = names.native_lines(incoming)
         lines, rows, restore = answering(lines, known)
         # GTSAM does not give away what iSAM2 knows: it has to see every row again.
         every = None if chosen == "isam2" else save_every
@@ -180,10 +193,11 @@ def track_stream(
         saving = Saving(file, rows, settings, every)
         if file.entries:
             _go_on(saving, rows, restore, state, len(file.entries), listener, tell)
-            lines = names.native_lines(lines_of(stream, rows.line + 1))
+            incoming = lines_of(stream, rows.line + 1)
+            lines = names.native_lines(incoming)
         else:
             saving.begin()
-        answered = _answer(lines, rows, saving, listener, tell)
+        answered = _answer(lines, rows, saving, listener, tell, _is_here(incoming))
         saving.finish()
     return answered
 
@@ -216,12 +230,15 @@ def _go_on(
     with progress_bar(entries, "rows") as advance:
         again = saving.resume(restore, advance)
     if listener.went_on is not None:
-        listener.went_on(people.rows, people.line, bool(again))
+        listener.went_on(people.rows, people.line, len(again))
     lines = "" if people.line == people.rows else f" (the last is line {people.line})"
     last = f"; the answer to row {people.rows} is given again" if again else ""
+    if len(again) > 1:
+        last = f"; the answers to rows {people.rows - len(again) + 1} to {people.rows} are given again"
     console.print(f"going on from {state}, after {counted(people.rows, 'row')}{lines}{last}", markup=False)
-    for row in again:
-        tell(row)
+    for answers in again:
+        for row in answers:
+            tell(row)
 
 
 def _answer(
@@ -230,22 +247,28 @@ def _answer(
     saving: Saving | None,
     listener: Listener,
     tell: Callable[[dict[str, Any]], None],
+    is_here: Callable[[], bool],
 ) -> tuple[int, int]:
-    before, wrong = people.rows, 0
+    """Answer all lines; those that are here already together, as many as the listener takes."""
+    before, wrong, lines = people.rows, 0, iter(lines)
     # What there is by now stays: the collector need not look at it again while rows wait.
     gc.collect()
     gc.freeze()
     try:
         with np.errstate(all="ignore"):  # what is not finite is told in the answer
-            for number, line in lines:
+            while some := list(islice(lines, 1)):
+                while len(some) < listener.most_together and is_here():
+                    some += islice(lines, 1)
                 if saving is not None:
-                    saving.take(number, line)
-                for row in people.answers(number, line):
-                    wrong += "error" in row
-                    tell(row)
-                listener.answered(people)
+                    saving.take(some)
+                for answers in people.answers_together(some):
+                    for row in answers:
+                        wrong += "error" in row
+                        tell(row)
+                    listener.answered(people)
                 if saving is not None:
                     saving.tend()
+                listener.all_answered()
             for row in people.finish():
                 tell(row)
     finally:
@@ -253,16 +276,50 @@ def _answer(
     return people.rows - before, wrong
 
 
-def lines_of(stream: IO[bytes], first: int) -> Iterator[tuple[int, bytes]]:
+class Incoming:
+    """The lines of a stream that are not blank, with their numbers, and whether there are more already.
+
+    Parameters
+    ----------
+    stream : what has come is read at once, however little it is
+    first : the number of the next line
+    """
+
+    def __init__(self, stream: IO[bytes], first: int) -> None:
+        self._stream, self._number = stream, first - 1
+        self._lines, self._left, self._ended = deque[tuple[int, bytes]](), b"", False
+
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        return self
+
+    def __next__(self) -> tuple[int, bytes]:
+        while not self._lines and not self._ended:
+            data = self._stream.read1(_PIECE)  # type: ignore[attr-defined]
+            # Of a line that is too long, as much is kept as tells that it is.
+            *lines, left = (self._left + data).split(b"\n")
+            self._left, self._ended = left[: LONGEST_LINE + 1], not data
+            lines = [line + b"\n" for line in lines] + ([left] if self._ended and left else [])
+            for line in lines:
+                self._number += 1
+                if line.strip():
+                    self._lines.append((self._number, line[: LONGEST_LINE + 1]))
+        if not self._lines:
+            raise StopIteration
+        return self._lines.popleft()
+
+    def is_here(self) -> bool:
+        """Whether the next line need not be waited for."""
+        return bool(self._lines)
+
+
+def _is_here(lines: Lines) -> Callable[[], bool]:
+    """Whether the next of some lines need not be waited for; where nobody knows, it may have to."""
+    return lines.is_here if isinstance(lines, Incoming) else lambda: False
+
+
+def lines_of(stream: IO[bytes], first: int) -> Incoming:
     """The lines of a stream that are not blank, with their numbers; the next one has the number ``first``."""
-    number = first - 1
-    while line := stream.readline(LONGEST_LINE + 1):
-        number += 1
-        rest = line
-        while len(rest) > LONGEST_LINE and not rest.endswith(b"\n"):
-            rest = stream.readline(LONGEST_LINE + 1)
-        if line.strip():
-            yield number, line
+    return Incoming(stream, first)
 
 
 def open_streams() -> IO[bytes]:
@@ -291,7 +348,7 @@ def give(answer: dict[str, Any]) -> None:
         If nobody reads it any more, or it cannot be written.
     """
     try:
-        sys.stdout.write(_ENCODED(answer) + "\n")
+        sys.stdout.write(encoded(answer) + "\n")
         sys.stdout.flush()
     except OSError as error:
         # Or else the interpreter would try the same again, and complain, at its end.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
@@ -30,6 +30,9 @@ class Answering(Protocol):
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
         """What is to be said after a line of input."""
+
+    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
+        """What is to be said after each of some lines, the same as one by one."""
 
     def finish(self) -> list[dict[str, Any]]:
         """What is to be said when no more rows come."""
@@ -84,7 +87,7 @@ class Saving:
 
     def resume(
         self, restore: Callable[[Any], Any], advance: Callable[[int], None] = lambda rows: None
-    ) -> list[dict[str, Any]]:
+    ) -> list[list[dict[str, Any]]]:
         """Bring the people to where the file ends.
 
         Parameters
@@ -94,8 +97,8 @@ class Saving:
 
         Returns
         -------
-        list of dict
-            The answers to the last row, if it is not certain that they were given.
+        list of list of dict
+            The answers to each of the last rows of which it is not certain that they were given.
 
         Raises
         ------
@@ -103,7 +106,7 @@ class Saving:
             If the state is damaged.
         """
         people, entries = self._people, self._file.entries
-        answers: list[dict[str, Any]] = []
+        answers: list[list[dict[str, Any]]] = []
         with self._told_of_the_file():
             header = entries[0]
             people.rows, people.line = header["rows"], header["line"]
@@ -115,15 +118,16 @@ class Saving:
                 if isinstance(entry, dict):  # all rows so far were answered
                     answers = []
                     continue
-                number, text = entry
-                answers = people.answers(number, text.encode("utf-8", "surrogateescape"))
-                advance(1)
+                rows = entry if isinstance(entry[0], list) else [entry]
+                answers = people.answers_together([(number, _bytes(text)) for number, text in rows])
+                advance(len(rows))
         entries.clear()
         return answers
 
-    def take(self, number: int, line: bytes) -> None:
-        """Keep a row, before it is answered."""
-        self._file.append([number, line.decode("utf-8", "surrogateescape")])
+    def take(self, lines: Sequence[tuple[int, bytes]]) -> None:
+        """Keep rows, before they are answered together."""
+        rows = [[number, line.decode("utf-8", "surrogateescape")] for number, line in lines]
+        self._file.append(rows if len(rows) > 1 else rows[0])
 
     def tend(self) -> None:
         """What is due after an answer: one more person, or the next writing of all."""
@@ -197,6 +201,10 @@ class Saving:
         if self._left is not None and track_id in self._left:
             self._seal(track_id)
         self._changed.add(track_id)
+
+
+def _bytes(text: str) -> bytes:
+    return text.encode("utf-8", "surrogateescape")
 
 
 def saved_setting(file: StateFile, name: str) -> Any:

@@ -18,15 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from graphtrack.errors import InputError
+from graphtrack.io.json_lines import encoded
 
-_ENCODED = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 _SEALED = re.compile(rb"[0-9a-f]{8} ")
 _EXPECTED = "a file that 'graphtrack track - --state' wrote"
 
 
 def seal(value: Any) -> bytes:
     """A JSON-able value as a line of the file."""
-    text = _ENCODED(value).encode()
+    text = encoded(value).encode()
     return b"%08x %s\n" % (zlib.crc32(text), text)
 
 

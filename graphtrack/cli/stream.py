@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from codecs import BOM_UTF8
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -16,6 +16,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrapped
 from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import Estimate, OnlineSmoother
+from graphtrack.io.json_lines import plain_cells
 from graphtrack.io.readers.ndjson import Pairs, identity, parse_line, read_cells
 from graphtrack.model import Observation
 from graphtrack.table import schema
@@ -43,6 +44,15 @@ class StreamBounds:
 
     people: int | None = None
     forget_after: float | None = None
+
+
+@dataclass
+class _Waiting:
+    """A row that waits for others of its frame, and where its answers go."""
+
+    smoother: OnlineSmoother
+    observation: Observation
+    answers: list[dict[str, Any]]
 
 
 class People:
@@ -76,7 +86,7 @@ class People:
         conversations: Conversations | None = None,
     ) -> None:
         self._bounds, self._looked = bounds, -math.inf
-        self._forecasts, self._before = forecasts, list[dict[str, Any]]()
+        self._forecasts, self._waiting = forecasts, dict[int, _Waiting]()
         self._make, self._fps, self._told = make, fps, Told(note)
         of_scene = {BEHAVIOUR: behaviour, CONVERSATIONS: conversations}
         self.members: dict[Any, Any] = {key: one for key, one in of_scene.items() if one is not None}
@@ -85,32 +95,76 @@ class People:
 
     def answer(self, number: int, line: bytes) -> dict[str, Any]:
         """The estimate after a line of input, or what is wrong with it under ``error``."""
-        self.rows, self.line = self.rows + 1, number
-        pairs: Pairs = ()
-        try:
-            pairs = parse_line(text_of(line))
-            self._told(pairs)
-            cells = read_cells(pairs)
-            observation = observation_of(cells, self._fps)
-            track_id = cells["track_id"]
-            smoother = self._smoother(track_id, observation.t)
-            if CONVERSATIONS in self.members:
-                self.before_change(CONVERSATIONS)
-                observation = self.members[CONVERSATIONS].observed(track_id, observation)
+        return self.answers(number, line)[-1]
+
+    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
+        """What is to be said after a line of input: of a frame that it ends, and its `answer`."""
+        return self.answers_together([(number, line)])[0]
+
+    def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
+        """What is to be said after each of some lines, the same as one by one.
+
+        Rows that follow each other and are of different people are worked in by few calls into compiled code.
+        """
+        found: list[list[dict[str, Any]]] = []
+        for number, line in lines:
+            self.rows, self.line = self.rows + 1, number
+            cells: dict[str, Any] | None = None
+            pairs: Pairs = ()
+            found.append([])
+            try:
+                cells = plain_cells(line)
+                if cells is None:
+                    pairs = parse_line(text_of(line))
+                    self._told(pairs)
+                    cells = read_cells(pairs)
+                self._wait_for(cells["track_id"], observation_of(cells, self._fps), found[-1])
+            except InputError as error:
+                found[-1].append(error_row(pairs or tuple((cells or {}).items()), number, error))
+        self._take_waiting()
+        return found
+
+    def _wait_for(self, track_id: int, observation: Observation, answers: list[dict[str, Any]]) -> None:
+        """Have a row wait for others, or for nobody where the people of a frame are told of each other."""
+        if track_id in self._waiting or track_id not in self.members or observation.t >= self._looked + 1.0:
+            self._take_waiting()
+        smoother = self._smoother(track_id, observation.t)
+        observation = smoother.usable(observation)
+        if CONVERSATIONS in self.members:
+            self.before_change(CONVERSATIONS)
+            observation = self.members[CONVERSATIONS].observed(track_id, observation)
+        self._waiting[track_id] = _Waiting(smoother, observation, answers)
+        if CONVERSATIONS in self.members or track_id not in self.members:
+            self._take_waiting()
+
+    def _take_waiting(self) -> None:
+        """Work in the rows that wait, all of different people."""
+        if not self._waiting:
+            return
+        waiting, self._waiting = self._waiting, {}
+        for track_id in waiting:
             self.before_change(track_id)
-            estimate = smoother.update(observation)
-            self.members[track_id] = smoother
-            if CONVERSATIONS in self.members:
-                self.members[CONVERSATIONS].estimated(track_id, estimate)
-            if self._forecasts is not None:
-                self._before = self._changing_forecasts().take(track_id, observation, estimate)
-            if BEHAVIOUR in self.members:
-                self.before_change(BEHAVIOUR)
-                behaviour = self.members[BEHAVIOUR].take(track_id, observation, estimate)
-                self._before = merged(behaviour, self._before)
-        except InputError as error:
-            return error_row(pairs, number, error)
-        return estimate_row(track_id, estimate)
+        estimates = OnlineSmoother.update_together(
+            [one.smoother for one in waiting.values()], [one.observation for one in waiting.values()]
+        )
+        for (track_id, one), estimate in zip(waiting.items(), estimates, strict=True):
+            self.members[track_id] = one.smoother
+            one.answers += self._told_before(track_id, one.observation, estimate)
+            one.answers.append(estimate_row(track_id, estimate))
+
+    def _told_before(
+        self, track_id: int, observation: Observation, estimate: Estimate
+    ) -> list[dict[str, Any]]:
+        """What is told of the frame that a row ends."""
+        found: list[dict[str, Any]] = []
+        if CONVERSATIONS in self.members:
+            self.members[CONVERSATIONS].estimated(track_id, estimate)
+        if self._forecasts is not None:
+            found = self._changing_forecasts().take(track_id, observation, estimate)
+        if BEHAVIOUR in self.members:
+            self.before_change(BEHAVIOUR)
+            found = merged(self.members[BEHAVIOUR].take(track_id, observation, estimate), found)
+        return found
 
     def _smoother(self, track_id: int, now: float) -> OnlineSmoother:
         """Of a person, a new one if they are new or were forgotten.
@@ -149,12 +203,6 @@ class People:
             if self._is_forgotten(smoother, now):
                 self.before_change(one)
                 del self.members[one]
-
-    def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """What is to be said after a line of input: of a frame that it ends, and its `answer`."""
-        answer, before = self.answer(number, line), self._before
-        self._before = []
-        return [*before, answer]
 
     def finish(self) -> list[dict[str, Any]]:
         """What is to be said when no more rows come: what is told of the last frame."""

@@ -272,7 +272,7 @@ def _track_stream(
     asked: Asked | None,
     shown: tuple[Showing, int | None] | None,
 ) -> None:
-    from graphtrack.cli.live import print_note, track_stream
+    from graphtrack.cli.live import Listener, print_note, track_stream
     from graphtrack.cli.stream_names import StreamNames
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.io.cameras import read_homography
@@ -303,6 +303,8 @@ def _track_stream(
             asked=asked,
             names=StreamNames() if layout is None else StreamNames.of(layout),
             copy=pipe,
+            # Rows that are kept one by one are given again one by one.
+            listener=Listener() if state is None else Listener(most_together=1),
         )
     if wrong:
         console.print(f"error: {wrong} of {rows} rows could not be used", markup=False)

@@ -11,46 +11,41 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from graphtrack.display import html_pairs
-from graphtrack.errors import GraphtrackError, InputError
-from graphtrack.geometry.angles import FloatArray, wrap, wrapped
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain
-from graphtrack.inference.chain.window import ChainWindow
+from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.guided import Guided
 from graphtrack.inference.graph.isam import Isam2
+from graphtrack.inference.late import merged, worked_in
 from graphtrack.inference.observed import checked
 from graphtrack.inference.offline import engine_of, refuse_only_compiled
-from graphtrack.inference.solution import stated_newest
+from graphtrack.inference.solution import stated
 from graphtrack.inference.state import (
+    FAILURES,
     Estimate,
     Newest,
     SavedState,
     Status,
-    Window,
     pack_state,
     predicted,
     unpack_state,
 )
 from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.model import Model, Observation, Step
-from graphtrack.model.observation import CHANNELS, seconds_between
+from graphtrack.model.observation import seconds_between
 from graphtrack.readiness import make_ready
 from graphtrack.saved import DAMAGES, damaged
 
-if TYPE_CHECKING:
-    pass
-
 OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
 ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")
-
-_FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
-"""What an observation raises that a smoother cannot take in."""
 
 _PROMISED_DECREASE = 1e-8
 """Of the cost, relative, below which the chain engine takes no further Newton step for an observation."""
@@ -172,7 +167,46 @@ class OnlineSmoother:
             If the observation itself is unusable: a time or value that is no number within bounds. The state
             is unchanged.
         """
-        observation = self._on_the_ground(checked(observation))
+        return self._take(self.usable(observation))
+
+    def usable(self, observation: Observation) -> Observation:
+        """The observation as it is taken in: checked, and with the position that the camera gives to a pixel.
+
+        Raises
+        ------
+        InputError
+            As `update`.
+        """
+        return self._on_the_ground(checked(observation))
+
+    @staticmethod
+    def update_together(
+        smoothers: Sequence[OnlineSmoother], observations: Sequence[Observation]
+    ) -> list[Estimate]:
+        """Each smoother's `update` with its observation, but as few calls into compiled code as there can be.
+
+        Parameters
+        ----------
+        smoothers : of different people
+        observations : one of each, as `usable` gives them
+        """
+        estimates: list[Estimate | None] = [None] * len(smoothers)
+        places: list[int] = []
+        windows: list[ChainWindow] = []
+        steps: list[Step] = []
+        for k, (smoother, seen) in enumerate(zip(smoothers, observations, strict=True)):
+            window = smoother._smoother
+            if isinstance(window, ChainWindow) and window.steps and seen.t > window.steps[-1].observation.t:
+                places.append(k)
+                windows.append(window)
+                steps.append(smoother._next_step(seen, window.steps[-1]))
+            else:
+                estimates[k] = smoother._take(seen)
+        for k, found in zip(places, extend_together(windows, steps), strict=True):
+            estimates[k] = smoothers[k]._extended(found, observations[k])
+        return estimates  # type: ignore[return-value]  # none is left out
+
+    def _take(self, observation: Observation) -> Estimate:
         steps = self._smoother.steps
         if not steps and observation.position is None:
             return self._waiting(observation)
@@ -210,7 +244,7 @@ class OnlineSmoother:
         latest = steps[-1].observation
         try:
             newest = self._smoother.rework(replace(window, steps=tuple(steps), values=values))
-        except _FAILURES as error:
+        except FAILURES as error:
             return self._failed(latest, error)
         return self._estimate(newest, latest, "late")
 
@@ -281,16 +315,28 @@ class OnlineSmoother:
         return replace(observation, position=(x, y))
 
     def _append(self, observation: Observation) -> Estimate:
-        steps = self._smoother.steps
+        steps, smoother = self._smoother.steps, self._smoother
+        if steps and isinstance(smoother, ChainWindow):
+            (found,) = extend_together([smoother], [self._next_step(observation, steps[-1])])
+            return self._extended(found, observation)
         previous = steps[-1].alone() if steps else None
         dt = seconds_between(previous, observation)
         step = Step(self._next_index, observation, previous, dt, previous is None, self.camera)
         try:
-            newest = self._smoother.extend(step, predicted(step, self._smoother))
-        except _FAILURES as error:
-            return self._failed(observation, error)
+            return self._extended(smoother.extend(step, predicted(step, smoother)), observation)
+        except FAILURES as error:
+            return self._extended(error, observation)
+
+    def _next_step(self, observation: Observation, newest: Step) -> Step:
+        """The step after the newest of a chain's window, which needs no link to it."""
+        dt = observation.t - newest.observation.t
+        return Step(self._next_index, observation, None, dt, False, self.camera)
+
+    def _extended(self, found: Newest | Exception, observation: Observation) -> Estimate:
+        if isinstance(found, Exception):
+            return self._failed(observation, found)
         self._next_index += 1
-        return self._estimate(newest, observation, "new")
+        return self._estimate(found, observation, "new")
 
     # -- late and repeated observations --------------------------------------------------------------------
 
@@ -302,42 +348,27 @@ class OnlineSmoother:
         place = int(np.searchsorted(times, observation.t))
         inserted = times[place] != observation.t
         if not inserted:
-            merged = _merge(steps[place].observation, observation)
-            if merged is None:
+            added = merged(steps[place].observation, observation)
+            if added is None:
                 return self._unchanged(observation, "duplicate")
-            observation = merged
+            observation = added
         try:
-            window = self._with(self._smoother.window(), observation, place, inserted)
+            template = Step(self._next_index, observation, camera=self.camera)
+            window = worked_in(self._smoother.window(), observation, place, inserted, template)
             newest = self._smoother.rework(window)
-        except _FAILURES as error:
+        except FAILURES as error:
             return self._failed(observation, error)
         self._next_index += inserted
         return self._estimate(newest, self._smoother.steps[-1].observation, "late")
-
-    def _with(self, window: Window, observation: Observation, place: int, inserted: bool) -> Window:
-        """The window with one more observation, in a step of its own or in place of one; linked anew."""
-        values = dict(window.values)
-        steps = list(window.steps[:place])
-        if inserted:
-            values[self._next_index] = _between(window, steps[-1], window.steps[place], observation.t)
-            template = Step(self._next_index, observation, camera=self.camera)
-        else:
-            template = replace(window.steps[place], observation=observation)
-        for step in (template, *window.steps[place if inserted else place + 1 :]):
-            if steps:
-                previous = steps[-1].alone()
-                dt = seconds_between(previous, step.observation)
-                step = replace(step, previous=previous, dt=dt)
-            steps.append(step)
-        return replace(window, steps=tuple(steps), values=values)
 
     # -- estimates -----------------------------------------------------------------------------------------
 
     def _estimate(self, newest: Newest, observation: Observation, status: Status) -> Estimate:
         state, covariance = newest
-        covariance = stated_newest(covariance, state[2:4], self.model.parameters)
-        body, head = map(wrapped, state[4:].tolist())
         smoother = self._smoother
+        if not isinstance(smoother, ChainWindow):
+            covariance = stated(covariance.copy(), state[2:4], self.model.parameters)
+        body, head = map(wrapped, state[4:].tolist())
         aligned, offset = getattr(smoother, "modes", (math.nan, math.nan))
         self._last = Estimate(
             t=observation.t,
@@ -366,25 +397,3 @@ class OnlineSmoother:
         if self._last is None:
             return replace(self._waiting(observation), status=status)
         return replace(self._last, status=status)
-
-
-def _merge(known: Observation, new: Observation) -> Observation | None:
-    """The known observation with the channels that only the new one has; None if there are none."""
-    added: dict[str, Any] = {
-        name: getattr(new, name)
-        for name in CHANNELS
-        if getattr(known, name) is None and getattr(new, name) is not None
-    }
-    if new.inputs.keys() - known.inputs.keys():
-        added["inputs"] = {**new.inputs, **known.inputs}
-    return replace(known, **added) if added else None
-
-
-def _between(window: Window, before: Step, after: Step, t: float) -> tuple[float, ...]:
-    """Initial state at t, between two steps of the window."""
-    start, end = before.observation.t, after.observation.t
-    share = (t - start) / (end - start)
-    a, b = np.array(window.values[before.index]), np.array(window.values[after.index])
-    state = a + share * (b - a)
-    state[4:] = wrap(a[4:] + share * wrap(b[4:] - a[4:]))
-    return tuple(state.tolist())

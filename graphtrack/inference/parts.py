@@ -6,11 +6,13 @@ import numpy as np
 
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import solve_packed
+from graphtrack.inference.chain.mode_spread import spread_newest
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.restart import AT_START
 from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.chain.window_kernels import let_go, solve_window
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.problem import Problem
@@ -43,9 +45,9 @@ def _part(name: str, model: Model) -> Part:
         "modes": (renew_tracks, lambda: _renew(model)),
         "couplings": (renew_couplings, lambda: _renew_couplings(model)),
         "spread": (program.spread_tracks, lambda: _spread(model)),
-        "leaving": (program.let_go, lambda: _let_go(model)),
-        "window": (program.solve_window, lambda: _solve_window(model)),
-        "newest": (program.spread_newest, lambda: _spread_newest(model)),
+        "leaving": (let_go, lambda: _let_go(model)),
+        "window": (solve_window, lambda: _solve_window(model)),
+        "newest": (spread_newest, lambda: _spread_newest(model)),
     }[name]
     statement = f"from {__name__} import compile_parts; compile_parts({model.preset!r}, {name!r})"
     return Part(function, run, statement)
@@ -93,15 +95,15 @@ def _spread(model: Model) -> None:
 def _solve_window(model: Model) -> None:
     problem, result, memory = _made_up(model)
     problem, covariance = problem._replace(prior=np.zeros((8, 6))), np.empty((6, 6))
-    program_of(model).solve_window(problem, result.states, False, False, 1, 1e-8, memory, covariance)
+    solve_window(problem, result.states, False, False, 1, 1e-8, memory, covariance)
 
 
 def _let_go(model: Model) -> None:
     problem, result, memory = _made_up(model)
-    program_of(model).let_go(problem._replace(prior=np.zeros((8, 6))), result.states, memory)
+    let_go(problem._replace(prior=np.zeros((8, 6))), result.states, memory)
 
 
 def _spread_newest(model: Model) -> None:
     problem, result, memory = _made_up(model)
     spread = np.zeros((len(TRACK), 2))
-    program_of(model).spread_newest(problem, result.states, spread, memory, np.zeros((6, 6)))
+    spread_newest(problem, result.states, spread, memory, np.zeros((6, 6)))

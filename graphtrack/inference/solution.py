@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,15 +10,7 @@ import numpy as np
 from graphtrack.display import counted, html_pairs, line_of_track
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
 from graphtrack.model.parameters import Parameters
-from graphtrack.model.sway import (
-    kept_shares,
-    lagging,
-    newest_lag,
-    seconds_behind,
-    sway_variances,
-    swaying,
-    turn_lags,
-)
+from graphtrack.model.sway import kept_shares, lagging, seconds_behind, swaying, turn_lags
 from graphtrack.tracks import Track
 
 OfflineEngine = Literal["chain", "gtsam"]
@@ -112,7 +102,7 @@ def stated(
     variance = np.einsum("...ii->...i", covariance)[..., 4:]
     with np.errstate(invalid="ignore", divide="ignore"):
         widest = UNIFORM_STD / np.sqrt(variance)
-        shrink = np.minimum(np.interp(variance / (1.0 + variance), _SHARES, _SHRINK), widest)
+        shrink = np.minimum(np.interp(variance / (1.0 + variance), SHARES, SHRINK), widest)
     shrink *= np.sqrt(kept_shares(parameters.orientation))
     covariance[..., 4:, :] *= shrink[..., :, None]
     covariance[..., :, 4:] *= shrink[..., None, :]
@@ -120,61 +110,6 @@ def stated(
         variance[..., place] += lag
     np.minimum(variance, UNIFORM_STD**2, out=variance)
     return covariance
-
-
-def stated_newest(covariance: FloatArray, velocity: FloatArray, parameters: Parameters) -> FloatArray:
-    """As `stated`, to the last bit, of the newest frame's covariance (6, 6), which is left as it is.
-
-    Online that is asked for with every row, and NumPy takes several times as long for so few numbers.
-    """
-    rows: list[list[float]] = covariance.tolist()
-    if not min(rows[k][k] for k in range(4)) > 0.0 or rows[4][4] <= 0.0 or rows[5][5] <= 0.0:
-        return stated(covariance.copy(), velocity, parameters)
-    motion, orientation = parameters.motion, parameters.orientation
-    vx, vy = velocity.tolist()
-    behind = [
-        abs(
-            (row[3] * vx - row[2] * vy) / motion.acceleration_density
-            + _known(row[4] / orientation.body_diffusion)
-            + _known(row[5] / orientation.head_diffusion)
-        )
-        for row in rows[4:]
-    ]
-    if motion.lasting_std != 0.0:
-        own = 0.5 * (rows[2][2] + rows[3][3])
-        seconds = 0.5 * (rows[0][2] + rows[1][3]) / own
-        lag = newest_lag(own / motion.acceleration_density, motion.lasting_std, motion.lasting_time)
-        for axis in (0, 1):
-            place, speed = rows[axis], rows[2 + axis]
-            place[axis] += lag * seconds**2
-            place[2 + axis] += lag * seconds
-            speed[axis] += lag * seconds
-            speed[2 + axis] += lag
-    for k, variance in enumerate(sway_variances(motion)):
-        rows[k][k] += variance
-    kept = kept_shares(orientation)
-    body, head = (_newest_shrink(rows[4 + k][4 + k]) * math.sqrt(kept[k]) for k in (0, 1))
-    rows[4], rows[5] = [one * body for one in rows[4]], [one * head for one in rows[5]]
-    for row in rows:
-        row[4] *= body
-        row[5] *= head
-    o = orientation
-    turns = (o.body_turn_rate, o.body_turn_time), (o.head_turn_rate, o.head_turn_time)
-    for k, seconds, turn in zip((4, 5), behind, turns, strict=True):
-        rows[k][k] = min(rows[k][k] + newest_lag(seconds, *turn), UNIFORM_STD**2)
-    return np.array(rows)
-
-
-def _known(value: float) -> float:
-    return value if value == value else 0.0
-
-
-def _newest_shrink(variance: float) -> float:
-    """What √P of an angle is to be multiplied with."""
-    share = variance / (1.0 + variance)
-    k = bisect_right(_KNOTS, share) - 1
-    found = _HEIGHTS[-1] if k == len(_SLOPES) else _SLOPES[k] * (share - _KNOTS[k]) + _HEIGHTS[k]
-    return min(found, UNIFORM_STD / math.sqrt(variance))
 
 
 def seconds_to_ends(t: FloatArray) -> FloatArray:
@@ -192,11 +127,10 @@ def _von_mises_shrink(variance: FloatArray) -> FloatArray:
 
 
 _WIDEST = 1e3
-_SHARES = np.linspace(0.0, _WIDEST / (1.0 + _WIDEST), 400)
+SHARES = np.linspace(0.0, _WIDEST / (1.0 + _WIDEST), 400)
 """P/(1 + P) of the table of what √P is to be multiplied with."""
-_SHRINK = np.append(1.0, _von_mises_shrink(_SHARES[1:] / (1.0 - _SHARES[1:])))
-_KNOTS, _HEIGHTS, _SLOPES = _SHARES.tolist(), _SHRINK.tolist(), (np.diff(_SHRINK) / np.diff(_SHARES)).tolist()
-"""The same for one angle at a time."""
+SHRINK = np.append(1.0, _von_mises_shrink(SHARES[1:] / (1.0 - SHARES[1:])))
+"""The same of it."""
 
 
 def estimated_track(

@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from graphtrack.display import html_pairs
-from graphtrack.errors import InputError
+from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.prior import MarginalPrior
@@ -20,11 +20,14 @@ from graphtrack.saved import DAMAGES, damaged, from_text, to_text
 
 STATE_VERSION = 3
 
+FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
+"""What an observation raises that a smoother cannot take in."""
+
 Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed"]
 Angles = tuple[float, float]
 Newest = tuple[FloatArray, FloatArray]
-"""State (6,) and covariance (6, 6) of the newest step, the latter as curvature and modes have it; what
-estimates state is made of it by `solution.stated_newest`."""
+"""State (6,) and covariance (6, 6) of the newest step. The compiled chain states it as estimates do, engines
+of GTSAM as curvature and modes have it; what estimates state is made of that by `solution.stated`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +95,7 @@ class Window:
     values : index of a step → linearisation point x, y, vx, vy, body, head (metres, m/s, radians)
     prior : what remains of the steps before; None if there were none
     anchor : else the angles (radians) that hold the first orientations; see `graph.batch.anchors`
-    modes : probabilities of the couplings' modes before the window; see `WindowModes`
+    modes : probabilities of the couplings' modes before the window
     """
 
     steps: tuple[Step, ...]

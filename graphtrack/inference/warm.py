@@ -38,8 +38,8 @@ def _descent(program: ChainProgram) -> Costs:
     return {program.minimise: 10.0}
 
 
-def _window(program: ChainProgram) -> Costs:
-    return {program.solve_window: 4.5, program.let_go: 3.5}
+def _window(program: ChainProgram, model: Model) -> Costs:
+    return {program.advance_with_modes: 16.0} if model.has_modes else {program.advance: 8.0}
 
 
 def warm_up(
@@ -115,7 +115,7 @@ def start_rehearsal() -> Rehearsal:
 def online_rehearsal(model: Model) -> Rehearsal:
     """What the compiled window calls."""
     program = program_of(model)
-    called = {**_window(program), **({**_COUPLINGS, program.spread_newest: 2.0} if model.has_modes else {})}
+    called = _window(program, model)
 
     def parts() -> tuple[tuple[Part, ...], tuple[Part, ...]]:
         # The window calls the grid: it can be compiled meanwhile where the grid is there already.

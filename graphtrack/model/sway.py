@@ -119,8 +119,3 @@ def _lags(
     past = rate**2 * seconds * lasts * (seconds / (seconds + lasts))
     whole = 0.5 * rate**2 * around * lasts * (around / (around + lasts)) ** 2
     return past, whole, np.exp(-np.asarray(ends) / np.maximum(around, 1e-9))
-
-
-def newest_lag(seconds: float, rate: float, lasts: float) -> float:
-    """Variance of what the estimate of a newest frame lags, to the last bit as above: from the past alone."""
-    return rate**2 * seconds * lasts * (seconds / (seconds + lasts))

@@ -67,15 +67,22 @@ def test_a_step_that_is_as_old_as_the_lag_is_still_open(engine: str) -> None:
 
 def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
     smoother = OnlineSmoother("full", engine="chain", lag=1.0)
-    seen = list(observations(walk(15)))
+    seen = list(observations(replace(walk(15, dt=0.25), t=0.25 * np.arange(15))))  # exact in binary
     for one in seen[:-1]:
         smoother.update(one)
-    modes = smoother._smoother._modes
-    modes.renew(smoother._smoother._problem, smoother._smoother._states)
-    kept = modes._filtered.copy()
-    modes.let_go()
-    np.testing.assert_array_equal(modes.before, kept[:, 0])
-    np.testing.assert_array_equal(modes._filtered, kept[:, 1:])
+    window = smoother._smoother
+    begin, end = window._offsets.tolist()
+    states, before = window._states[: end + 1].copy(), window.modes_before
+    states[end] = states[end - 1]
+    states[end, :2] += (seen[-1].t - seen[-2].t) * states[end - 1, 2:4]
+    smoother.update(seen[-1])
+    assert window._offsets.tolist() == [begin + 1, end + 1]
+    # The records of all frames are there still.
+    problem, n = window._slot.problem._replace(offsets=np.array([begin, end + 1])), end + 1 - begin
+    filtered = np.empty((2, n, ROW))
+    gait = gait_of(smoother.model.parameters.gait)
+    renew_couplings(problem, 0, states[begin:], gait, before, filtered, np.empty((n, 2)), np.empty((n, 2)))
+    np.testing.assert_allclose(window.modes_before, filtered[:, 0], rtol=1e-9, atol=1e-15)
 
 
 def test_each_coupling_has_its_own_lead() -> None:

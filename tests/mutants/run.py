@@ -143,13 +143,13 @@ MUTANTS = (
     ),
     Mutant(
         "lag-off-by-one",
-        "< horizon:\n            self._program.let_go(",
-        "<= horizon:\n            self._program.let_go(",
+        "self._steps[n].observation.t < horizon",
+        "self._steps[n].observation.t <= horizon",
     ),
     Mutant(
         "modes-before-off-by-one",
-        "self.before, self._filtered = self._filtered[:, 0].copy()",
-        "self.before, self._filtered = self._filtered[:, -1].copy()",
+        "assign(windows.modes_before[slot], filtered[:, k])",
+        "assign(windows.modes_before[slot], filtered[:, n - 1])",
     ),
     # Readers.
     Mutant(

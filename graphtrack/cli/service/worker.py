@@ -15,7 +15,6 @@ import signal
 import socket
 import sys
 import time
-from collections import deque
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -72,36 +71,35 @@ class Answered(io.TextIOBase):
         self._rows, self._sent = 0, time.monotonic()
 
 
-class Asking(io.RawIOBase):
+class Asking(io.BufferedIOBase):
     """Rows; before more are waited for, the answers to those that came go out."""
 
     def __init__(self, connection: socket.socket, answered: Answered) -> None:
         self._connection, self._answered = connection, answered
-        self._lines, self._left = deque[bytes](), b""
+        self._left = b""
 
     def readable(self) -> bool:
         """Yes."""
         return True
 
-    def readline(self, size: int | None = -1, /) -> bytes:
-        """The next row, with its end; empty where there are no more. One without an end was cut off."""
-        if self._lines and self._answered.is_held:
-            self._answered.send()
-        while not self._lines:
+    def read1(self, size: int = -1, /) -> bytes:
+        """Rows that are here by now; none where no more come. One without an end was cut off."""
+        while True:
             self._answered.send()
             data = self._connection.recv(PIECE)
             if not data:
                 return b""
-            *lines, self._left = (self._left + data).split(b"\n")
-            self._lines.extend(lines)
-        return self._lines.popleft() + b"\n"
+            rows, end, left = data.rpartition(b"\n")
+            rows, self._left = (self._left + rows + end, left) if end else (b"", self._left + left)
+            if rows:
+                return rows
 
 
 def work(connection: socket.socket, answers: Answers, limits: Limits, state: Path | None) -> None:
     """Answer rows from a socket until it says that there are no more.
 
-    Where a state is kept, answers to a row go out before the next row is kept, so that no more than one can
-    be missing. The exit status is 0, or 1 if the stream could not be begun or gone on with; the last line
+    Where a state is kept, rows that are there together are kept together, and their answers go out before the
+    next are kept. The exit status is 0, or 1 if the stream could not be begun or gone on with; the last line
     says why.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever began the stream ends it
@@ -114,13 +112,15 @@ def work(connection: socket.socket, answers: Answers, limits: Limits, state: Pat
 
     def answered(people: Answering) -> None:
         said.count(people.count)
-        if state is not None:
+
+    def all_answered() -> None:
+        if state is not None or said.is_held:
             said.send()
 
-    def went_on(rows: int, line: int, again: bool) -> None:
+    def went_on(rows: int, line: int, again: int) -> None:
         aside({"rows": rows, "line": line, "given_again": again})
 
-    listener = Listener(lambda text: aside({"note": text}), went_on, answered)
+    listener = Listener(lambda text: aside({"note": text}), went_on, answered, all_answered)
     try:
         track_stream(
             answers.model,

@@ -40,19 +40,25 @@ class FrameRows:
 
     def make(self, n: int, origin: FloatArray, offsets: np.ndarray, prior: FloatArray) -> None:
         """Make arrays for n frames; the others are those of `Problem`."""
-        records = np.zeros(n, self._type)
-        self.rows = records.view(float).reshape(n, -1)
-        self.problem = Problem(
-            records,
-            self._packer(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared.copy(),
-            np.zeros((n, BODY_CLASSES + 1)),
-            np.zeros((n, HEAD_CLASSES + 1)),
-            unit(class_centres(BODY_CLASSES)),
-            unit(class_centres(HEAD_CLASSES)),
-            origin[None],
-            offsets,
-            prior,
+        self.take(
+            Problem(
+                np.zeros(n, self._type),
+                np.zeros(1, self._packer.types.shared),
+                np.zeros((n, BODY_CLASSES + 1)),
+                np.zeros((n, HEAD_CLASSES + 1)),
+                unit(class_centres(BODY_CLASSES)),
+                unit(class_centres(HEAD_CLASSES)),
+                origin[None],
+                offsets,
+                prior,
+            )
         )
+
+    def take(self, problem: Problem) -> None:
+        """Use arrays that there are."""
+        self.problem = problem
+        self.rows = problem.records.view(float).reshape(len(problem.records), -1)
+        problem.shared[:] = self._packer(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
 
     def put(self, row: int, step: Step) -> PackedTracks:
         """Write a step into a row; what was packed."""

@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from graphtrack.errors import InputError
-from graphtrack.inference.chain import grid, mode_spread, newton, restart, window_kernels
+from graphtrack.inference.chain import advance, grid, mode_spread, newton, restart, window_kernels
 from graphtrack.model import Model, Term
 from graphtrack.model.kernels import program
 from graphtrack.model.kernels.compiled import UNKEPT, cache_home
@@ -32,10 +32,10 @@ from graphtrack.model.model import every_term
 Compiled = Callable[..., Any]
 
 _PROGRAM = program.__name__
-_CALLERS = tuple(module.__name__ for module in (newton, grid, restart, window_kernels, mode_spread))
+_CALLERS = tuple(module.__name__ for module in (newton, grid, restart, window_kernels, mode_spread, advance))
 """The modules whose functions call those of the frame program, directly or not."""
 
-_PUBLIC = ("program", "newton", "restart", "window_kernels", "mode_spread")
+_PUBLIC = ("program", "newton", "restart", "mode_spread", "advance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +55,14 @@ class ChainProgram:
     sweep_forward: Compiled
     solve_tracks: Compiled
     find_other_basin: Compiled
-    solve_window: Compiled
-    let_go: Compiled
     spread_tracks: Compiled
-    spread_newest: Compiled
+    advance: Compiled
+    advance_with_modes: Compiled
 
     @classmethod
     def of(cls, modules: Sequence[ModuleType]) -> ChainProgram:
         """The functions in the modules `_PUBLIC` of a program."""
-        frame, newton, restart, window, spread = modules
+        frame, newton, restart, spread, advance = modules
         return cls(
             RecordTypes(frame.FRAME, frame.SHARED),
             frame.LINKS,
@@ -72,14 +71,13 @@ class ChainProgram:
             newton.sweep_forward,
             restart.solve_tracks,
             restart.find_other_basin,
-            window.solve_window,
-            window.let_go,
             spread.spread_tracks,
-            spread.spread_newest,
+            advance.advance,
+            advance.advance_with_modes,
         )
 
 
-OF_PRESETS = ChainProgram.of((program, newton, restart, window_kernels, mode_spread))
+OF_PRESETS = ChainProgram.of((program, newton, restart, mode_spread, advance))
 
 
 def program_of(model: Model) -> ChainProgram:

@@ -4,30 +4,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
-from graphtrack.inference.chain.window_modes import WindowModes
+from graphtrack.inference.chain.slots import blocks_of
+from graphtrack.inference.chain.stating import stating_of
+from graphtrack.inference.chain.windows import AS_SET, FORETOLD, NOTHING, Advanced, Rules
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
-from graphtrack.inference.state import Angles, Newest, Window
+from graphtrack.inference.state import FAILURES, Angles, Newest, Window
 from graphtrack.model import Model, Step
-from graphtrack.model.kernels.layout import BODY, HEAD, N
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.kernels.layout import N
+from graphtrack.model.terms.gait import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry")
-"""The rows of the workspace that the next observation reads; all others are written before they are read."""
+"""What the next observation reads of the last solution; a row for each frame."""
+_OF_FRAMES = ("records", "body_heights", "head_heights", "states", *_FACTORISATION)
+_OF_WINDOW = ("shared", "origin", "prior", "newest", "modes_before")
+"""The arrays of a slot that move with a window: those with a row for each frame, and others."""
+
+_LEAST_FRAMES = 64
+_KNOWN = (math.nan, math.nan)
 
 
 class ChainWindow:
     """A fixed-lag smoother of one person by compiled Newton steps.
 
-    The frames of the window stand one after another in arrays that the kernels read in place. What leaves the
-    window is eliminated with its exact curvature, and what it says about the next frame stays as a Gaussian.
-    Time and memory are bounded by the window. Whatever a method raises, it leaves the smoother as it was.
+    The frames of the window stand one after another in arrays that the kernels read in place, side by side
+    with those of others, so that `extend_together` takes many people's observations in one call. What leaves
+    the window is eliminated with its exact curvature, and what it says about the next frame stays as a
+    Gaussian. Time and memory are bounded by the window. Whatever a method raises, all stays as it was.
 
     Parameters
     ----------
@@ -43,26 +52,27 @@ class ChainWindow:
     coupled : the packed frames of the last solution, with what the modes of the couplings set; None without,
         or where it is not to be shown
     spread : (6, 6) what the modes of the couplings leave open in the newest frame; part of its covariance
+    modes : probability of an aligned body, and its offset from the motion, in the newest frame; or NaN
     """
 
     def __init__(
         self, model: Model, lag: float, tolerance: float, max_iterations: int, *, show_coupled: bool = False
     ) -> None:
         self._model, self._lag = model, lag
-        self._tolerance, self._max_iterations = tolerance, max_iterations
         self._program = program_of(model)
+        self._rules = rules_of(model, tolerance, max_iterations)
         self._frames = FrameRows(model)
         self._anchor: Angles | None = None
         self._steps: list[Step] = []
         self._has_prior = False
-        self._show_coupled = show_coupled
+        self._show_coupled = show_coupled and model.has_modes
         self.coupled: np.ndarray | None = None
         # Whether what was seen may speak for several directions: then other basins are searched.
         self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
-        self._origin = np.zeros(2)
-        self._covariance, self.spread = np.empty((N, N)), np.zeros((N, N))
-        self._modes = WindowModes(gait_of(model.parameters.gait)) if model.has_modes else None
-        self._allocate(64)
+        self.spread: FloatArray = np.zeros((N, N))
+        self.modes = (math.nan, math.nan)
+        self._warm = False
+        self._take_slot(_LEAST_FRAMES)
 
     @property
     def steps(self) -> Sequence[Step]:
@@ -76,35 +86,20 @@ class ChainWindow:
         return self._read(self._offsets[1] - back)
 
     @property
-    def modes(self) -> tuple[float, float]:
-        """Probability of an aligned body, and its offset from the motion, in the newest frame; or NaN."""
-        return (float("nan"), float("nan")) if self._modes is None else self._modes.newest
-
-    @property
     def modes_before(self) -> FloatArray | None:
         """Probabilities of both couplings' modes in the frame before the window; None without modes."""
-        return None if self._modes is None else self._modes.before
+        return self._slot.modes_before.copy() if self._model.has_modes else None
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
         """Add a step whose variables start at ``state``; what is known about it then."""
-        if not self._steps:
-            self._anchor = (state[4], state[5])
+        begins = not self._steps
+        if begins:
             self._origin[:] = state[:2]
-        if self._offsets[1] == len(self._states):
-            self._make_room()
-        begin, end = self._offsets.tolist()
-        before = self._states[begin:end].copy()
-        self._put(end, step, state, bool(self._steps))
-        self._offsets[1] = end + 1
-        if not self._solve():
-            self._offsets[1] = end
-            self._states[begin:end] = before
-            if not self._steps:
-                self._anchor = None
-            raise ArithmeticError("the estimate is not finite")
-        self._steps.append(step.alone())
-        newest = self._newest()
-        self._slide()
+        self._put_next(step)
+        self._set(self._offsets[1], state)
+        newest = self._solved(AS_SET, step)
+        if begins:
+            self._anchor = (state[4], state[5])
         return newest
 
     def rework(self, window: Window) -> Newest:
@@ -112,14 +107,10 @@ class ChainWindow:
         before = self.window()
         try:
             self.restore(window)
-            if not self._solve():
-                raise ArithmeticError("the estimate is not finite")
+            return self._solved(NOTHING, self._steps[-1])
         except BaseException:
             self.restore(before)
             raise
-        newest = self._newest()
-        self._slide()
-        return newest
 
     def restore(self, window: Window) -> None:
         """Take over a window as it stands."""
@@ -131,8 +122,8 @@ class ChainWindow:
         open_frames = slice(*self._offsets.tolist())
         kept = {"origin": self._origin, "states": self._states[open_frames], "prior": self._prior}
         if self._warm:
-            kept |= {name: getattr(self._memory, name)[open_frames] for name in _FACTORISATION}
-            kept["newest"] = self._memory.newest
+            kept |= {name: getattr(self._slot, name)[open_frames] for name in _FACTORISATION}
+            kept["newest"] = self._slot.newest
         return {name: values.copy() for name, values in kept.items()}
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
@@ -149,23 +140,27 @@ class ChainWindow:
         self._prior[:] = arrays["prior"].reshape(N + 2, N)
         self._warm = "newest" in arrays
         if self._warm:
-            self._memory.newest[:] = arrays["newest"].reshape(N, N)
+            self._slot.newest[:] = arrays["newest"].reshape(N, N)
             for name in _FACTORISATION:
-                rows = getattr(self._memory, name)
+                rows = getattr(self._slot, name)
                 rows[:n] = arrays[name].reshape(n, *rows.shape[1:])
 
     def _take(self, window: Window, origin: FloatArray) -> None:
-        prior = np.zeros((N + 2, N))
+        prior, modes = np.zeros((N + 2, N)), self._slot.modes_before.copy()
         if window.prior is not None:
             prior = self._from_prior(window.prior, window.steps[0], origin)
-        self._allocate(max(64, 2 * len(window.steps)))
-        self._origin[:] = origin
-        self._prior[:] = prior
+        if window.modes is not None and self._model.has_modes:
+            modes = window.modes
+        size = _size_for(len(window.steps))
+        if size == self._slot.block.size:
+            self._clear()
+        else:
+            self._take_slot(size)
+        self._origin[:], self._prior[:], self._slot.modes_before[:] = origin, prior, modes
         self._has_prior, self._anchor = window.prior is not None, window.anchor
-        if self._modes is not None and window.modes is not None:
-            self._modes.before = np.array(window.modes)
         for k, step in enumerate(window.steps):
-            self._put(k, step, window.values[step.index], k > 0)
+            self._put(k, step, k > 0)
+            self._set(k, window.values[step.index])
         self._offsets[1] = len(window.steps)
         self._steps = [step.alone() for step in window.steps]
         for k in range(1, len(window.steps)):
@@ -175,44 +170,46 @@ class ChainWindow:
         if window.prior is not None and window.steps:
             turn = self._states[0, 4:] - self._prior[N + 1, 4:]
             self._states[: len(window.steps), 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
-        if window.steps:
-            self._renew()
+        if window.steps and self._model.has_modes:
+            # The couplings that these states imply.
+            _called([self], NOTHING, self._steps[-1:], solves=False)
 
     def window(self) -> Window:
         """What another smoother needs to go on from here."""
         steps = tuple(self._steps)
         values = {step.index: self._read(self._offsets[0] + k) for k, step in enumerate(steps)}
         prior = self._to_prior(steps[0]) if steps and self._has_prior else None
-        modes = None if self._modes is None else self._modes.before.copy()
-        return Window(steps, values, prior, self._anchor, modes)
+        return Window(steps, values, prior, self._anchor, self.modes_before)
 
     # -- arrays --------------------------------------------------------------------------------------------
 
-    def _allocate(self, n: int) -> None:
-        self._states = np.zeros((n, N))
-        self._offsets = np.zeros(2, np.int64)
-        self._prior = np.zeros((N + 2, N))
-        self._memory, self._warm = workspace(n), False
-        self._frames.make(n, self._origin, self._offsets, self._prior)
-        self._problem = self._frames.problem
+    def _take_slot(self, size: int) -> None:
+        """Have a slot with room for so many frames, in which nothing is known."""
+        self._slot = blocks_of(self._program).slot(size)
+        self._states, self._offsets = self._slot.states, self._slot.offsets
+        self._prior, self._origin = self._slot.prior, self._slot.origin[0]
+        self._of_frames = [getattr(self._slot, name) for name in _OF_FRAMES]
+        self._clear()
+
+    def _clear(self) -> None:
+        slot = self._slot
+        self._frames.take(slot.problem)
+        slot.offsets[:], slot.prior[:], slot.origin[:], slot.modes_before[:] = 0, 0.0, 0.0, 0.0
+        self._warm = False
 
     def _make_room(self) -> None:
-        """Move the window to the front of the arrays, or into larger ones."""
+        """Move the window to the front of its arrays, or into larger ones."""
         begin, end = self._offsets.tolist()
-        n, warm, prior, shared = end - begin, self._warm, self._prior, self._problem.shared
-        old, memory = self._rows_of_frames(), self._memory
-        if 2 * n > len(self._states):
-            self._allocate(2 * len(self._states))
-            self._prior[:], self._problem.shared[:], self._memory.newest[:] = prior, shared, memory.newest
-        for new, previous in zip(self._rows_of_frames(), old, strict=True):
-            new[:n] = previous[begin:end].copy()
+        old, rows, n, warm = self._slot, self._of_frames, end - begin, self._warm
+        size = _size_for(n)
+        if size > len(self._states):
+            self._take_slot(size)
+            for name in _OF_WINDOW:
+                getattr(self._slot, name)[:] = getattr(old, name)
+        for new, previous in zip(self._of_frames, rows, strict=True):
+            new[:n] = previous[begin:end]
         self._warm = warm
         self._offsets[:] = 0, n
-
-    def _rows_of_frames(self) -> list[np.ndarray]:
-        """The arrays that have a row for each frame, and must move with it."""
-        problem, factors = self._problem, [getattr(self._memory, name) for name in _FACTORISATION]
-        return [self._states, problem.records, problem.body_heights, problem.head_heights, *factors]
 
     def _read(self, row: int) -> tuple[float, ...]:
         x, y, vx, vy, body, head = self._states[row].tolist()
@@ -220,62 +217,41 @@ class ChainWindow:
         body = body if self._model.has_body else math.nan
         return x + left, y + bottom, vx, vy, body, head if self._model.has_head else math.nan
 
-    def _put(self, row: int, step: Step, state: Sequence[float], linked: bool) -> None:
+    def _set(self, row: int, state: Sequence[float]) -> None:
+        left, bottom = self._origin.tolist()
+        x, y, vx, vy, body, head = state
+        known = (body if math.isfinite(body) else 0.0, head if math.isfinite(head) else 0.0)
+        self._states[row] = (x - left, y - bottom, vx, vy, *known)
+
+    def _put_next(self, step: Step) -> None:
+        """Write a step into the row after the newest."""
+        if self._offsets[1] == len(self._states):
+            self._make_room()
+        self._put(self._offsets[1], step, bool(self._steps))
+
+    def _put(self, row: int, step: Step, linked: bool) -> None:
         """Write a step into a row of the arrays; ``linked`` if there is one before it in the window."""
         packed = self._frames.put(row, step)
         if not linked:
             for name in self._program.links:
                 self._frames.rows[row, self._frames.place[name]] = 0.0
         self._ambiguous = self._ambiguous or bool(len(packed.body_heights) + len(packed.head_heights))
-        left, bottom = self._origin.tolist()
-        x, y, vx, vy, body, head = state
-        known = (body if math.isfinite(body) else 0.0, head if math.isfinite(head) else 0.0)
-        self._states[row] = (x - left, y - bottom, vx, vy, *known)
 
     # -- solving -------------------------------------------------------------------------------------------
 
-    def _solve(self) -> bool:
-        self._renew()
-        self._warm = self._program.solve_window(
-            self._problem,
-            self._states,
-            self._warm,
-            self._ambiguous,
-            self._max_iterations,
-            self._tolerance,
-            self._memory,
-            self._covariance,
-        )
-        if self._warm and self._modes is not None:
-            self.spread[:] = 0.0
-            self._program.spread_newest(
-                self._problem, self._states, self._modes.spread, self._memory, self.spread
-            )
-        return self._warm
+    def _solved(self, adds: int, step: Step) -> Newest:
+        """Solve the window, with a step more or as it stands; what is known then."""
+        (found,) = _solved_together([self], adds, [step])
+        if isinstance(found, Exception):
+            raise found
+        return found
 
-    def _renew(self) -> None:
-        """Set the couplings by the modes that the states imply."""
-        if self._modes is not None:
-            self._modes.renew(self._problem, self._states)
-        if self._modes is not None and self._show_coupled:
-            # What slides out of the window is cut from it.
-            self.coupled = self._problem.records[slice(*self._offsets.tolist())].copy()
-
-    def _newest(self) -> Newest:
-        covariance = self._covariance + self.spread
-        for has, place in ((self._model.has_body, BODY), (self._model.has_head, HEAD)):
-            if not has:
-                covariance[place] = covariance[:, place] = np.nan
-        return np.array(self._read(int(self._offsets[1]) - 1)), covariance
-
-    def _slide(self) -> None:
-        horizon = self._steps[-1].observation.t - self._lag
-        while self._steps[0].observation.t < horizon:
-            self._program.let_go(self._problem, self._states, self._memory)
-            if self._modes is not None:
-                self._modes.let_go()
-            self._has_prior = True
-            del self._steps[0]
+    def _leaving(self, newest: Step) -> int:
+        """How many steps leave the window when there is a newest one."""
+        horizon, n, last = newest.observation.t - self._lag, 0, len(self._steps) - 1
+        while n <= last and self._steps[n].observation.t < horizon:
+            n += 1
+        return n
 
     # -- priors --------------------------------------------------------------------------------------------
 
@@ -283,11 +259,116 @@ class ChainWindow:
         return next(k for k, known in enumerate(self._steps) if known.index == step.index)
 
     def _to_prior(self, step: Step) -> MarginalPrior:
-        point = self._prior[N + 1].copy()
-        point[:2] += self._origin
-        return on_variables(StatePrior(self._prior[:N], self._prior[N], point), step, self._model)
+        prior = self._prior.copy()
+        prior[N + 1, :2] += self._origin
+        return on_variables(StatePrior(prior[:N], prior[N], prior[N + 1]), step, self._model)
 
     def _from_prior(self, prior: MarginalPrior, step: Step, origin: FloatArray) -> FloatArray:
         information, linear, point = on_state(prior, step, self._model)
         point[:2] -= origin
         return np.vstack([information, linear, point])
+
+
+def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> list[Newest | Exception]:
+    """Add a step, not the first, to each of some windows; what is known of each then, or why it is not.
+
+    The new variables start where those before lead to. Who is taken together with whom makes no difference.
+    """
+    found: list[Newest | Exception | None] = [None] * len(windows)
+    groups: dict[tuple[int, int], list[int]] = {}
+    for k, (window, step) in enumerate(zip(windows, steps, strict=True)):
+        try:
+            window._put_next(step)
+        except FAILURES as error:
+            found[k] = error
+        else:
+            groups.setdefault((id(window._slot.block), id(window._rules)), []).append(k)
+    for places in groups.values():
+        some = _solved_together([windows[k] for k in places], FORETOLD, [steps[k] for k in places])
+        for k, one in zip(places, some, strict=True):
+            found[k] = one
+    return found  # type: ignore[return-value]  # none is left out
+
+
+def _solved_together(
+    windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step]
+) -> list[Newest | Exception]:
+    """Solve windows of one block and with the same rules; what is added stands in their next rows."""
+    advanced = _called(windows, adds, steps)
+    found: list[Newest | Exception] = []
+    fine, modes = advanced.fine.tolist(), advanced.modes.tolist()
+    for k, (window, step) in enumerate(zip(windows, steps, strict=True)):
+        window._warm = fine[k]
+        if not fine[k]:
+            found.append(ArithmeticError("the estimate is not finite"))
+            continue
+        if adds:
+            window._steps.append(step.alone())
+        leaving = window._leaving(step)
+        if leaving:
+            del window._steps[:leaving]
+            window._has_prior = True
+        window.modes = (modes[k][0], modes[k][1])
+        if window._show_coupled:
+            window.spread, window.coupled = advanced.spread[k], advanced.coupled
+        found.append((advanced.state[k], advanced.covariance[k]))
+    return found
+
+
+def _called(
+    windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step], solves: bool = True
+) -> Advanced:
+    """The compiled call."""
+    first, n = windows[0], len(windows)
+    to_do = [
+        (one._slot.number, adds, solves, one._warm, one._ambiguous, one._leaving(step) if solves else 0)
+        for one, step in zip(windows, steps, strict=True)
+    ]
+    guesses = np.array([_guess(step, first._model) for step in steps])
+    shown = len(first._steps) + (adds > 0) if first._show_coupled else 0
+    advanced = Advanced(
+        np.zeros(n, bool),
+        np.empty((n, N)),
+        np.empty((n, N, N)),
+        np.zeros((n, N, N)),
+        np.full((n, 2), math.nan),
+        np.empty(shown, first._program.types.frame),
+    )
+    block, people = first._slot.block.windows, np.array(to_do)
+    if first._model.has_modes:
+        gait = gait_of_model(first._model)
+        first._program.advance_with_modes(block, people, guesses, first._rules, gait, advanced)
+    else:
+        first._program.advance(block, people, guesses, first._rules, advanced)
+    return advanced
+
+
+def _guess(step: Step, model: Model) -> Angles:
+    """Where angles of a step begin that the model does not have; NaN for those that it has."""
+    if model.has_body and model.has_head:
+        return _KNOWN
+    seen = step.observation
+    body = next((one for one in (seen.body, seen.head) if one is not None), 0.0)
+    head = body if seen.head is None else seen.head
+    return math.nan if model.has_body else body, math.nan if model.has_head else head
+
+
+def _size_for(frames: int) -> int:
+    """Rows for a window of so many frames, so that it has to be moved to their front only now and then."""
+    size = _LEAST_FRAMES
+    while 8 * frames > 7 * size:
+        size *= 2
+    return size
+
+
+@lru_cache(64)
+def rules_of(model: Model, tolerance: float, max_iterations: int) -> Rules:
+    """The same for the same, so that windows that have it can be taken together."""
+    stating = stating_of(model.parameters)
+    return Rules(model.has_body, model.has_head, max_iterations, tolerance, stating)
+
+
+@lru_cache(16)
+def gait_of_model(model: Model) -> Gait:
+    """The parameters of the modes."""
+    return gait_of(model.parameters.gait)

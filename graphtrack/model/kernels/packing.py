@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -172,10 +172,14 @@ class FramePacker:
     ----------
     terms : that pack
     types : of the records
+
+    Attributes
+    ----------
+    types : of the records
     """
 
     def __init__(self, terms: Sequence[Term], types: RecordTypes) -> None:
-        self._terms, self._types = terms, types
+        self._terms, self.types = terms, types
         self._repeats = all(term.states("repeats") and term.repeats for term in terms)
         # Most terms have nothing that is live; to ask each takes longer than to write what the others have.
         self._live = [term.live for term in terms if term.live.__qualname__ != "Term.live"]
@@ -207,10 +211,9 @@ class FramePacker:
             known = self._known[kind] = self._packed(seen, seconds, starts, camera)
         return known
 
-    def live(self, seen: Observation) -> Iterator[tuple[str, float]]:
+    def live(self, seen: Observation) -> list[tuple[str, float]]:
         """Fields, with their values, that frames of a kind do not share."""
-        for live in self._live:
-            yield from live(seen)
+        return [field for live in self._live for field in live(seen)]
 
     def _packed(
         self, seen: Observation, dt: float, starts: bool, camera: GroundCamera | None
@@ -222,4 +225,4 @@ class FramePacker:
         }
         inputs = {name: np.array([value]) for name, value in seen.inputs.items()}
         track = Track(0, np.array([0]), np.array([seen.t]), np.array([position]), inputs=inputs, **channels)
-        return PackedTracks.within(track, camera, dt, starts, self._terms, self._types)
+        return PackedTracks.within(track, camera, dt, starts, self._terms, self.types)

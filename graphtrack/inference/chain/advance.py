@@ -1,0 +1,245 @@
+"""One observation more of each of some people, compiled: one call takes them all.
+
+Nobody's window knows of another's, so that it makes no difference who is taken together with whom.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.elimination import Workspace, assign
+from graphtrack.inference.chain.mode_spread import spread_newest
+from graphtrack.inference.chain.modes import renew_couplings
+from graphtrack.inference.chain.stating import state_uncertainty
+from graphtrack.inference.chain.window_kernels import let_go, solve_window, the_only
+from graphtrack.inference.chain.windows import (
+    ADDS,
+    FORETOLD,
+    LEAVE,
+    NOTHING,
+    SEARCHES,
+    SLOT,
+    SOLVES,
+    WARM,
+    Advanced,
+    Rules,
+    Windows,
+)
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.terms.gait import ROW, Gait
+
+
+@compiled
+def memory_for(size: int) -> Workspace:
+    """What only lasts for a call, for windows of ``size`` frames; factorisations are the windows' own."""
+    return Workspace(
+        np.empty((0, N, N)),
+        np.empty((0, N, N)),
+        np.empty((size, N)),
+        np.empty((size, N)),
+        np.empty((size, N)),
+        np.empty((0, 4)),
+        np.empty((4, N, N)),
+        np.empty((0, N)),
+    )
+
+
+@compiled
+def problem_in(windows: Windows, slot: int) -> Problem:
+    """One window as the kernels see it."""
+    return Problem(
+        windows.records[slot],
+        windows.shared[slot],
+        windows.body_heights[slot],
+        windows.head_heights[slot],
+        windows.body_directions,
+        windows.head_directions,
+        windows.origin[slot],
+        windows.offsets[slot],
+        windows.prior[slot],
+    )
+
+
+@compiled
+def memory_in(windows: Windows, slot: int, memory: Workspace) -> Workspace:
+    """The memory of one window: its factorisation, and what lasts for a call."""
+    return Workspace(
+        windows.inverse[slot],
+        windows.link[slot],
+        memory.solution,
+        memory.step,
+        memory.candidate,
+        windows.trigonometry[slot],
+        memory.scratch,
+        windows.newest[slot],
+    )
+
+
+@compiled
+def foretell(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None:
+    """Initial values of a new frame: constant velocity, the angles as they were.
+
+    ``guess`` (2,) are angles that are known otherwise, NaN where those before count.
+    """
+    before, state = states[row - 1], states[row]
+    state[X], state[Y] = before[X] + dt * before[VX], before[Y] + dt * before[VY]
+    state[VX], state[VY] = before[VX], before[VY]
+    state[BODY] = before[BODY] if math.isnan(guess[0]) else guess[0]
+    state[HEAD] = before[HEAD] if math.isnan(guess[1]) else guess[1]
+
+
+@compiled
+def tell(
+    windows: Windows, slot: int, rules: Rules, covariance: FloatArray, p: int, advanced: Advanced
+) -> None:
+    """Write down what is known of a window's newest frame."""
+    state, told = windows.states[slot, windows.offsets[slot, 1] - 1], advanced.covariance[p]
+    for i in range(N):
+        advanced.state[p, i] = state[i]
+        for j in range(N):
+            told[i, j] = covariance[i, j] + advanced.spread[p, i, j]
+    advanced.state[p, X] += windows.origin[slot, 0, 0]
+    advanced.state[p, Y] += windows.origin[slot, 0, 1]
+    if not rules.has_body:
+        hide(BODY, advanced.state[p], told)
+    if not rules.has_head:
+        hide(HEAD, advanced.state[p], told)
+    state_uncertainty(told, advanced.state[p, VX:BODY], rules.stating)
+
+
+@compiled
+def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
+    """Nothing is known of what a model does not have."""
+    state[place] = math.nan
+    for i in range(N):
+        covariance[i, place] = covariance[place, i] = math.nan
+
+
+@compiled
+def advance(
+    windows: Windows, people: NDArray[np.int64], guesses: FloatArray, rules: Rules, advanced: Advanced
+) -> None:
+    """Take one observation more, or what was changed, into each of some windows of a block.
+
+    Parameters
+    ----------
+    people : (P, 6) what is to be done; the new frames' records stand in the rows after their windows' last
+    guesses : (P, 2) as in `foretell`
+    rules : of all of them
+    advanced : filled in
+    """
+    size = windows.states.shape[1]
+    memory, before, covariance = memory_for(size), np.empty((size, N)), np.empty((N, N))
+    for p in range(len(people)):
+        slot = people[p, SLOT]
+        problem, states, own = (
+            problem_in(windows, slot),
+            windows.states[slot],
+            memory_in(windows, slot, memory),
+        )
+        begin = problem.offsets[0]
+        kept = add_newest(problem, states, people[p, ADDS], guesses[p], before)
+        advanced.fine[p] = solve_window(
+            problem,
+            states,
+            people[p, WARM] != 0,
+            people[p, SEARCHES] != 0,
+            rules.max_iterations,
+            rules.tolerance,
+            own,
+            covariance,
+        )
+        if not advanced.fine[p]:
+            problem.offsets[1] = begin + kept
+            assign(states[begin : begin + kept], before[:kept])
+            continue
+        tell(windows, slot, rules, covariance, p, advanced)
+        for _ in range(people[p, LEAVE]):
+            let_go(problem, states, own)
+
+
+@compiled
+def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArray, before: FloatArray) -> int:
+    """Keep the states in ``before`` and add the frame after the newest; how many frames there were."""
+    begin, end = problem.offsets[0], problem.offsets[1]
+    assign(before[: end - begin], states[begin:end])
+    if adds != NOTHING:
+        if adds == FORETOLD:
+            foretell(states, end, problem.records[end].dt, guess)
+        problem.offsets[1] = end + 1
+    return int(end - begin)
+
+
+@compiled
+def advance_with_modes(
+    windows: Windows,
+    people: NDArray[np.int64],
+    guesses: FloatArray,
+    rules: Rules,
+    gait: Gait,
+    advanced: Advanced,
+) -> None:
+    """As `advance`, where the couplings have modes."""
+    size = windows.states.shape[1]
+    memory, before, covariance = memory_for(size), np.empty((size, N)), np.empty((N, N))
+    for p in range(len(people)):
+        slot = people[p, SLOT]
+        problem, states, own = (
+            problem_in(windows, slot),
+            windows.states[slot],
+            memory_in(windows, slot, memory),
+        )
+        begin = problem.offsets[0]
+        kept = add_newest(problem, states, people[p, ADDS], guesses[p], before)
+        end = problem.offsets[1]
+        n = end - begin
+        filtered, modes, pulls = np.empty((2, n, ROW)), np.empty((n, 2)), np.empty((n, 2))
+        renew_couplings(
+            problem,
+            the_only(problem),
+            states[begin:end],
+            gait,
+            windows.modes_before[slot],
+            filtered,
+            modes,
+            pulls,
+        )
+        advanced.modes[p, 0], advanced.modes[p, 1] = modes[n - 1, 0], modes[n - 1, 1]
+        for k in range(len(advanced.coupled)):
+            advanced.coupled[k] = problem.records[begin + k]
+        if people[p, SOLVES] == 0:
+            continue
+        advanced.fine[p] = solve_window(
+            problem,
+            states,
+            people[p, WARM] != 0,
+            people[p, SEARCHES] != 0,
+            rules.max_iterations,
+            rules.tolerance,
+            own,
+            covariance,
+        )
+        if not advanced.fine[p]:
+            problem.offsets[1] = begin + kept
+            assign(states[begin : begin + kept], before[:kept])
+            continue
+        clear_matrix(advanced.spread[p])
+        spread_newest(problem, states, pulls, own, advanced.spread[p])
+        tell(windows, slot, rules, covariance, p, advanced)
+        for k in range(people[p, LEAVE]):
+            let_go(problem, states, own)
+            assign(windows.modes_before[slot], filtered[:, k])
+
+
+@compiled
+def clear_matrix(matrix: FloatArray) -> None:
+    """Set to 0."""
+    for i in range(len(matrix)):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0

@@ -1,0 +1,131 @@
+"""The stated uncertainty of a newest frame, compiled: what `inference.solution.stated` says of it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
+from graphtrack.inference.solution import SHARES, SHRINK
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.layout import BODY, HEAD, N
+from graphtrack.model.parameters import Parameters
+from graphtrack.model.sway import kept_shares, sway_variances
+
+
+class Lasting(NamedTuple):
+    """A rate that lasts, which estimates lag behind; see `graphtrack.model.sway`."""
+
+    diffusion: float
+    rate: float
+    lasts: float  # seconds
+
+
+class Stating(NamedTuple):
+    """What stated uncertainties depend on."""
+
+    accelerations: Lasting
+    body_turns: Lasting
+    head_turns: Lasting
+    kept: FloatArray  # (2,) what the standard deviations of body and head are to be multiplied with
+    sway: FloatArray  # (4,) variances
+    shares: FloatArray  # what the root of an angle's inverse curvature is to be multiplied with
+    shrink: FloatArray
+
+
+@lru_cache(16)
+def stating_of(parameters: Parameters) -> Stating:
+    """The parameters as the kernel takes them."""
+    motion, o = parameters.motion, parameters.orientation
+    return Stating(
+        Lasting(float(motion.acceleration_density), float(motion.lasting_std), float(motion.lasting_time)),
+        Lasting(float(o.body_diffusion), float(o.body_turn_rate), float(o.body_turn_time)),
+        Lasting(float(o.head_diffusion), float(o.head_turn_rate), float(o.head_turn_time)),
+        np.sqrt(kept_shares(o)),
+        np.array(sway_variances(motion), float),
+        SHARES,
+        SHRINK,
+    )
+
+
+@compiled
+def newest_lag(seconds: float, lasting: Lasting) -> float:
+    """Variance of what the estimate of a newest frame lags: from the past alone."""
+    lasts = lasting.lasts
+    return lasting.rate**2 * seconds * lasts * (seconds / (seconds + lasts))
+
+
+@compiled
+def known(value: float) -> float:
+    """0 for NaN."""
+    return 0.0 if np.isnan(value) else value
+
+
+@compiled
+def angle_behind(row: FloatArray, velocity: FloatArray, stating: Stating) -> float:
+    """By how many radians an angle is behind for each radian a second, from its row of the covariance."""
+    across = row[3] * velocity[0] - row[2] * velocity[1]
+    return abs(
+        known(across / stating.accelerations.diffusion)
+        + known(row[BODY] / stating.body_turns.diffusion)
+        + known(row[HEAD] / stating.head_turns.diffusion)
+    )
+
+
+@compiled
+def shrink_of(variance: float, stating: Stating) -> float:
+    """What the root of an angle's inverse curvature is to be multiplied with."""
+    share, last = variance / (1.0 + variance), len(stating.shares) - 1
+    if not share < stating.shares[last]:
+        # NaN stays NaN.
+        found = stating.shrink[last] + 0.0 * variance
+    else:
+        k = min(max(int(share / stating.shares[1]), 0), last - 1)
+        while k > 0 and stating.shares[k] > share:
+            k -= 1
+        while stating.shares[k + 1] <= share:
+            k += 1
+        slope = (stating.shrink[k + 1] - stating.shrink[k]) / (stating.shares[k + 1] - stating.shares[k])
+        found = slope * (share - stating.shares[k]) + stating.shrink[k]
+    widest = UNIFORM_STD / np.sqrt(variance)
+    return widest if found > widest else found
+
+
+@compiled
+def state_uncertainty(covariance: FloatArray, velocity: FloatArray, stating: Stating) -> None:
+    """The covariance (6, 6) of a newest frame as it is stated, in place; NaN where there is no such state.
+
+    ``velocity`` (2,) is the frame's, in m/s.
+    """
+    body_behind = angle_behind(covariance[BODY], velocity, stating)
+    head_behind = angle_behind(covariance[HEAD], velocity, stating)
+    if stating.accelerations.rate != 0.0:
+        own = 0.5 * (covariance[2, 2] + covariance[3, 3])
+        seconds = 0.5 * (covariance[0, 2] + covariance[1, 3]) / own
+        lag = newest_lag(own / stating.accelerations.diffusion, stating.accelerations)
+        for axis in range(2):
+            covariance[axis, axis] += lag * seconds**2
+            covariance[axis, 2 + axis] += lag * seconds
+            covariance[2 + axis, axis] += lag * seconds
+            covariance[2 + axis, 2 + axis] += lag
+    for place in range(4):
+        covariance[place, place] += stating.sway[place]
+    body = stating.kept[0] * shrink_of(covariance[BODY, BODY], stating)
+    head = stating.kept[1] * shrink_of(covariance[HEAD, HEAD], stating)
+    for i in range(N):
+        covariance[BODY, i] *= body
+        covariance[HEAD, i] *= head
+    for i in range(N):
+        covariance[i, BODY] *= body
+        covariance[i, HEAD] *= head
+    add_turns(covariance, BODY, newest_lag(body_behind, stating.body_turns))
+    add_turns(covariance, HEAD, newest_lag(head_behind, stating.head_turns))
+
+
+@compiled
+def add_turns(covariance: FloatArray, place: int, lag: float) -> None:
+    """What an angle lags behind turns that last; no angle is less sure than one that may be any."""
+    variance = covariance[place, place] + lag
+    covariance[place, place] = UNIFORM_STD**2 if variance > UNIFORM_STD**2 else variance
