@@ -95,9 +95,11 @@ def solve_terms(
     if guessed is not None:
         angles[guessed] = first[guessed]
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
+    # Class likelihoods have basins that only the couplings tell apart.
+    again = restart and bool(len(problem.body_heights) + len(problem.head_heights))
     for _ in range(PASSES):
         renew_tracks(problem, result.states, gait, result.modes, spread)
-        solve_tracks(problem, max_iterations, tolerance, False, memory, result)
+        solve_tracks(problem, max_iterations, tolerance, again, memory, result)
     program.spread_tracks(problem, result.states, spread, memory, result.covariance)
 
 

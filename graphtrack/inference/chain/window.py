@@ -134,6 +134,8 @@ class ChainWindow:
         if self._warm:
             kept |= {name: getattr(self._memory, name)[open_frames] for name in _FACTORISATION}
             kept["newest"] = self._memory.newest
+        if self._modes is not None and self._modes.classified:
+            kept["classified"] = np.ones(1)
         return {name: values.copy() for name, values in kept.items()}
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
@@ -149,6 +151,8 @@ class ChainWindow:
         self._states[:n] = arrays["states"].reshape(n, N)
         self._prior[:] = arrays["prior"].reshape(N + 2, N)
         self._warm = "newest" in arrays
+        if self._modes is not None:
+            self._modes.classified = "classified" in arrays
         if self._warm:
             self._memory.newest[:] = arrays["newest"].reshape(N, N)
             for name in _FACTORISATION:

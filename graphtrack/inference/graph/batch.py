@@ -139,11 +139,13 @@ def smooth_graph(
             # Without couplings first: from there both the modes and the states are found.
             view.decouple()
             values, _, _ = descent.lowest(values)
+            # Class likelihoods have basins that only the couplings tell apart.
+            again = descent.lowest if any(map(is_ambiguous, steps)) else descent
             for _ in range(PASSES - 1):
                 view.renew(descent.states(values))
-                values, _, _ = descent(values)
+                values, _, _ = again(values)
             view.renew(descent.states(values))
-            values, costs, converged = descent(values)
+            values, costs, converged = again(values)
         else:
             values, costs, converged = descent.lowest(values)
         covariance = marginal_covariances(graph, values, steps, model)
