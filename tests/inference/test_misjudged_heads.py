@@ -3,15 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from gaits import people
 from scipy import special
 
-from graphtrack.geometry.angles import difference, mean_absolute_error
+from graphtrack.geometry.angles import class_centres, class_kappa, difference, mean_absolute_error, unit
 from graphtrack.inference import smooth, track_online
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import GaitParameters, Model
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import BINS, NEAR, ROW, gait_of, infer_modes
+from graphtrack.model.terms.pose import add_class_quarters, add_classes, add_classes_over, class_densities
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
 from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet
 
@@ -46,7 +48,10 @@ def errors(tracks: TrackSet, found: list[Track]) -> list[float]:
 
 def test_a_head_that_no_body_has_is_the_classifiers() -> None:
     seen = classified(people(0.0, 4, seed=31, seconds=4.0), turned=5, seed=32)
-    sure, (body, head) = errors(seen, list(smooth(seen, with_bias(0.0)))), errors(seen, list(smooth(seen, "full")))
+    sure, (body, head) = (
+        errors(seen, list(smooth(seen, with_bias(0.0)))),
+        errors(seen, list(smooth(seen, "full"))),
+    )
     assert body < 12.0 and head < min(20.0, 0.7 * sure[1])
 
 
@@ -106,3 +111,37 @@ def test_what_was_seen_by_a_classifier_stays_so_while_the_head_is_hidden() -> No
     expected, found = smoother.update(rows[-1]), again.update(rows[-1])
     assert abs(difference(expected.head, expected.body)) < np.radians(30.0)
     assert found.head == expected.head
+
+
+@pytest.mark.parametrize("doubt", [0.0, 0.4, 1.0])
+def test_doubted_classes_are_mixed_with_what_says_nothing(doubt: float) -> None:
+    """What the classes lose is spread over the circle: by quadrature, with the gradient by differences."""
+    n, rng = HEAD_CLASSES, np.random.default_rng(39)
+    heights = rng.random(n + 1)
+    heights /= heights.sum()
+    kappa, directions = class_kappa(n), unit(class_centres(n))
+    angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    cos, sin = np.cos(angles), np.sin(angles)
+    classes = (
+        np.exp(kappa * (cos[:, None] * directions[:, 0] + sin[:, None] * directions[:, 1] - 1.0))
+        @ heights[:n]
+    )
+    expected = -np.log(heights[n] + (1.0 - doubt) * classes + doubt * classes.mean())
+
+    def cost(angle: float) -> tuple[float, float]:
+        gradient, hessian = np.zeros(6), np.zeros((6, 6))
+        found = add_classes(
+            np.cos(angle), np.sin(angle), 5, heights, directions, kappa, doubt, True, gradient, hessian
+        )
+        return float(found), float(gradient[5])
+
+    found = np.array([cost(angle) for angle in angles.tolist()])
+    np.testing.assert_allclose(found[:, 0] - 2.0 * kappa, expected, atol=1e-5)
+    step = 1e-5
+    slope = [(cost(a + step)[0] - cost(a - step)[0]) / (2.0 * step) for a in angles[::40].tolist()]
+    np.testing.assert_allclose(found[::40, 1], slope, atol=1e-6)
+    over, quarters = np.zeros(len(angles)), np.zeros(4)
+    add_classes_over(heights, class_densities(cos, sin, directions), kappa, doubt, over)
+    np.testing.assert_allclose(over, expected, atol=1e-5)
+    add_class_quarters(cos[7], sin[7], heights, directions, kappa, doubt, quarters)
+    np.testing.assert_allclose(quarters, expected[[7, 187, 367, 547]], atol=1e-5)

@@ -137,13 +137,12 @@ def add_classes(
     classes say nothing.
     """
     n_classes = len(directions)
-    believed = 1.0 - doubt
     density = doubted(heights[n_classes], kappa, doubt)
     along = turn = square = mean_cos = mean_sin = 0.0
     for c in range(n_classes):
         close = cos * directions[c, 0] + sin * directions[c, 1]
         across = sin * directions[c, 0] - cos * directions[c, 1]
-        value = believed * heights[c] * math.exp(kappa * (close - 1.0))
+        value = (1.0 - doubt) * heights[c] * math.exp(kappa * (close - 1.0))
         density += value
         along += value * close
         turn += value * across
