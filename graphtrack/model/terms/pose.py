@@ -176,7 +176,7 @@ def add_classes_over(
 ) -> None:
     """What class likelihoods cost at each of many directions, from the classes' densities there."""
     n = prepared.shape[1]
-    believed, outliers = 1.0 - doubt, doubted(heights[n], kappa, doubt)
+    believed, outliers = 1.0 - doubt, doubted(float(heights[n]), kappa, doubt)
     for i in range(len(cost)):
         density = 0.0
         for c in range(n):
