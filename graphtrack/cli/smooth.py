@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -22,9 +22,10 @@ def smooth(
     reading: options.SceneReading,
     model: options.BestModelName = None,
     engine: Annotated[
-        Literal["auto", "chain", "gtsam"],
+        str,
         typer.Option(
             "--engine",
+            metavar="<auto|chain|gtsam>",
             help="auto takes chain, which is compiled, where it can; isam2 and fixed-lag are for track.",
         ),
     ] = "auto",

@@ -43,15 +43,20 @@ BATCH = 20_000
 """Frames that a thread of the chain engine takes at a time; it bounds the memory beside the answer."""
 
 
-def engine_of(model: Model, engine: OfflineEngine | Literal["auto"] = "auto") -> OfflineEngine:
+def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
     """The engine that solves a model: what was asked for, or "chain" wherever that is possible.
 
     Raises
     ------
     InputError
-        If the chain engine was asked for and a term has no compiled kernel, or one has none beside modes of
-        the couplings; the message names it.
+        For an engine that is none of whole tracks; if the chain engine was asked for and a term has no
+        compiled kernel, or one has none beside modes of the couplings: the message names it.
     """
+    if engine in ("isam2", "fixed-lag"):
+        raise InputError(
+            f"engine {engine!r}, which takes one observation after the other, for whole tracks",
+            "gtsam, where iSAM2 ends once it has all, or graphtrack track with --engine isam2 --lag none",
+        )
     if engine not in ("auto", "chain", "gtsam"):
         raise InputError(f"engine {engine!r}", "auto, chain or gtsam")
     if engine == "gtsam" or not is_chain(model):

@@ -83,7 +83,7 @@ def _renew_couplings(model: Model) -> None:
     problem, result, _ = _made_up(model)
     filtered, spread = np.empty((2, len(TRACK), ROW)), np.zeros((len(TRACK), 2))
     gait, before = gait_of(model.parameters.gait), np.zeros((2, ROW))
-    renew_couplings(problem, 0, result.states, gait, before, filtered, result.modes, spread)
+    renew_couplings(problem, 0, result.states, gait, False, before, filtered, result.modes, spread)
 
 
 def _spread(model: Model) -> None:

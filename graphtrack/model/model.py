@@ -15,7 +15,7 @@ from graphtrack.display import html_table, listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
-from graphtrack.model.factors.derived import Couplings, derived_factors
+from graphtrack.model.factors.derived import COUPLED, Couplings, derived_factors
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import (
@@ -195,8 +195,8 @@ class Model:
             return [factor for term in self.terms for factor in term.factors(step)]
         found: list[gtsam.NonlinearFactor] = []
         for term in self.terms:
-            switched = any(kernel.switched for kernel in term.kernels)
-            found += derived_factors(term, step, couplings) if switched else term.factors(step)
+            follows = any(not set(COUPLED).isdisjoint(kernel.arguments) for kernel in term.kernels)
+            found += derived_factors(term, step, couplings) if follows else term.factors(step)
         return found
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:

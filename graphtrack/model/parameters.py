@@ -161,6 +161,8 @@ class GaitParameters(_Group):
     body_offset_kappa, head_offset_kappa : concentration about 0 of an offset that is drawn for the free mode;
         0: any is as likely
     head_rate_seen : share of the motion's ``head_rate`` that holds where a position is seen, 0 to 1
+    head_class_bias : probability that class likelihoods see somebody's head turned all along
+    head_class_bias_kappa : concentration of such turns about 0
     head_common : share of what the head's modes leave open that all frames have in common, 0 to 1
     """
 
@@ -182,6 +184,9 @@ class GaitParameters(_Group):
     body_offset_kappa: float = _number(0.2, 0.0, 100.0)
     head_offset_kappa: float = _number(3.0, 0.0, 100.0)
     head_rate_seen: float = _share(0.54)
+    # Of classifiers: how people move says nothing of them.
+    head_class_bias: float = _number(0.43, 0.0, 1.0, learned=False)
+    head_class_bias_kappa: float = _number(1.0, 0.0, 100.0, learned=False)
     # It changes what is stated and nothing that is estimated.
     head_common: float = _number(0.27, 0.0, 1.0, learned=False)
 

@@ -29,6 +29,7 @@ WRONG = {
     "no jobs": "smooth tracks.csv -o out.csv --jobs 0",
     "track without output": "track tracks.csv",
     "no such engine": "track tracks.csv -o out.csv --engine steam",
+    "an engine of what comes for whole tracks": "smooth tracks.csv -o out.csv --engine isam2",
     "a negative lag": "track tracks.csv -o out.csv --lag -1",
     "a state for a file": "track tracks.csv -o out.csv --state state.json",
     "an output for a stream": "track - -o out.csv",
@@ -110,6 +111,12 @@ def test_wrong_use_is_one_line_with_status_2(arguments, here, monkeypatch, capsy
     assert all(line.startswith(("tracks.csv: ", "  ")) for line in others)
     assert "Traceback" not in output.err + output.out
     assert {path.name for path in here.iterdir()} <= {"tracks.csv", "demo"}
+
+
+def test_an_online_engine_for_whole_tracks_names_what_to_take(here, monkeypatch, capsys):
+    assert run(monkeypatch, WRONG["an engine of what comes for whole tracks"].split()) == 2
+    told = capsys.readouterr().err
+    assert "expected gtsam" in told and "graphtrack track with --engine isam2 --lag none" in told
 
 
 def test_without_arguments_the_help_is_shown_and_the_status_is_2(here, monkeypatch, capsys):

@@ -97,7 +97,7 @@ def test_each_coupling_has_its_own_lead() -> None:
         states[:, 2:4] = np.gradient(track.true_position, track.t, axis=0)
         states[:, BODY], states[:, HEAD] = track.true_body, track.true_head
         before, filtered, modes = np.zeros((2, ROW)), np.empty((2, n, ROW)), np.empty((n, 2))
-        renew_couplings(problem, 0, states, gait_of(gait), before, filtered, modes, np.empty((n, 2)))
+        renew_couplings(problem, 0, states, gait_of(gait), False, before, filtered, modes, np.empty((n, 2)))
         found[leads] = problem.records.copy()
     same, other = found[0.1, 0.1], found[0.1, 0.6]
     np.testing.assert_array_equal(same["motion_body_kappa"], other["motion_body_kappa"])

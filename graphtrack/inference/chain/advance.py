@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, assign
 from graphtrack.inference.chain.mode_spread import spread_newest
-from graphtrack.inference.chain.modes import renew_couplings
+from graphtrack.inference.chain.modes import is_classified, renew_couplings
 from graphtrack.inference.chain.stating import state_uncertainty
 from graphtrack.inference.chain.window_kernels import let_go, solve_window, the_only
 from graphtrack.inference.chain.windows import (
@@ -199,12 +199,14 @@ def advance_with_modes(
         kept = add_newest(problem, states, people[p, ADDS], guesses[p], before)
         end = problem.offsets[1]
         n = end - begin
+        classified = windows.classified[slot, 0] or is_classified(problem, the_only(problem))
         filtered, modes, pulls = np.empty((2, n, ROW)), np.empty((n, 2)), np.empty((n, 2))
         renew_couplings(
             problem,
             the_only(problem),
             states[begin:end],
             gait,
+            classified,
             windows.modes_before[slot],
             filtered,
             modes,
@@ -214,6 +216,7 @@ def advance_with_modes(
         for k in range(len(advanced.coupled)):
             advanced.coupled[k] = problem.records[begin + k]
         if people[p, SOLVES] == 0:
+            windows.classified[slot, 0] = classified
             continue
         advanced.fine[p] = solve_window(
             problem,
@@ -229,6 +232,7 @@ def advance_with_modes(
             problem.offsets[1] = begin + kept
             assign(states[begin : begin + kept], before[:kept])
             continue
+        windows.classified[slot, 0] = classified
         clear_matrix(advanced.spread[p])
         spread_newest(problem, states, pulls, own, advanced.spread[p])
         tell(windows, slot, rules, covariance, p, advanced)

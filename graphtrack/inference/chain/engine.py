@@ -96,9 +96,19 @@ def solve_terms(
     if guessed is not None:
         angles[guessed] = first[guessed]
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
+    # Class likelihoods have basins that only the couplings tell apart.
+    again = restart and bool(len(problem.body_heights) + len(problem.head_heights))
     for _ in range(PASSES):
         renew_tracks(problem, result.states, gait, result.modes, spread)
         solve_tracks(problem, max_iterations, tolerance, False, memory, result)
+        if again:
+            states, cost = result.states.copy(), result.cost.copy()
+            solve_tracks(problem, max_iterations, tolerance, True, memory, result)
+            if not (result.cost < cost).all():
+                # The grid does not know where the head's coupling rests: it may lead to a worse basin.
+                kept = np.repeat(~(result.cost < cost), np.diff(problem.offsets))
+                result.states[kept] = states[kept]
+                solve_tracks(problem, max_iterations, tolerance, False, memory, result)
     program.spread_tracks(problem, result.states, spread, memory, result.covariance)
 
 

@@ -22,6 +22,7 @@ from graphtrack.model.terms.gait import (
     deviation,
     expected,
     infer_modes,
+    mistaken,
 )
 from graphtrack.model.terms.intentional_motion import steer
 
@@ -164,6 +165,15 @@ def judge_head(
 
 
 @compiled
+def is_classified(problem: Problem, track: int) -> bool:
+    """Whether class likelihoods are known of the head in any frame of a track."""
+    for k in range(problem.offsets[track], problem.offsets[track + 1]):
+        if problem.records[k].head_class_kappa > 0.0:
+            return True
+    return False
+
+
+@compiled
 def couple(
     modes: Modes, kappa: float, lead: float, probability: FloatArray
 ) -> tuple[float, float, float, float]:
@@ -188,6 +198,7 @@ def renew_couplings(
     track: int,
     states: FloatArray,
     gait: Gait,
+    classified: bool,
     before: FloatArray,
     filtered: FloatArray,
     modes: FloatArray,
@@ -198,6 +209,7 @@ def renew_couplings(
     Parameters
     ----------
     states : (n, 6)
+    classified : whether the head is seen by a classifier, which may see it turned all along
     before : (2, ROW) filtered probabilities of both couplings in the frame before the first
     filtered : (2, n, ROW) filled in: those of all frames
     modes : (n, 2) filled in: the probability that the body is aligned, and the offset from motion to body
@@ -223,20 +235,22 @@ def renew_couplings(
         modes[k, 0], modes[k, 1] = aligned(smoothed[k]), math.atan2(sin, cos)
         held[k, 0], held[k, 1] = cos, sin
         left += dt[k]
-    leading_angles(dt, states, gait.head.lead, False, angle)
-    judge_head(problem, track, states, angle, gait.head, row)
-    infer_modes(dt, row, gait.head, before[HEAD_MODE], filtered[HEAD_MODE], smoothed)
+    of_head = gait.classified_head if classified else gait.head
+    leading_angles(dt, states, of_head.lead, False, angle)
+    judge_head(problem, track, states, angle, of_head, row)
+    infer_modes(dt, row, of_head, before[HEAD_MODE], filtered[HEAD_MODE], smoothed)
     left = 0.0
     for k in range(n - 1, -1, -1):
         frame, lead = problem.records[offset + k], angle[k] - states[k, BODY]
-        given, cos, sin, pull = couple(gait.head, frame.head_aligned_kappa, lead, smoothed[k])
-        kappa = loosened(frame, given, 1.0, gait.head.lead - left, shared.body_diffusion)
+        given, cos, sin, pull = couple(of_head, frame.head_aligned_kappa, lead, smoothed[k])
+        kappa = loosened(frame, given, 1.0, of_head.lead - left, shared.body_diffusion)
         spread[k, HEAD_MODE] = math.sqrt(gait.head_common) * pull * kappa / given if given > 0.0 else 0.0
         frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin = kappa, cos, sin
+        frame.head_doubt = mistaken(smoothed[k], of_head)
         left += dt[k]
         if k < n - 1:
             # The head steers as far as it is expected to point where the motion goes.
-            cos, sin = expected(smoothed[k], gait.head, 1.0, 1.0)
+            cos, sin = expected(smoothed[k], of_head, 1.0, 1.0)
             after, ahead = problem.records[offset + k + 1], held[k, 0] * cos - held[k, 1] * sin
             share = gait.head_rate_seen if is_seen(after) else 1.0
             steer(after, after.steer_rate * share * max(ahead, 0.0))
@@ -251,4 +265,7 @@ def renew_tracks(
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         filtered = np.empty((2, b - a, ROW))
-        renew_couplings(problem, track, states[a:b], gait, before, filtered, modes[a:b], spread[a:b])
+        classified = is_classified(problem, track)
+        renew_couplings(
+            problem, track, states[a:b], gait, classified, before, filtered, modes[a:b], spread[a:b]
+        )

@@ -50,6 +50,7 @@ class Block:
             np.zeros((*frames, 4)),
             np.zeros((SLOTS, N, N)),
             np.zeros((SLOTS, 2, ROW)),
+            np.zeros((SLOTS, 1), bool),
         )
 
 

@@ -23,7 +23,7 @@ from graphtrack.model.terms.gait import Gait, gait_of
 _FACTORISATION = ("inverse", "link", "trigonometry")
 """What the next observation reads of the last solution; a row for each frame."""
 _OF_FRAMES = ("records", "body_heights", "head_heights", "states", *_FACTORISATION)
-_OF_WINDOW = ("shared", "origin", "prior", "newest", "modes_before")
+_OF_WINDOW = ("shared", "origin", "prior", "newest", "modes_before", "classified")
 """The arrays of a slot that move with a window: those with a row for each frame, and others."""
 
 _LEAST_FRAMES = 64
@@ -124,6 +124,8 @@ class ChainWindow:
         if self._warm:
             kept |= {name: getattr(self._slot, name)[open_frames] for name in _FACTORISATION}
             kept["newest"] = self._slot.newest
+        if self._slot.classified[0]:
+            kept["classified"] = np.ones(1)
         return {name: values.copy() for name, values in kept.items()}
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
@@ -139,6 +141,7 @@ class ChainWindow:
         self._states[:n] = arrays["states"].reshape(n, N)
         self._prior[:] = arrays["prior"].reshape(N + 2, N)
         self._warm = "newest" in arrays
+        self._slot.classified[0] = "classified" in arrays
         if self._warm:
             self._slot.newest[:] = arrays["newest"].reshape(N, N)
             for name in _FACTORISATION:
@@ -147,6 +150,7 @@ class ChainWindow:
 
     def _take(self, window: Window, origin: FloatArray) -> None:
         prior, modes = np.zeros((N + 2, N)), self._slot.modes_before.copy()
+        classified = self._slot.classified[0]
         if window.prior is not None:
             prior = self._from_prior(window.prior, window.steps[0], origin)
         if window.modes is not None and self._model.has_modes:
@@ -157,6 +161,7 @@ class ChainWindow:
         else:
             self._take_slot(size)
         self._origin[:], self._prior[:], self._slot.modes_before[:] = origin, prior, modes
+        self._slot.classified[0] = classified
         self._has_prior, self._anchor = window.prior is not None, window.anchor
         for k, step in enumerate(window.steps):
             self._put(k, step, k > 0)
@@ -195,6 +200,7 @@ class ChainWindow:
         slot = self._slot
         self._frames.take(slot.problem)
         slot.offsets[:], slot.prior[:], slot.origin[:], slot.modes_before[:] = 0, 0.0, 0.0, 0.0
+        slot.classified[0] = False
         self._warm = False
 
     def _make_room(self) -> None:

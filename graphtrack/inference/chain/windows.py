@@ -58,3 +58,4 @@ class Windows(NamedTuple):
     trigonometry: FloatArray  # (S, n, 4)
     newest: FloatArray  # (S, 6, 6)
     modes_before: FloatArray  # (S, 2, ROW) both couplings' modes in the frame before the window
+    classified: NDArray[np.bool_]  # (S, 1) whether class likelihoods of the head have been seen

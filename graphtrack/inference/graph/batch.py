@@ -139,11 +139,13 @@ def smooth_graph(
             # Without couplings first: from there both the modes and the states are found.
             view.decouple()
             values, _, _ = descent.lowest(values)
+            # Class likelihoods have basins that only the couplings tell apart.
+            again = descent.lower if any(map(is_ambiguous, steps)) else descent
             for _ in range(PASSES - 1):
                 view.renew(descent.states(values))
-                values, _, _ = descent(values)
+                values, _, _ = again(values)
             view.renew(descent.states(values))
-            values, costs, converged = descent(values)
+            values, costs, converged = again(values)
         else:
             values, costs, converged = descent.lowest(values)
         covariance = marginal_covariances(graph, values, steps, model)
@@ -194,13 +196,18 @@ class _Descent:
     def lowest(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
         """In the basin that costs least of those that the chain's grid leads to."""
         begun = self._graph.error(values)
-        values, costs, converged = self(self._elsewhere(values, AT_START) or values)
+        values, costs, converged = self.lower(self._elsewhere(values, AT_START) or values)
+        return values, [begun, *costs[1:]], converged
+
+    def lower(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
+        """In the basin that begins here, or in another one that the chain's grid leads to and costs less."""
+        values, costs, converged = self(values)
         elsewhere = self._elsewhere(values, AT_END)
         if elsewhere is not None:
             again = self(elsewhere)
             if again[1][-1] < costs[-1]:
                 values, costs, converged = again[0], costs + again[1][1:], again[2]
-        return values, [begun, *costs[1:]], converged
+        return values, costs, converged
 
     def states(self, values: gtsam.Values) -> FloatArray:
         """States (n, 6); NaN for what the model does not have."""

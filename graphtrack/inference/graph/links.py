@@ -86,7 +86,7 @@ class Link:
 
 
 def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: float) -> bool:
-    """Whether a coupling, or the steering, differs by more than a share; rows as in `factors.COUPLED`."""
+    """Whether a coupling, the steering or a doubt differs by more than a share; rows as in `COUPLED`."""
     if old is None or new is old:
         return False
     for kappa, cos, sin in ((0, 1, 2), (3, 4, 5)):
@@ -94,4 +94,6 @@ def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: f
         change = math.hypot(b * new[cos] - a * old[cos], b * new[sin] - a * old[sin])
         if change > threshold * max(a, b):
             return True
-    return abs(new[6] - old[6]) > threshold * max(new[6], old[6])
+    if abs(new[6] - old[6]) > threshold:
+        return True
+    return abs(new[7] - old[7]) > threshold * max(new[7], old[7])

@@ -35,6 +35,7 @@ COUPLED = (
     "head_body_kappa",
     "head_body_cos",
     "head_body_sin",
+    "head_doubt",
     "steer_gain",
     "steer_reach",
     "steer_place",

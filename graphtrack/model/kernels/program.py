@@ -56,11 +56,13 @@ FRAME = np.dtype(
         ("body_kappa", float),
         ("body_uniform", float),  # the outliers' density over that at the peak of the von Mises
         ("body_class_kappa", float),  # concentration of the classes; 0: no class likelihoods
+        ("body_doubt", float),  # probability that they say nothing, by the modes of the couplings
         ("seen_head_cos", float),  # direction, concentration and ε/2π of an observed head angle
         ("seen_head_sin", float),
         ("head_kappa", float),
         ("head_uniform", float),  # the outliers' density over that at the peak of the von Mises
         ("head_class_kappa", float),  # concentration of the classes; 0: no class likelihoods
+        ("head_doubt", float),  # probability that they say nothing, by the modes of the couplings
         ("motion_body_kappa", float),  # κ₁ with the frame's weight
         ("motion_body_cos", float),  # of the angle from motion to body at which their coupling rests
         ("motion_body_sin", float),
@@ -186,6 +188,7 @@ def add_own(
             problem.body_heights[place],
             problem.body_directions,
             frame.body_class_kappa,
+            frame.body_doubt,
             exact,
             gradient,
             hessian,
@@ -211,6 +214,7 @@ def add_own(
             problem.head_heights[place],
             problem.head_directions,
             frame.head_class_kappa,
+            frame.head_doubt,
             exact,
             gradient,
             hessian,
@@ -587,6 +591,7 @@ def add_frame(
             problem.body_heights[place],
             problem.body_directions,
             frame.body_class_kappa,
+            frame.body_doubt,
             exact,
             gradient,
             hessian,
@@ -612,6 +617,7 @@ def add_frame(
             problem.head_heights[place],
             problem.head_directions,
             frame.head_class_kappa,
+            frame.head_doubt,
             exact,
             gradient,
             hessian,
@@ -736,7 +742,13 @@ def add_over(
                 body[g],
             )
         if frame.body_class_kappa > 0.0:
-            add_classes_over(problem.body_heights[place], of_body_class_kappa, body[g])
+            add_classes_over(
+                problem.body_heights[place],
+                of_body_class_kappa,
+                frame.body_class_kappa,
+                frame.body_doubt,
+                body[g],
+            )
         if frame.head_kappa > 0.0:
             add_angle_over(
                 frame.seen_head_cos,
@@ -748,7 +760,13 @@ def add_over(
                 head[g],
             )
         if frame.head_class_kappa > 0.0:
-            add_classes_over(problem.head_heights[place], of_head_class_kappa, head[g])
+            add_classes_over(
+                problem.head_heights[place],
+                of_head_class_kappa,
+                frame.head_class_kappa,
+                frame.head_doubt,
+                head[g],
+            )
         if frame.motion_body_kappa > 0.0:
             add_motion_over(state, frame.motion_body_kappa, shared.speed_threshold, cos, sin, body[g])
         if frame.group_weight > 0.0:
@@ -824,6 +842,7 @@ def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: Flo
                 problem.body_heights[place],
                 problem.body_directions,
                 frame.body_class_kappa,
+                frame.body_doubt,
                 body,
             )
         if frame.head_kappa > 0.0:
@@ -843,6 +862,7 @@ def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: Flo
                 problem.head_heights[place],
                 problem.head_directions,
                 frame.head_class_kappa,
+                frame.head_doubt,
                 head,
             )
         if frame.motion_body_kappa > 0.0:

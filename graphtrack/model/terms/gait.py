@@ -51,6 +51,7 @@ class Modes(NamedTuple):
     sin: FloatArray
     anywhere: FloatArray  # (BINS,) of the free mode's offsets in it; they sum to 1
     share: FloatArray  # (NEAR,) of the aligned mode's offsets in it; they sum to 1
+    own: FloatArray  # (BINS,) probability that such an offset is the person's, and not the classifier's
 
 
 class Gait(NamedTuple):
@@ -58,6 +59,7 @@ class Gait(NamedTuple):
 
     body: Modes
     head: Modes
+    classified_head: Modes
     head_evidence: float
     head_rate_seen: float
     head_common: float
@@ -224,10 +226,13 @@ def expected(
 ) -> tuple[float, float]:
     """Resultant of the couplings of all modes and offsets: cosine and sine times the concentration."""
     cos = sin = 0.0
-    for j in range(ROW):
-        weight = probability[j] * (free_strength if j < BINS else strength)
-        cos += weight * modes.cos[j]
+    for j in range(BINS):
+        weight = probability[j] * modes.own[j] * free_strength
+        cos += weight * modes.cos[j] + probability[j] * (1.0 - modes.own[j]) * strength
         sin += weight * modes.sin[j]
+    for j in range(BINS, ROW):
+        cos += probability[j] * strength * modes.cos[j]
+        sin += probability[j] * strength * modes.sin[j]
     return cos, sin
 
 
@@ -240,8 +245,12 @@ def deviation(
     Each pulls with the sine of what it is apart, times the strength of its mode.
     """
     total = 0.0
-    for j in range(ROW):
-        pull = (free_strength if j < BINS else strength) * (modes.sin[j] * cos - modes.cos[j] * sin)
+    for j in range(BINS):
+        pull = free_strength * (modes.sin[j] * cos - modes.cos[j] * sin)
+        total += probability[j] * modes.own[j] * pull * pull
+        total += probability[j] * (1.0 - modes.own[j]) * (strength * sin) ** 2
+    for j in range(BINS, ROW):
+        pull = strength * (modes.sin[j] * cos - modes.cos[j] * sin)
         total += probability[j] * pull * pull
     return math.sqrt(total)
 
@@ -255,14 +264,25 @@ def aligned(probability: FloatArray) -> float:
     return total
 
 
+@compiled
+def mistaken(probability: FloatArray, modes: Modes) -> float:
+    """Probability that an offset is the classifier's."""
+    total = 0.0
+    for j in range(BINS):
+        total += probability[j] * (1.0 - modes.own[j])
+    return total
+
+
 _GRID = 2.0 * np.pi * np.arange(72) / 72
 
 
 def gait_of(parameters: GaitParameters) -> Gait:
     """The parameters as the kernels take them."""
+    head = _modes(parameters, "head")
     return Gait(
         _modes(parameters, "body"),
-        _modes(parameters, "head"),
+        head,
+        _mistaken(head, parameters.head_class_bias, parameters.head_class_bias_kappa),
         parameters.head_evidence,
         parameters.head_rate_seen,
         parameters.head_common,
@@ -282,6 +302,23 @@ def _modes(parameters: GaitParameters, side: str) -> Modes:
         sin=np.sin(offsets),
         anywhere=anywhere / anywhere.sum(),
         share=share / share.sum(),
+        own=np.ones(BINS),
+    )
+
+
+def _mistaken(modes: Modes, bias: float, kappa: float) -> Modes:
+    """The modes of an orientation that a classifier may see turned all along, with the probability ``bias``.
+
+    The free mode's offsets are what appears then: the person's, or the classifier's, which is drawn from a
+    von Mises density about 0 with the concentration ``kappa``, and says nothing of the person.
+    """
+    own = (1.0 - bias) * (1.0 - modes.aligned) * modes.anywhere
+    turned = np.exp(kappa * (modes.cos[:BINS] - 1.0))
+    apparent = own + bias * turned / turned.sum()
+    return modes._replace(
+        aligned=(1.0 - bias) * modes.aligned,
+        anywhere=apparent / apparent.sum(),
+        own=np.divide(own, apparent, out=np.ones(BINS), where=apparent > 0.0),
     )
 
 

@@ -24,6 +24,7 @@ from graphtrack.geometry.angles import (
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.factors.native import von_mises_prior
+from graphtrack.model.kernels.bessel import log_i0e
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel, Search
 from graphtrack.model.kernels.layout import Field
@@ -109,6 +110,14 @@ def add_angle_quarters(
 
 
 @compiled
+def doubted(outliers: float, kappa: float, doubt: float) -> float:
+    """The outliers' density, with that of classes that say nothing with the probability ``doubt``."""
+    if not doubt > 0.0:
+        return outliers
+    return outliers + doubt * (1.0 - outliers) * math.exp(log_i0e(kappa))
+
+
+@compiled
 def add_classes(
     cos: float,
     sin: float,
@@ -116,6 +125,7 @@ def add_classes(
     heights: FloatArray,
     directions: FloatArray,
     kappa: float,
+    doubt: float,
     exact: bool,
     gradient: FloatArray,
     hessian: FloatArray,
@@ -123,15 +133,16 @@ def add_classes(
     """Class likelihoods: −log of a mixture of von Mises densities and a uniform one.
 
     ``heights`` (k + 1) are the densities of the classes at their centres and of the outliers, divided by
-    their sum; ``directions`` (k, 2) the centres' cosines and sines.
+    their sum; ``directions`` (k, 2) the centres' cosines and sines. ``doubt`` is the probability that the
+    classes say nothing.
     """
     n_classes = len(directions)
-    density = heights[n_classes]
+    density = doubted(heights[n_classes], kappa, doubt)
     along = turn = square = mean_cos = mean_sin = 0.0
     for c in range(n_classes):
         close = cos * directions[c, 0] + sin * directions[c, 1]
         across = sin * directions[c, 0] - cos * directions[c, 1]
-        value = heights[c] * math.exp(kappa * (close - 1.0))
+        value = (1.0 - doubt) * heights[c] * math.exp(kappa * (close - 1.0))
         density += value
         along += value * close
         turn += value * across
@@ -160,26 +171,35 @@ def class_densities(cos: FloatArray, sin: FloatArray, directions: FloatArray) ->
 
 
 @compiled
-def add_classes_over(heights: FloatArray, prepared: FloatArray, cost: FloatArray) -> None:
+def add_classes_over(
+    heights: FloatArray, prepared: FloatArray, kappa: float, doubt: float, cost: FloatArray
+) -> None:
     """What class likelihoods cost at each of many directions, from the classes' densities there."""
     n = prepared.shape[1]
+    believed, outliers = 1.0 - doubt, doubted(float(heights[n]), kappa, doubt)
     for i in range(len(cost)):
-        density = heights[n]
+        density = 0.0
         for c in range(n):
             density += heights[c] * prepared[i, c]
-        cost[i] -= math.log(density)
+        cost[i] -= math.log(outliers + believed * density)
 
 
 @compiled
 def add_class_quarters(
-    cos: float, sin: float, heights: FloatArray, directions: FloatArray, kappa: float, cost: FloatArray
+    cos: float,
+    sin: float,
+    heights: FloatArray,
+    directions: FloatArray,
+    kappa: float,
+    doubt: float,
+    cost: FloatArray,
 ) -> None:
     """The same of class likelihoods. A quarter on, a class is where another was: its density is known."""
     n = len(directions)
     quarter = n // 4
-    here = onward = opposite = back = heights[n]
+    here = onward = opposite = back = doubted(heights[n], kappa, doubt)
     for c in range(n):
-        value = math.exp(kappa * (cos * directions[c, 0] + sin * directions[c, 1] - 1.0))
+        value = (1.0 - doubt) * math.exp(kappa * (cos * directions[c, 0] + sin * directions[c, 1] - 1.0))
         here += heights[c] * value
         onward += heights[(c + quarter) % n] * value
         opposite += heights[(c + 2 * quarter) % n] * value
@@ -195,7 +215,7 @@ def _observed(name: Variable) -> tuple[Kernel, Kernel]:
     names = {"cos": f"{name}_cos", "sin": f"{name}_sin", "place": name.upper()}
     angle = {"mean_cos": f"seen_{name}_cos", "mean_sin": f"seen_{name}_sin"}
     angle |= {"kappa": f"{name}_kappa", "uniform": f"{name}_uniform"}
-    classes = {"kappa": f"{name}_class_kappa"}
+    classes = {"kappa": f"{name}_class_kappa", "doubt": f"{name}_doubt"}
     classes |= {part: f"{name}_{part}" for part in ("heights", "directions")}
     return (
         Kernel(
@@ -222,6 +242,7 @@ def _fields(name: Variable) -> tuple[Field, ...]:
         Field(f"{name}_kappa", ""),
         Field(f"{name}_uniform", "the outliers' density over that at the peak of the von Mises"),
         Field(f"{name}_class_kappa", "concentration of the classes; 0: no class likelihoods"),
+        Field(f"{name}_doubt", "probability that they say nothing, by the modes of the couplings"),
     )
 
 
