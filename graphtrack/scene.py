@@ -35,7 +35,7 @@ class SceneParameters:
     body_turn, head_turn : what bodies and heads turn, rad/√s
     body_outliers, head_outliers : share of observed angles that have nothing to do with the person; 1: angles
         say nothing of who is who
-    heading_std : of the body from where the person goes, rad
+    heading_std, gaze_std : of the body and the head from where the person goes, rad
     longest_filled : gaps of so many seconds are filled with where the person must have been
     look_ahead : detections of a track after a cut that say whose they are
     """
@@ -61,6 +61,7 @@ class SceneParameters:
     head_turn: float = number(0.8, 0.01, 10.0, "rad/√s")
     head_outliers: float = number(1.0, 0.01, 1.0)
     heading_std: float = number(0.4, 0.05, 3.0, "rad")
+    gaze_std: float = number(0.4, 0.05, 3.0, "rad")
     longest_filled: float = number(2.0, 0.0, 60.0, "s")
     look_ahead: int = number(8, 1, 100)
 
@@ -89,6 +90,7 @@ class SceneParameters:
             self.head_turn**2,
             self.head_outliers,
             self.heading_std**2,
+            self.gaze_std**2,
         )
 
 

@@ -40,6 +40,7 @@ class Scene(NamedTuple):
     head_turn: float
     head_outliers: float
     heading_variance: float
+    gaze_variance: float
     looks_offset: float = 0.0
     looks_slope: float = 0.0
     looks_outliers: float = 1.0

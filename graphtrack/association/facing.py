@@ -59,7 +59,8 @@ def learned(
     later = np.flatnonzero(chains.preceding >= 0)
     both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])
     neutral: dict[str, Any] = {"body_outliers": 1.0, "head_outliers": 1.0}
-    for column, names in enumerate((("body_std", "body_turn", "heading_std"), ("head_std", "head_turn"))):
+    kinds = ("body_std", "body_turn", "heading_std"), ("head_std", "head_turn", "gaze_std")
+    for column, names in enumerate(kinds):
         outliers = f"{names[0][:4]}_outliers"
         kept = {name: known[name] for name in (*names, outliers) if name in known}
         if both[:, column].sum() >= _LEAST and len(kept) <= len(names):
@@ -85,13 +86,16 @@ def _fitted(
         share = float(np.clip(given[-1], *_OUTLIERS))
         return dict(zip(names, spreads, strict=True)) | {outliers: share} | dict(kept)
 
+    # Angles turn the velocity too, and so say where somebody is seen next.
+    before, others, _ = innovations(chains, Scene(*scene.packed(seconds)))
+
     def cost(given: FloatArray) -> float:
         found = parameters(given)
         share = found[outliers]
         # A few angles' worth of doubt.
         doubt = 0.0 if outliers in kept else 2.0 * np.log(share) + 2.0 * np.log1p(-share)
-        _, angles, _ = innovations(chains, Scene(*replace(scene, **found).packed(seconds)))
-        return -angles - float(doubt)
+        places, angles, _ = innovations(chains, Scene(*replace(scene, **found).packed(seconds)))
+        return before + others - places - angles - float(doubt)
 
     start = [*np.log([getattr(SceneParameters(), name) for name in names]), 0.2]
     found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 40 * len(start), "fatol": 0.1})

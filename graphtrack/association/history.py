@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,17 @@ from graphtrack.association.packing import packed, unpacked
 from graphtrack.association.places import Places
 from graphtrack.scene import Known, SceneParameters
 
-LEARNED_AT = (50, 200, 800, 3200, 12800)
+LEARNED_AT = (50, 200, 800, 1600, 3200, 6400, 12800)
 """Detections after which the scene's parameters are learned; then after as many more as the last."""
 
 REMEMBERED = 3200
 """Detections, decided upon, that parameters are learned from."""
+
+GUESS_SECONDS = 10.0
+"""Time that the first guess of how people turn counts for: at first they all may walk straight."""
+
+_TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
+"""What says how people turn, and the power of it that is a variance."""
 
 
 class History:
@@ -31,6 +38,7 @@ class History:
         self.position, self.facing, self.descriptor = np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0))
         self.frame, self.owner = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self.count, self.times = 0, 0
+        self.since: float | None = None
 
     def add(self, chains: Chains, notes: Notes, owner: IntArray, first: int, end: int) -> None:
         """Remember the detections ``first`` up to ``end``, and forget as many where there are too many."""
@@ -48,6 +56,7 @@ class History:
         for name, values in new.items():
             setattr(self, name, np.concatenate([getattr(self, name), values[first:end]])[-REMEMBERED:])
         self.count += end - first
+        self.since = float(chains.t[first]) if self.since is None else self.since
 
     def state(self) -> dict[str, Any]:
         """As JSON-able data."""
@@ -88,5 +97,16 @@ class History:
         scene = duplicates.learned(chains.frame, self.position, identity, scene, known)
         scene = learning.learned(chains, identity, scene, self.std, step_seconds, known)
         scene = facing.learned(chains, scene, step_seconds, known)
+        scene = self._with_guess(scene, known)
         shown = of_tracks(chains, identity, self.descriptor, self.score)
         return scene, places.learned(chains, identity), shown
+
+    def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:
+        """With turns as the mean, over time, of the first guess and of what was found."""
+        watched = 0.0 if self.since is None else float(self.t[-1]) - self.since
+        share, guess = GUESS_SECONDS / (GUESS_SECONDS + watched), SceneParameters()
+        mean = {}
+        for name, power in _TURNS.items():
+            first, found = getattr(guess, name) ** power, getattr(scene, name) ** power
+            mean[name] = (share * first + (1.0 - share) * found) ** (1.0 / power)
+        return replace(scene, **mean | dict(known))

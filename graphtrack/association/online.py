@@ -275,10 +275,9 @@ class OnlineAssociation(Moves):
         owner = np.where(value[root] > 0.0, number, NOBODY)
         self._history.add(chains, self._notes, owner, open_before, settled)
         following = chains.following[:settled]
-        heads = (following < 0) | (following >= settled)
-        heads &= chains.t[:settled] >= t - self.scene.longest_gap
         # Nobody who is not believed by now will be found again after a gap.
-        heads &= (value[root[:settled]] > 0.0) | (following >= settled)
+        lost = (following < 0) & (value[root[:settled]] > 0.0)
+        heads = (lost & (chains.t[:settled] >= t - self.scene.longest_gap)) | (following >= settled)
         remain = np.concatenate([np.flatnonzero(heads), np.arange(settled, len(chains.t))])
         # A track's number and length go on with what is left of it.
         self._notes.number[:settled] = number[:settled]

@@ -58,7 +58,7 @@ def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state
     """Take body and head of a later detection into the state; their log likelihood ratio.
 
     They turn little since the earlier one, where the state was ``before``, and the body faces where the
-    person goes, who moves as the state says.
+    person goes, who moves as the state says, and is then taken to go more as body and head point.
     """
     if scene.body_outliers >= 1.0 and scene.head_outliers >= 1.0:
         return 0.0
@@ -75,4 +75,40 @@ def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state
         x, y = x + length * state[2], y + length * state[3]
     ratio = see_angle(later.body, x, y, scene.body_variance, scene.body_outliers, state, BODY)
     x, y = state[HEAD], state[HEAD + 1]
-    return ratio + see_angle(later.head, x, y, scene.head_variance, scene.head_outliers, state, HEAD)
+    ratio += see_angle(later.head, x, y, scene.head_variance, scene.head_outliers, state, HEAD)
+    steer(later.body, scene.body_variance + scene.heading_variance, scene.body_outliers, state)
+    steer(later.head, scene.head_variance + scene.gaze_variance, scene.head_outliers, state)
+    return ratio
+
+
+@compiled
+def steer(angle: float, variance: float, outliers: float, state: FloatArray) -> None:
+    """Turn the velocity of a state towards an observed angle, as far as that says where the person goes.
+
+    The update of an extended Kalman filter: the velocity across is speed · sin(deviation), says the angle.
+
+    Parameters
+    ----------
+    angle : radians, of body or head; NaN: not observed
+    variance : of the angle about the direction of travel
+    outliers : share of angles that have nothing to do with it
+    """
+    speed = math.hypot(state[2], state[3])
+    if outliers >= 1.0 or math.isnan(angle) or speed < 1e-2:
+        return
+    across_x, across_y = -state[3] / speed, state[2] / speed
+    deviation = angle - math.atan2(state[3], state[2])
+    kappa = 1.0 / (variance + state[6] / (speed * speed))
+    density = (1.0 - outliers) * math.exp(kappa * (math.cos(deviation) - 1.0) - log_i0e(kappa))
+    share = density / (density + outliers)
+    gain = share * kappa / (speed * speed)
+    off = speed * math.sin(deviation)
+    p_gain, v_gain = gain * state[5], gain * state[6]
+    state[0] += p_gain * off * across_x
+    state[1] += p_gain * off * across_y
+    state[2] += v_gain * off * across_x
+    state[3] += v_gain * off * across_y
+    # Of the two axes one is known better; the covariance is their mean.
+    state[4] -= 0.5 * p_gain * state[5]
+    state[5] -= 0.5 * p_gain * state[6]
+    state[6] -= 0.5 * v_gain * state[6]

@@ -30,7 +30,7 @@ ROUNDS = 6
 
 _ANGLES = {
     "body": ("body_std", "body_turn", "body_outliers", "heading_std"),
-    "head": ("head_std", "head_turn", "head_outliers"),
+    "head": ("head_std", "head_turn", "head_outliers", "gaze_std"),
 }
 SET = ("speed_std", "longest_gap", "longest_filled", "look_ahead")
 """Parameters that are set, and never learned."""

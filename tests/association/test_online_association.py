@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -193,3 +194,25 @@ def test_recorded_detections_are_not_associated_with_the_future(tmp_path) -> Non
     assert len(gt.smooth(source, "position")) == 1
     with pytest.raises(gt.InputError, match="rows without identities"):
         gt.track_online(source, "position")
+
+
+def test_who_goes_on_is_not_lost_where_decisions_stay_open_for_longer_than_a_gap() -> None:
+    association = OnlineAssociation(replace(SCENE, longest_gap=3.0), lag=20.0)
+    said = [association.update(float(k), np.array([[0.7 * k, 0.1 * k]])).identity for k in range(30)]
+    assert set(np.concatenate(said).tolist()) <= {-1, 1}
+    assert said[-1].tolist() == [1]
+
+
+def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> None:
+    rng, density = np.random.default_rng(0), []
+    start, velocity = 20.0 * rng.uniform(-1.0, 1.0, (40, 2)), rng.normal(0.0, 1.0, (40, 2))
+    first = SceneParameters().acceleration_density
+    for known in ({}, {"acceleration_density": 0.02}):
+        association = OnlineAssociation(known)
+        for k in range(200):
+            seen = start + 0.1 * k * velocity + 0.02 * rng.standard_normal((40, 2))
+            association.update(0.1 * k, seen)
+            density.append(association.scene.acceleration_density)
+    assert 0.5 * first < density[40] < first
+    assert density[199] < 0.9 * density[40]
+    assert set(density[200:]) == {0.02}
