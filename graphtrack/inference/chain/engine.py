@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -96,20 +97,31 @@ def solve_terms(
     if guessed is not None:
         angles[guessed] = first[guessed]
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
-    # Class likelihoods have basins that only the couplings tell apart.
-    again = restart and bool(len(problem.body_heights) + len(problem.head_heights))
+    classified = are_classified(problem) if restart else np.zeros(len(problem.offsets) - 1, bool)
     for _ in range(PASSES):
         renew_tracks(problem, result.states, gait, result.modes, spread)
         solve_tracks(problem, max_iterations, tolerance, False, memory, result)
-        if again:
-            states, cost = result.states.copy(), result.cost.copy()
+        if classified.any():
+            # Class likelihoods have basins that only the couplings tell apart.
+            found = copy.deepcopy(result)
             solve_tracks(problem, max_iterations, tolerance, True, memory, result)
-            if not (result.cost < cost).all():
-                # The grid does not know where the head's coupling rests: it may lead to a worse basin.
-                kept = np.repeat(~(result.cost < cost), np.diff(problem.offsets))
-                result.states[kept] = states[kept]
-                solve_tracks(problem, max_iterations, tolerance, False, memory, result)
+            # The grid does not know where the head's coupling rests: it may lead to a worse basin.
+            put_back(found, result, problem.offsets, ~(result.cost < found.cost) | ~classified)
     program.spread_tracks(problem, result.states, spread, memory, result.covariance)
+
+
+def are_classified(problem: Problem) -> BoolArray:
+    """(m,) tracks of which class likelihoods of body or head are known in some frame."""
+    rows = (problem.records["body_class_kappa"] > 0.0) | (problem.records["head_class_kappa"] > 0.0)
+    return np.logical_or.reduceat(rows, problem.offsets[:-1])
+
+
+def put_back(found: Result, result: Result, offsets: np.ndarray, tracks: BoolArray) -> None:
+    """Have some tracks as they were found before."""
+    rows = np.repeat(tracks, np.diff(offsets))
+    for before, after in zip(found, result, strict=True):
+        which = rows if len(after) == len(rows) else tracks
+        after[which] = before[which]
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
