@@ -11,7 +11,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import console, print_table, quiet_input_warnings
-from graphtrack.cli.groups import Smoothing, Table, check_csv, estimated
+from graphtrack.cli.groups import Smoothing, Table, check_csv, estimated, tell_learned
 from graphtrack.display import counted
 
 if TYPE_CHECKING:
@@ -112,24 +112,10 @@ def learn_attention(
     tracks: TrackSet, truth: Path, hold_out: float, output: Path, json_path: Path | None
 ) -> None:
     """`graphtrack fit --attention`: learn, say how well looks are told, and write the parameters."""
-    from graphtrack.behaviour.files import save_parameters
     from graphtrack.behaviour.tables import read_looks
     from graphtrack.learning.attention import fit_attention
 
     labels = read_looks(truth)
     with console.status("learning"), quiet_input_warnings():
         found = fit_attention(tracks, labels, hold_out=hold_out)
-    save_parameters(found.parameters, output)
-    names = [("what was learned from", found.learned_from), ("what was held out", found.held_out)]
-    for name, score in names:
-        if score is not None:
-            print_table(f"Looks in {name}, {counted(score.frames, 'look')}", score.shown())
-    console.print(f"wrote {output}", markup=False)
-    if json_path is not None:
-        from graphtrack.io import atomic_path
-
-        content: dict[str, object] = {"parameters": asdict(found.parameters)}
-        content |= {name: score.to_dict() for name, score in names if score is not None}
-        with atomic_path(json_path) as temporary:
-            temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        console.print(f"wrote {json_path}", markup=False)
+    tell_learned(found, asdict(found.parameters), ("Looks", "look"), output, json_path)

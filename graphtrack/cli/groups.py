@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +17,8 @@ from graphtrack.errors import InputError
 if TYPE_CHECKING:
     from graphtrack.behaviour.parameters import GroupParameters
     from graphtrack.evaluation.groups import GroupScore
+    from graphtrack.learning.attention import AttentionFit
+    from graphtrack.learning.groups import GroupFit
     from graphtrack.table.groups import GroupLabels
     from graphtrack.tracks import TrackSet
 
@@ -159,23 +162,35 @@ def learn_groups(
     tracks: TrackSet, truth: Path, hold_out: float, output: Path, json_path: Path | None
 ) -> None:
     """`graphtrack fit --groups`: learn, say how well groups are found, and write the parameters."""
-    from graphtrack.behaviour.files import save_parameters
     from graphtrack.learning.groups import fit_groups
 
     labels = read_quietly(truth)
     with console.status("learning"), quiet_input_warnings():
         found = fit_groups(tracks, labels, hold_out=hold_out)
+    tell_learned(found, found.parameters.to_dict(), ("Groups", "frame"), output, json_path)
+
+
+def tell_learned(
+    found: GroupFit | AttentionFit,
+    parameters: Mapping[str, object],
+    names: tuple[str, str],
+    output: Path,
+    json_path: Path | None,
+) -> None:
+    """Write what was learned of labels, and say how well it tells them; ``names``: of what, counted by."""
+    from graphtrack.behaviour.files import save_parameters
+
     save_parameters(found.parameters, output)
-    names = [("what was learned from", found.learned_from), ("what was held out", found.held_out)]
-    for name, score in names:
+    scores = [("what was learned from", found.learned_from), ("what was held out", found.held_out)]
+    for name, score in scores:
         if score is not None:
-            print_table(f"Groups in {name}, {counted(score.frames, 'frame')}", score.shown())
+            print_table(f"{names[0]} in {name}, {counted(score.frames, names[1])}", score.shown())
     console.print(f"wrote {output}", markup=False)
     if json_path is not None:
         from graphtrack.io import atomic_path
 
-        content = {"parameters": found.parameters.to_dict()}
-        content |= {name: score.to_dict() for name, score in names if score is not None}
+        content: dict[str, object] = {"parameters": parameters}
+        content |= {name: score.to_dict() for name, score in scores if score is not None}
         with atomic_path(json_path) as temporary:
             temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
         console.print(f"wrote {json_path}", markup=False)

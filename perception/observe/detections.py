@@ -45,6 +45,22 @@ class SeenDetections:
     refused: Mapping[str, int]
 
 
+def scene_of(
+    frames: Mapping[int, SeenFrame], camera: GroundCamera | None, *, causal: bool
+) -> tuple[GroundCamera, Projection]:
+    """The camera, one by people's height where none is given, and how looks are described.
+
+    Raises
+    ------
+    InputError
+        If nobody was seen.
+    """
+    if not any(known.people for known in frames.values()):
+        raise InputError("a video without people", "at least one person")
+    camera = scaled_camera_of(frames, causal=causal) if camera is None else camera
+    return camera, Projection.fixed() if causal else projection_of(frames)
+
+
 def to_detections(
     frames: Mapping[int, SeenFrame],
     head_classes: PoseClasses,
@@ -65,11 +81,7 @@ def to_detections(
     InputError
         If nobody was seen, or all are beyond the horizon.
     """
-    if not any(known.people for known in frames.values()):
-        raise InputError("a video without people", "at least one person")
-    if camera is None:
-        camera = scaled_camera_of(frames, causal=causal)
-    projection = Projection.fixed() if causal else projection_of(frames)
+    camera, projection = scene_of(frames, camera, causal=causal)
     names: list[str] = []
     parts: list[FloatArray] = []
     numbers: list[NDArray[np.int64]] = []

@@ -15,7 +15,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import BEYOND_HORIZON
 from graphtrack.tracks import ReadSummary, Track, TrackSet
-from perception.observe.detections import projection_of, scaled_camera_of
+from perception.observe.detections import scene_of
 from perception.observe.pipeline import channels_of, in_heights, is_on_ground
 from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.classes import PoseClasses
@@ -64,10 +64,7 @@ def to_identified(
     InputError
         If nobody was seen, or all are beyond the horizon.
     """
-    if not any(known.people for known in frames.values()):
-        raise InputError("a video without people", "at least one person")
-    camera = scaled_camera_of(frames, causal=causal) if camera is None else camera
-    projection = Projection.fixed() if causal else projection_of(frames)
+    camera, projection = scene_of(frames, camera, causal=causal)
     candidates: dict[int, _Heads] = {}
     seen = sum(len(known.people) for known in frames.values())
     for item in _on_ground(frames, camera):

@@ -143,21 +143,9 @@ def advance(
             windows.states[slot],
             memory_in(windows, slot, memory),
         )
-        begin = problem.offsets[0]
         kept = add_newest(problem, states, people[p, ADDS], guesses[p], before)
-        advanced.fine[p] = solve_window(
-            problem,
-            states,
-            people[p, WARM] != 0,
-            people[p, SEARCHES] != 0,
-            rules.max_iterations,
-            rules.tolerance,
-            own,
-            covariance,
-        )
+        advanced.fine[p] = solve_or_restore(problem, states, people[p], rules, own, before[:kept], covariance)
         if not advanced.fine[p]:
-            problem.offsets[1] = begin + kept
-            assign(states[begin : begin + kept], before[:kept])
             continue
         tell(windows, slot, rules, covariance, p, advanced)
         for _ in range(people[p, LEAVE]):
@@ -174,6 +162,34 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
             foretell(states, end, problem.records[end].dt, guess)
         problem.offsets[1] = end + 1
     return int(end - begin)
+
+
+@compiled
+def solve_or_restore(
+    problem: Problem,
+    states: FloatArray,
+    person: NDArray[np.int64],
+    rules: Rules,
+    own: Workspace,
+    before: FloatArray,
+    covariance: FloatArray,
+) -> bool:
+    """Solve one window; whether all went well, else it is as it was ``before``."""
+    fine = solve_window(
+        problem,
+        states,
+        person[WARM] != 0,
+        person[SEARCHES] != 0,
+        rules.max_iterations,
+        rules.tolerance,
+        own,
+        covariance,
+    )
+    if not fine:
+        begin = problem.offsets[0]
+        problem.offsets[1] = begin + len(before)
+        assign(states[begin : begin + len(before)], before)
+    return fine
 
 
 @compiled
@@ -218,19 +234,8 @@ def advance_with_modes(
         if people[p, SOLVES] == 0:
             windows.classified[slot, 0] = classified
             continue
-        advanced.fine[p] = solve_window(
-            problem,
-            states,
-            people[p, WARM] != 0,
-            people[p, SEARCHES] != 0,
-            rules.max_iterations,
-            rules.tolerance,
-            own,
-            covariance,
-        )
+        advanced.fine[p] = solve_or_restore(problem, states, people[p], rules, own, before[:kept], covariance)
         if not advanced.fine[p]:
-            problem.offsets[1] = begin + kept
-            assign(states[begin : begin + kept], before[:kept])
             continue
         windows.classified[slot, 0] = classified
         clear_matrix(advanced.spread[p])
