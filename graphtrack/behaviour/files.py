@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import tomli_w
 
@@ -15,6 +16,8 @@ from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.bounds import with_table
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
+
+Made = TypeVar("Made", GroupParameters, AttentionParameters)
 
 
 def save_parameters(parameters: GroupParameters | AttentionParameters, path: str | Path) -> None:
@@ -35,11 +38,7 @@ def load_parameters(path: str | Path) -> GroupParameters:
     InputError
         With the file and the key.
     """
-    table = _table(path, "groups")
-    try:
-        return GroupParameters.from_dict(table, DEFAULT)
-    except InputError as error:
-        raise InputError(error.found, error.expected, path=path) from error
+    return _loaded(path, "groups", lambda table: GroupParameters.from_dict(table, DEFAULT))
 
 
 def load_attention(path: str | Path) -> AttentionParameters:
@@ -50,9 +49,14 @@ def load_attention(path: str | Path) -> AttentionParameters:
     InputError
         With the file and the key.
     """
-    table = _table(path, "attention")
+    return _loaded(path, "attention", lambda table: with_table(AttentionParameters(), "attention", table))
+
+
+def _loaded(path: str | Path, name: str, made: Callable[[dict[str, Any]], Made]) -> Made:
+    """What is made of a table of a file; its errors name the file."""
+    table = _table(path, name)
     try:
-        return with_table(AttentionParameters(), "attention", table)
+        return made(table)
     except InputError as error:
         raise InputError(error.found, error.expected, path=path) from error
 
