@@ -1,10 +1,12 @@
-"""Machine code of online groups and attention before it is needed."""
+"""Machine code of online groups, attention and forecasts before it is needed."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from graphtrack.behaviour.features import of_frames
+from graphtrack.behaviour.forecast.forecaster import Forecaster
+from graphtrack.behaviour.forecast.near import kernel_means, kernel_sums
 from graphtrack.behaviour.looking import concentration, half_angle
 from graphtrack.behaviour.looking_on import looks_of_frame
 from graphtrack.behaviour.online_attention import OnlineAttention
@@ -15,7 +17,7 @@ from graphtrack.behaviour.places import Place
 from graphtrack.behaviour.smoothing import merged
 from graphtrack.readiness import Rehearsal
 
-ONLINE = "groups and looks"
+ONLINE, FORECASTS = "groups and looks", "forecasts"
 """What is compiled here, in words."""
 
 
@@ -24,6 +26,11 @@ def online_rehearsal() -> Rehearsal:
     # Seconds that compiling takes on a core, about.
     called = {of_frames: 3.0, merged: 2.0, partitions: 4.0, concentration: 1.0, half_angle: 0.5}
     return Rehearsal(_rehearse, {**called, looks_of_frame: 10.0})
+
+
+def forecast_rehearsal() -> Rehearsal:
+    """What forecasts call."""
+    return Rehearsal(_rehearse_forecast, {kernel_sums: 2.0, kernel_means: 0.5})
 
 
 def _rehearse() -> None:
@@ -35,3 +42,10 @@ def _rehearse() -> None:
         rows, one = np.arange(2), np.array([k])
         people = People(rows, one, 1.0 * one, np.array([0, 2]), rows, aside, 0.0 * aside, ahead, ahead)
         attention.take(people, groups.take(people))
+
+
+def _rehearse_forecast() -> None:
+    forecaster = Forecaster()
+    for k in range(3):
+        forecaster.update(0.4 * k, [0, 1], [(0.5 * k, 0.0), (0.5 * k, 1.0)])
+    forecaster.forecast([0.4])

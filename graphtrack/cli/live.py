@@ -169,7 +169,8 @@ def track_stream(
             copy(row)
 
     known = {"never": False, "always": True}.get(associate)
-    warm_up(model, chosen, behaviour=asked is not None or model.has_groups)
+    told = asked is not None or model.has_groups
+    warm_up(model, chosen, behaviour=told, forecasts=horizon is not None)
     if state is None:
         there = lines_of(stream, 1)
         lines, rows, _ = answering(names.native_lines(there), known)
@@ -358,7 +359,7 @@ def give(answer: dict[str, Any]) -> None:
         raise InputError(found, "a place for the answers", path="standard output") from error
 
 
-def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False) -> None:
+def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False, forecasts: bool = False) -> None:
     """Load what the chain's window runs, beside GTSAM too; what was never compiled here is compiled first.
 
     Compiling is left to a process of its own: code as it is compiled and the same code from the cache round
@@ -367,20 +368,25 @@ def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False) -> N
     Parameters
     ----------
     behaviour : whether groups and attention are to be told, or the model asks for groups
+    forecasts : whether forecasts are to be told
     """
     window = engine == "chain" or model.has_modes
     rehearsals = [online_rehearsal(model)] if window else []
     rehearsals += [warm.online_rehearsal()] if behaviour else []
+    rehearsals += [warm.forecast_rehearsal()] if forecasts else []
     if any(is_cold(kernel) for one in rehearsals for kernel in one.called):
         preset = "full" if model.has_modes else "joint"
-        code = f"from {__name__} import load; load({(preset if window else None)!r}, {behaviour})"
+        what = f"{(preset if window else None)!r}, {behaviour}, {forecasts}"
+        code = f"from {__name__} import load; load({what})"
         subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
-    load(model if window else None, behaviour)
+    load(model if window else None, behaviour, forecasts)
 
 
-def load(model: Model | str | None, behaviour: bool = False) -> None:
-    """Have the compiled window's code in this process, and that of groups and attention; or compile it."""
+def load(model: Model | str | None, behaviour: bool = False, forecasts: bool = False) -> None:
+    """Have the compiled window's code in this process, and that of what else is told; or compile it."""
     if model is not None:
         make_ready(ONLINE, online_rehearsal(Model.named(model)))
     if behaviour:
         make_ready(warm.ONLINE, warm.online_rehearsal())
+    if forecasts:
+        make_ready(warm.FORECASTS, warm.forecast_rehearsal())

@@ -45,6 +45,8 @@ def _window(program: ChainProgram, model: Model) -> Costs:
 def warm_up(
     model: Model | str | Path | None = None,
     engine: Literal["auto", "chain", "gtsam", "fixed-lag", "isam2"] = "auto",
+    *,
+    behaviour: bool = False,
 ) -> None:
     """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
 
@@ -55,7 +57,12 @@ def warm_up(
     Parameters
     ----------
     model, engine : as in `solve` and `OnlineSmoother`
+    behaviour : whether what groups, attention and forecasts call is wanted, too
     """
+    if behaviour:
+        from graphtrack.behaviour import warm as told  # most do not need it
+
+        make_ready(f"{told.ONLINE}, {told.FORECASTS}", told.online_rehearsal(), told.forecast_rehearsal())
     model = Model.named(model)
     if not is_chain(model):
         make_ready(WHOLE, start_rehearsal())

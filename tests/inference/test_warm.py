@@ -10,6 +10,11 @@ from random_tracks import lens_camera, random_track
 from walks import walk
 
 from graphtrack.baselines.particle import filter as particle
+from graphtrack.behaviour import warm
+from graphtrack.behaviour.forecast.recorded import forecast
+from graphtrack.behaviour.online_attention import OnlineAttention
+from graphtrack.behaviour.online_groups import OnlineGroups
+from graphtrack.behaviour.told import people_at
 from graphtrack.errors import InputError
 from graphtrack.inference import (
     OnlineSmoother,
@@ -24,6 +29,7 @@ from graphtrack.inference import (
 from graphtrack.inference.warm import offline_rehearsal, online_rehearsal, start_rehearsal
 from graphtrack.learning import solving
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
+from graphtrack.simulation.party import party
 from graphtrack.tracks import TrackSet
 
 ROBUST = Parameters(likelihood=LikelihoodParameters(robust="cauchy", outlier_probability=0.1))
@@ -60,6 +66,23 @@ def test_a_linear_model_needs_the_linear_solution_alone() -> None:
     assert offline_rehearsal(Model("position")).called == least
     assert offline_rehearsal(Model("position", ROBUST)).called != least
     assert offline_rehearsal(Model("position"), lens_camera()).called != least
+
+
+def test_groups_looks_and_forecasts_need_no_more_than_was_made_ready(monkeypatch) -> None:
+    warm_up("position", behaviour=True)
+    called = [*warm.online_rehearsal().called, *warm.forecast_rehearsal().called]
+    before = [list(kernel.signatures) for kernel in called]
+    assert all(before)
+    made = party(np.random.default_rng(3), people=5, steps=12).tracks
+    forecast(made, horizon=1.0)
+    groups, attention = OnlineGroups(), OnlineAttention()
+    for k in range(6):
+        numbers = {
+            one.track_id: (*one.position[k], 0.0, 0.0, one.body[k], one.head[k], 0.01, 0.01) for one in made
+        }
+        people = people_at(float(k), k, numbers)
+        attention.take(people, groups.take(people))
+    assert [list(kernel.signatures) for kernel in called] == before
 
 
 def test_whoever_calls_compiled_code_makes_it_ready_first(monkeypatch) -> None:
