@@ -58,6 +58,7 @@ def attention(
     from graphtrack.behaviour.looks import attention_columns, summary_of
     from graphtrack.behaviour.places import read_places
     from graphtrack.behaviour.tables import read_looks
+    from graphtrack.evaluation.looks import score_looks
     from graphtrack.io.groups import write_columns
     from graphtrack.table.as_read import with_names
 
@@ -81,6 +82,7 @@ def attention(
     labels = None if truth is None else read_looks(truth)
     tracks = estimated(reading.tracks(inputs), model)
     found = find(tracks, known, chosen, online=online)
+    score = None if labels is None else score_looks(found, labels)
     columns = attention_columns(found)
     write_columns(with_names(columns, tracks.as_read), output)
     console.print(
@@ -88,10 +90,7 @@ def attention(
         f"{counted(len(known), 'place')}",
         markup=False,
     )
-    if labels is not None:
-        from graphtrack.evaluation.looks import score_looks
-
-        score = score_looks(found, labels)
+    if score is not None:
         print_table(f"Looks beside the truth, {counted(score.frames, 'look')}", score.shown())
     summary = summary_of(found)
     if json_path is not None:

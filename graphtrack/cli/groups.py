@@ -57,6 +57,7 @@ def groups(
 ) -> None:
     """Find who stands in conversation with whom, and who walks together, in every frame."""
     from graphtrack.behaviour.groups import groups as find
+    from graphtrack.evaluation.groups import score_groups
     from graphtrack.io.groups import write_columns
     from graphtrack.table.as_read import with_names
 
@@ -69,6 +70,7 @@ def groups(
     labels = None if truth is None else read_quietly(truth)
     tracks = estimated(reading.tracks(inputs), model)
     found = find(tracks, chosen, online=online)
+    true = None if labels is None else labels.labels(found.frame, found.t, found.track_id)
     write_columns(with_names(found.columns(), tracks.as_read), output)
     count = counted(int(found.group.max(initial=-1)) + 1, "group")
     most = {frame: len(one) for frame, one in found.members().items()}
@@ -77,10 +79,7 @@ def groups(
         f"{sum(most.values()) / max(len(most), 1):.2f} a frame",
         markup=False,
     )
-    if labels is not None:
-        from graphtrack.evaluation.groups import score_groups
-
-        true = labels.labels(found.frame, found.t, found.track_id)
+    if true is not None:
         show(score_groups(found.frame, found.track_id, found.group, true), json_path)
 
 

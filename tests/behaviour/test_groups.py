@@ -264,6 +264,24 @@ def test_the_command_writes_what_it_reads_and_learns(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("command", "truth", "told"),
+    [
+        ("groups", "frame,track_id,group\n0,99,1\n", "found person 99 in a group"),
+        ("attention", "frame,track_id,target\n77,1,2\n", "no frame with labelled looks"),
+    ],
+)
+def test_nothing_is_written_beside_a_truth_of_others(
+    tmp_path: Path, command: str, truth: str, told: str
+) -> None:
+    gt.write(party(4), tmp_path / "party.csv")
+    (tmp_path / "truth.csv").write_text(truth)
+    paths = [tmp_path / "party.csv", "-o", tmp_path / "found.csv", "--truth", tmp_path / "truth.csv"]
+    done = run_program(command, *paths, program="graphtrack")
+    assert done.returncode == 2 and told in done.stderr
+    assert not (tmp_path / "found.csv").exists()
+
+
 def test_groups_of_a_party_that_was_not_learned_from(data_dir: Path) -> None:
     tracks = gt.read(data_dir / "salsa" / "features.txt").map(
         lambda track: track[(track.t > 1000.0) & (track.t < 1934.0)]
