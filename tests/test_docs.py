@@ -1,9 +1,11 @@
 """The commands of the other documents run as printed, each document in an empty folder from top to bottom."""
 
 import re
+import shutil
+from pathlib import Path
 
 import pytest
-from documents import ROOT, blocks, run
+from documents import RECORDING, ROOT, blocks, is_about_recording, run
 
 PAGES = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").glob("*.md"))
 WITH_COMMANDS = [page for page in PAGES if any(block.kind == "sh" for block in blocks(page))]
@@ -21,3 +23,15 @@ def test_commands_stand_where_they_are_run():
 def test_the_commands_of_a_page_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run(blocks(page), {}, slow=True)
+
+
+@pytest.mark.slow
+def test_the_commands_about_a_recording_run(data_dir, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    street = data_dir / "towncentre"
+    (tmp_path / RECORDING).symlink_to(street / "frames_001_150" / "img1")
+    for name in ("frames_001_150/det.txt", "calibration.ci"):
+        shutil.copyfile(street / name, tmp_path / Path(name).name)
+    about = [block for block in blocks("docs/perception.md") if is_about_recording(block)]
+    assert len(about) >= 4
+    run(about, {}, slow=True)

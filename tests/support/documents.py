@@ -22,6 +22,11 @@ PROGRAMS = {"graphtrack": graphtrack.cli.main, "perception": perception.cli.main
 NOT_RUN = ("make ", "pip ", "graphtrack serve ")
 """What sets the program up, as CI has done before, and what goes on until it is told to stop."""
 SLOW = ("graphtrack reproduce ",)
+STAND_INS = """camera() { graphtrack simulate -o camera.ndjson --steps 20 >&2 && cat camera.ndjson; }
+"""
+"""Programs of a reader's own, as the shell is told of them."""
+RECORDING = "frames"
+"""A folder of the reader's own images: blocks about it are run where it is there."""
 SHORTER = {
     "graphtrack simulate -o tracks.csv": "--steps 60",
     "graphtrack simulate -o party.csv": "--steps 60",
@@ -58,6 +63,11 @@ def blocks(path: str) -> list[Block]:
     return found
 
 
+def is_about_recording(block: Block) -> bool:
+    """Whether commands of a block take the reader's own images."""
+    return block.kind == "sh" and f" {RECORDING} " in block.text
+
+
 def commands(program: str, *paths: str) -> Iterator[list[str]]:
     """The arguments of every line that calls a program."""
     for path in paths:
@@ -86,6 +96,8 @@ def run(chosen: list[Block], names: dict[str, Any], *, slow: bool) -> dict[str, 
     module = sys.modules["document"] = ModuleType("document")
     vars(module).update(names)
     for block in chosen:
+        if is_about_recording(block) and not Path(RECORDING).exists():
+            continue
         if block.kind == "python":
             exec(compile(block.text, "document", "exec"), vars(module))
         for line in block.lines() if block.kind == "sh" else ():
@@ -108,6 +120,7 @@ def run_line(line: str) -> str:
         assert not ended.value.code, line
         return ""
     known = "".join(f'{name}() {{ "{sys.executable}" -m {name} "$@"; }}\n' for name in PROGRAMS)
-    done = subprocess.run(["bash", "-c", f"set -o pipefail\n{known}{line}"], capture_output=True, text=True)
+    script = f"set -o pipefail\n{known}{STAND_INS}{line}"
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True)
     assert done.returncode == 0, f"{line}\n{done.stderr}"
     return done.stdout
