@@ -16,9 +16,11 @@ import graphtrack as gt
 from graphtrack.behaviour.attention import Attention, attention
 from graphtrack.behaviour.looks import attention_columns, summary_of
 from graphtrack.behaviour.places import Place, read_places
-from graphtrack.errors import InputError
-from graphtrack.geometry.angles import class_centres, wrap
+from graphtrack.errors import InputError, InputWarning
+from graphtrack.geometry.angles import class_centres, direction, wrap
+from graphtrack.io.groups import read_groups
 from graphtrack.simulation.party import party
+from graphtrack.table.groups import GroupLabels
 from graphtrack.tracks import Track, TrackSet
 
 
@@ -55,6 +57,53 @@ def test_probabilities_of_simulated_looks_hold() -> None:
             for one in attention(tracks)
         )
         assert best / made.look.size > 0.4
+
+
+def speakers(tracks: TrackSet, groups: GroupLabels) -> dict[tuple[int, int], tuple[int, int]]:
+    """(person, frame) → the member whom most of the others look at, and how many members there are.
+
+    That is of groups of five and more, by heads within 20° of a member; the person's own does not count.
+    """
+    found = {}
+    first, ids = tracks.tracks[0], np.array([track.track_id for track in tracks])
+    rows = np.tile(first.frame, len(ids)), np.tile(first.t, len(ids)), np.repeat(ids, len(first))
+    labels = groups.labels(*rows).reshape(len(ids), -1)
+    for row, (frame, label) in enumerate(zip(first.frame, labels.T, strict=True)):
+        position = np.array([track.position[row] for track in tracks])
+        heads = [0.0 if track.head is None else track.head[row] for track in tracks]
+        for group in np.unique(label[label >= 0]):
+            members = np.flatnonzero(label == group)
+            looks = {}
+            for one in members:
+                others = members[members != one]
+                away = np.abs(wrap(direction(position[others] - position[one]) - heads[one]))
+                looks[one] = others[away.argmin()] if away.min() < np.radians(20.0) else -1
+            for one in members:
+                votes = [look for other, look in looks.items() if other != one]
+                most = max(set(votes), key=votes.count)
+                if most not in (-1, one) and votes.count(most) >= max(3.0, (len(members) - 2) * 2 / 3):
+                    found[int(ids[one]), int(frame)] = int(ids[most]), len(members)
+    return found
+
+
+def test_at_a_real_party_looks_are_at_whom_the_others_look_at(data_dir: Path) -> None:
+    tracks = gt.read(data_dir / "salsa" / "features.txt").map(
+        lambda track: track[(track.t > 1000.0) & (track.t < 1934.0)]
+    )
+    with pytest.warns(InputWarning):
+        groups = read_groups(data_dir / "salsa" / "groups.txt")
+    known = speakers(tracks, groups)
+    looks = {one.track_id: one for one in attention(tracks, groups=gt.groups(tracks))}
+    right, shares, chance = [], [], []
+    for (person, frame), (speaker, members) in known.items():
+        told = looks[person].probability[np.searchsorted(looks[person].frame, frame)]
+        place = looks[person].people.index(speaker)
+        right.append(told.argmax() == place)
+        shares.append(told[place])
+        chance.append(1.0 / (members - 1))
+    print(len(known), np.mean(right), np.mean(shares), np.mean(chance))
+    assert len(known) > 300
+    assert min(np.mean(right), np.mean(shares)) > 1.5 * np.mean(chance)
 
 
 def test_probabilities_sum_to_one_whoever_comes_first_and_however_the_scene_lies() -> None:
