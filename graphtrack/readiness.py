@@ -15,7 +15,7 @@ from typing import Any
 logger = logging.getLogger("graphtrack")
 
 CompiledFunction = Any
-"""A function that `compiled`, or numba, has made."""
+"""A function that `apart`, or numba, has made."""
 
 Costs = Mapping[CompiledFunction, float]
 """Function → seconds that compiling takes on a core, about."""

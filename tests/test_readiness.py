@@ -9,14 +9,14 @@ from pathlib import Path
 import numba
 import pytest
 
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart
 from graphtrack.readiness import Rehearsal, collecting_rarely, is_cold, make_ready
 
 
 def kernel():
     """A compiled function that knows nothing of those made before, as in a new process."""
 
-    @compiled
+    @apart
     def half(x: float) -> float:
         return 0.5 * x
 

@@ -13,7 +13,7 @@ import numpy as np
 from graphtrack.association.chains import BODY, HEAD, STATE, Chains, IntArray, Row, Scene
 from graphtrack.association.resemblance import looks_ratio, see_angle, see_facing
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled, inlined
+from graphtrack.model.kernels.compiled import apart, compiled, inlined
 
 NOTHING = -1e9
 """The gain of what cannot be."""
@@ -148,7 +148,7 @@ def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
     return total + (chains.rows[m].rest if m >= 0 else ending(chains, k, scene))
 
 
-@compiled
+@apart
 def remember_rest(chains: Chains, scene: Scene) -> None:
     """Set ``rest``, which holds for a detection as long as nothing changes but what comes before it."""
     for m in range(len(chains.rows) - 1, -1, -1):
@@ -174,7 +174,7 @@ def born(chains: Chains, k: int, scene: Scene) -> float:
     return max(0.0, value + run_on(chains, state, k, scene))
 
 
-@compiled
+@apart
 def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scene) -> FloatArray:
     """How much evidence (heads, tails) each link of a track's head to a tail brings over none."""
     gains, state = np.full((len(heads), len(tails)), NOTHING), np.empty(STATE)
@@ -194,7 +194,7 @@ def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scen
     return gains
 
 
-@compiled
+@apart
 def gains_of_detections(
     chains: Chains, heads: IntArray, tails: IntArray, detections: IntArray, scene: Scene
 ) -> FloatArray:
@@ -247,7 +247,7 @@ def state_after(chains: Chains, k: int, scene: Scene) -> float:
     return max(0.0, chains.rows[k].total + run_on(chains, state, k, scene))
 
 
-@compiled
+@apart
 def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
     """Filter the detections from ``first`` up to ``end`` along their chains."""
     for m in range(first, end):
@@ -260,7 +260,7 @@ def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
             chains.rows[m].total = chains.rows[k].total + chains.rows[m].evidence
 
 
-@compiled
+@apart
 def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
     """What all linked detections say given those before, which are filtered again.
 
@@ -281,7 +281,7 @@ def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
     return places, angles, count
 
 
-@compiled
+@apart
 def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: FloatArray) -> None:
     """How probable the link of each head to its tail is among all that either could have, or none.
 
@@ -306,7 +306,7 @@ def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: Fl
         probability[j] = 1.0 / total
 
 
-@compiled
+@apart
 def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> None:
     """Where the track of each detection begins (n,), and for each beginning what the track is worth."""
     for k in range(len(root)):
@@ -318,7 +318,7 @@ def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> No
             value[root[k]] = chains.rows[k].total + ending(chains, k, scene)
 
 
-@compiled
+@apart
 def count_up(chains: Chains, times: IntArray) -> None:
     """How many detections the track of each has up to it (n,); of those that begin one it is given."""
     for k in range(len(times)):
@@ -327,7 +327,7 @@ def count_up(chains: Chains, times: IntArray) -> None:
             times[k] = times[before] + 1
 
 
-@compiled
+@apart
 def only_pairs(gains: FloatArray, rows: IntArray, columns: IntArray) -> int:
     """Put the rows and columns of gains above 0 that are the only ones of both into the arrays; their number.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from graphtrack.behaviour.people import IntArray, People
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 
 FEATURES = ("shared", "crowd", "far", "rank", "look")
 """The numbers, in order; `ConversationWeights` says what each is."""
@@ -91,7 +91,7 @@ def _of_frame(
     return at
 
 
-@compiled
+@apart
 def _near_pairs(position: FloatArray, first: IntArray) -> int:
     count = 0
     for k in range(len(first) - 1):
@@ -102,7 +102,7 @@ def _near_pairs(position: FloatArray, first: IntArray) -> int:
     return count
 
 
-@compiled
+@apart
 def of_frames(
     position: FloatArray,
     body: FloatArray,

@@ -8,7 +8,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 
 IntArray = np.ndarray
 
@@ -30,7 +30,7 @@ def turn(angle: float) -> float:
     return angle - 2.0 * math.pi * np.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@compiled
+@apart
 def half_angle(radius: float, far: FloatArray) -> FloatArray:
     """Half the angle, radians, under which a disc is seen from (n,) metres; π from inside it."""
     found = np.empty(len(far))
@@ -65,7 +65,7 @@ def concentration_of(variance: float) -> float:
     return 1.0 / (r**3 - 4.0 * r**2 + 3.0 * r)
 
 
-@compiled
+@apart
 def concentration(variance: FloatArray) -> FloatArray:
     """`concentration_of` each of (n,) variances; NaN stays so."""
     found = np.empty(len(variance))
@@ -268,7 +268,7 @@ def go_on(
         found[j] = found[j] / total if total > 0.0 else prior[j]
 
 
-@compiled
+@apart
 def looks_over_time(
     own: FloatArray,
     others: FloatArray,

@@ -19,7 +19,7 @@ from graphtrack.behaviour.looking import (
     see,
 )
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 
 
 @compiled
@@ -28,7 +28,7 @@ def _near(position: FloatArray, i: int, j: int) -> bool:
     return i != j and x * x + y * y < REACH * REACH
 
 
-@compiled
+@apart
 def looks_of_frame(
     t: float,
     ids: IntArray,

@@ -6,7 +6,7 @@ import numpy as np
 
 from graphtrack.behaviour.people import IntArray
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 
 
 @compiled
@@ -153,7 +153,7 @@ def partition(people: int, left: IntArray, right: IntArray, odds: FloatArray, fa
     return found
 
 
-@compiled
+@apart
 def partitions(
     first: IntArray, start: IntArray, left: IntArray, right: IntArray, odds: FloatArray, far: float
 ) -> IntArray:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from graphtrack.behaviour.people import IntArray
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 
 _BEGINNING = 0.5
 """Seconds that the first frame counts for where nobody knows when the next one will come."""
@@ -53,7 +53,7 @@ def since(gap: float, seconds: float) -> tuple[float, float]:
     return min(gap, seconds), math.exp(-gap / seconds)
 
 
-@compiled
+@apart
 def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, both: bool) -> FloatArray:
     n = len(pair)
     before = np.empty((n, 2))
@@ -87,7 +87,7 @@ def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float,
     return found
 
 
-@compiled
+@apart
 def merged(
     known: IntArray,
     last: FloatArray,

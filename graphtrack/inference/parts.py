@@ -12,6 +12,7 @@ from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.restart import AT_START
 from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.chain.stating import state_uncertainty, stating_of
 from graphtrack.inference.chain.window_kernels import let_go, solve_window
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.model import Model
@@ -48,6 +49,7 @@ def _part(name: str, model: Model) -> Part:
         "leaving": (let_go, lambda: _let_go(model)),
         "window": (solve_window, lambda: _solve_window(model)),
         "newest": (spread_newest, lambda: _spread_newest(model)),
+        "stating": (state_uncertainty, lambda: _state_uncertainty(model)),
     }[name]
     statement = f"from {__name__} import compile_parts; compile_parts({model.preset!r}, {name!r})"
     return Part(function, run, statement)
@@ -107,3 +109,7 @@ def _spread_newest(model: Model) -> None:
     problem, result, memory = _made_up(model)
     spread = np.zeros((len(TRACK), 2))
     spread_newest(problem, result.states, spread, memory, np.zeros((6, 6)))
+
+
+def _state_uncertainty(model: Model) -> None:
+    state_uncertainty(np.eye(6), np.zeros(2), stating_of(model.parameters))

@@ -125,10 +125,11 @@ def online_rehearsal(model: Model) -> Rehearsal:
     called = _window(program, model)
 
     def parts() -> tuple[tuple[Part, ...], tuple[Part, ...]]:
-        # The window calls the grid: it can be compiled meanwhile where the grid is there already.
-        window = "" if is_cold(program.find_other_basin) else " window"
-        here, beside = ("newest", "couplings ") if model.has_modes else ("", "")
-        return _parts(model, f"descent{window} {here}"), _parts(model, f"{beside}grid leaving")
+        newest, couplings = ("newest ", "couplings ") if model.has_modes else ("", "")
+        # The window calls the grid, and what leaves it calls what the descent does: none is compiled twice.
+        if is_cold(program.find_other_basin):
+            return _parts(model, f"{newest}descent leaving stating"), _parts(model, f"{couplings}grid")
+        return _parts(model, f"{newest}descent window stating"), _parts(model, f"{couplings}leaving")
 
     return Rehearsal(
         lambda: _slide(ChainWindow(_like(model), 1.5 * STEP, 1e-8, 5)), called, _descent(program), parts

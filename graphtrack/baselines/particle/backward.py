@@ -10,11 +10,11 @@ from graphtrack.baselines.particle.data import PackedMotion
 from graphtrack.baselines.particle.kernels import carry, motion_pull
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.particles import normalise
 
 
-@compiled
+@apart
 def backward(
     rng: np.random.Generator,
     start: int,

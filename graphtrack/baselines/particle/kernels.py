@@ -18,7 +18,7 @@ from graphtrack.baselines.particle.densities import (
     wrapped,
 )
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.terms.intentional_motion import STANDSTILL
 from graphtrack.particles import (
     effective_sample_size,
@@ -180,7 +180,7 @@ def summarise_angle(
         covariance[place, j] = covariance[j, place] = sums[j]
 
 
-@compiled
+@apart
 def summarise(
     particles: FloatArray, weights: FloatArray, motion: PackedMotion, mean: FloatArray, covariance: FloatArray
 ) -> None:
@@ -194,7 +194,7 @@ def summarise(
             covariance[4, 5] = covariance[5, 4] = math.nan
 
 
-@compiled
+@apart
 def run(
     rng: np.random.Generator,
     start: int,

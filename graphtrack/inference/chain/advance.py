@@ -29,7 +29,7 @@ from graphtrack.inference.chain.windows import (
     Rules,
     Windows,
 )
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import ROW, Gait
@@ -94,7 +94,7 @@ def foretell(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None
     state[HEAD] = before[HEAD] if math.isnan(guess[1]) else guess[1]
 
 
-@compiled
+@apart
 def tell(
     windows: Windows, slot: int, rules: Rules, covariance: FloatArray, p: int, advanced: Advanced
 ) -> None:
@@ -121,7 +121,7 @@ def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
         covariance[i, place] = covariance[place, i] = math.nan
 
 
-@compiled
+@apart
 def advance(
     windows: Windows, people: NDArray[np.int64], guesses: FloatArray, rules: Rules, advanced: Advanced
 ) -> None:
@@ -164,7 +164,7 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
     return int(end - begin)
 
 
-@compiled
+@apart
 def solve_or_restore(
     problem: Problem,
     states: FloatArray,
@@ -192,7 +192,7 @@ def solve_or_restore(
     return fine
 
 
-@compiled
+@apart
 def advance_with_modes(
     windows: Windows,
     people: NDArray[np.int64],

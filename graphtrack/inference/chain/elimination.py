@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import N
 
 
@@ -132,7 +132,7 @@ def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> bool:
     return True
 
 
-@compiled
+@apart
 def eliminate(
     hessian: FloatArray,
     right: FloatArray,

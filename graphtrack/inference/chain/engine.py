@@ -15,7 +15,7 @@ from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
@@ -143,7 +143,7 @@ def _says_more(track: Track) -> BoolArray:
     return known
 
 
-@compiled
+@apart
 def finish(problem: Problem, has_body: bool, has_head: bool, result: Result) -> None:
     """States back in the world's frame, and NaN for what the model does not have or was not found."""
     for track in range(len(problem.offsets) - 1):

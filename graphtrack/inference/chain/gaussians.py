@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.newton import as_variable
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_links, add_own, note_turns
 
 
-@compiled
+@apart
 def linearise(
     problem: Problem,
     frames: NDArray[np.int64],

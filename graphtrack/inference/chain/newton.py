@@ -18,7 +18,7 @@ from graphtrack.inference.chain.elimination import (
     sweep_back,
 )
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame
@@ -45,7 +45,7 @@ def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessia
     return cost
 
 
-@compiled
+@apart
 def sweep_forward(
     problem: Problem, track: int, start: FloatArray, states: FloatArray, exact: bool, workspace: Workspace
 ) -> tuple[float, bool]:
@@ -98,7 +98,7 @@ def sweep_forward(
 _SMALLEST_SCALE = 1e-9
 
 
-@compiled
+@apart
 def minimise(
     problem: Problem,
     track: int,

@@ -10,7 +10,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.linear import solve_linear, spread_to_covariance
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE, Result
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY
 from graphtrack.model.kernels.problem import Problem
 
@@ -76,7 +76,7 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
         angle[gap] = angle[last] if last >= 0 else 0.0
 
 
-@compiled
+@apart
 def initialise(problem: Problem, seen: Seen, only: bool, angles: FloatArray, result: Result) -> None:
     """Fill in the states of all tracks; ``angles`` (3, n) is memory.
 

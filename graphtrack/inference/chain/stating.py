@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
 from graphtrack.inference.solution import SHARES, SHRINK
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.sway import kept_shares, sway_variances
@@ -93,7 +93,7 @@ def shrink_of(variance: float, stating: Stating) -> float:
     return widest if found > widest else found
 
 
-@compiled
+@apart
 def state_uncertainty(covariance: FloatArray, velocity: FloatArray, stating: Stating) -> None:
     """The covariance (6, 6) of a newest frame as it is stated, in place; NaN where there is no such state.
 

@@ -18,7 +18,7 @@ from graphtrack.inference.chain.elimination import (
 from graphtrack.inference.chain.newton import add_prior, as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.restart import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame, add_links, add_own, cut, note_turns
@@ -27,7 +27,7 @@ _FAR = 0.5
 """Radians beyond which a first guess is not better than that nothing turns."""
 
 
-@compiled
+@apart
 def solve_window(
     problem: Problem,
     states: FloatArray,
@@ -120,7 +120,7 @@ def from_frame(workspace: Workspace, begin: int) -> Workspace:
     )
 
 
-@compiled
+@apart
 def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     """A Newton step of the window for the price of its newest frame, as a better start.
 
@@ -172,7 +172,7 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
             states[k, i] += memory.step[k, i]
 
 
-@compiled
+@apart
 def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     """Eliminate the oldest frame of the window for good: what it says about the next becomes the prior.
 
@@ -195,7 +195,7 @@ def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     problem.offsets[0] = begin + 1
 
 
-@compiled
+@apart
 def marginalise(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
     """Schur complement and gradient on the second of two frames, without its own terms, in the scratch.
 

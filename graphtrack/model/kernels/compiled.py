@@ -10,6 +10,7 @@ from typing import Literal, TypeVar, cast
 
 import numba
 
+from graphtrack.model.kernels.dispatch import Apart, Linked
 from graphtrack.model.kernels.fingerprint import fingerprint, source_file
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -22,7 +23,7 @@ UNKEPT = "graphtrack_unkept_"
 """Begins the names of packages whose machine code is of use to one process alone."""
 
 
-def compiled(function: Function, *, inline: Literal["never", "always"] = "never") -> Function:
+def compiled(function: Function) -> Function:
     """The function as machine code; calls between such functions are inlined where that seems to pay.
 
     The code is kept under ``NUMBA_CACHE_DIR``, or else in the user's cache folder. Numba alone would only
@@ -30,20 +31,15 @@ def compiled(function: Function, *, inline: Literal["never", "always"] = "never"
     A function without a file, from a notebook's cell or the prompt, and any where no folder can be written
     to, is compiled anew in every process.
     """
-    given, folder = numba.config.CACHE_DIR, _folder(cast(FunctionType, function))
-    numba.config.CACHE_DIR = folder or given
-    try:
-        # Nobody calls it from C; without what would let them, it is compiled sooner.
-        return numba.njit(
-            cache=bool(folder),
-            nogil=True,
-            error_model="numpy",
-            fastmath=_FAST,
-            inline=inline,
-            no_cfunc_wrapper=True,
-        )(function)
-    finally:
-        numba.config.CACHE_DIR = given
+    return _dispatched(function, Linked)
+
+
+def apart(function: Function) -> Function:
+    """As `compiled`, for what is large, or called from Python: its callers have a call, not its code.
+
+    So it is compiled once, and where several are needed two processes can share them.
+    """
+    return _dispatched(function, Apart)
 
 
 def inlined(function: Function) -> Function:
@@ -52,7 +48,28 @@ def inlined(function: Function) -> Function:
     With as many arrays as the frame program hands on, each call would cost as much as a term, even where the
     machine code is inlined.
     """
-    return compiled(function, inline="always")
+    return _dispatched(function, Linked, inline="always")
+
+
+def _dispatched(
+    function: Function, kind: type[Apart | Linked], inline: Literal["never", "always"] = "never"
+) -> Function:
+    if numba.config.DISABLE_JIT:
+        return function
+    options = {
+        "nopython": True,
+        "nogil": True,
+        "boundscheck": None,
+        "error_model": "numpy",
+        "fastmath": _FAST,
+        "inline": inline,
+        "no_cfunc_wrapper": True,  # nobody calls it from C
+    }
+    dispatched = kind(function, targetoptions=options)
+    folder = _folder(cast(FunctionType, function))
+    if folder:
+        dispatched.keep_in(folder)
+    return cast(Function, dispatched)
 
 
 def _folder(function: FunctionType) -> str:

@@ -41,6 +41,7 @@ _TAKEN = (
     "note_turns",
     "set_quarters",
     "cut",
+    "apart",
     "compiled",
     "inlined",
 )

@@ -18,7 +18,7 @@ from scipy import special
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import GaitParameters
@@ -160,7 +160,7 @@ def switch_back(ahead: FloatArray, modes: Modes, dt: float, memory: FloatArray) 
     drift(ahead, modes.drift * dt, memory)
 
 
-@compiled
+@apart
 def infer_modes(
     dt: FloatArray,
     log_likelihood: FloatArray,
