@@ -24,13 +24,13 @@ ONLINE, FORECASTS = "groups and looks", "forecasts"
 def online_rehearsal() -> Rehearsal:
     """What online groups and attention call."""
     # Seconds that compiling takes on a core, about.
-    called = {of_frames: 3.0, merged: 2.0, partitions: 4.0, concentration: 1.0, half_angle: 0.5}
-    return Rehearsal(_rehearse, {**called, looks_of_frame: 10.0})
+    called = {of_frames: 2.3, merged: 0.8, partitions: 3.0, concentration: 0.2, half_angle: 0.1}
+    return Rehearsal(_rehearse, {**called, looks_of_frame: 5.5})
 
 
 def forecast_rehearsal() -> Rehearsal:
     """What forecasts call."""
-    return Rehearsal(_rehearse_forecast, {kernel_sums: 2.0, kernel_means: 0.5})
+    return Rehearsal(_rehearse_forecast, {kernel_sums: 0.4, kernel_means: 0.3})
 
 
 def _rehearse() -> None:

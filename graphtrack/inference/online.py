@@ -82,7 +82,7 @@ def check_lag(lag: float | None, engine: OnlineEngine) -> None:
 class OnlineSmoother:
     """Track one person online.
 
-    The first on a machine compiles what it needs, which takes about a minute; see `warm_up`.
+    The first on a machine compiles what it needs, which takes about ten seconds; see `warm_up`.
 
     Parameters
     ----------

@@ -25,21 +25,21 @@ SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online 
 """What is compiled here, in words: both, or one of the two."""
 
 # Seconds that compiling takes on a core, about.
-_START: Costs = {initialise: 3.0, finish: 0.5}
-_MODES: Costs = {renew_tracks: 1.0}
-_COUPLINGS: Costs = {renew_couplings: 6.5}
+_START: Costs = {initialise: 1.7, finish: 0.3}
+_MODES: Costs = {renew_tracks: 0.4}
+_COUPLINGS: Costs = {renew_couplings: 3.5}
 
 
 def _steps(program: ChainProgram) -> Costs:
-    return {program.solve_tracks: 11.0}
+    return {program.solve_tracks: 6.0}
 
 
 def _descent(program: ChainProgram) -> Costs:
-    return {program.minimise: 10.0}
+    return {program.minimise: 6.0}
 
 
 def _window(program: ChainProgram, model: Model) -> Costs:
-    return {program.advance_with_modes: 16.0} if model.has_modes else {program.advance: 8.0}
+    return {program.advance_with_modes: 7.0} if model.has_modes else {program.advance: 6.0}
 
 
 def warm_up(
@@ -50,8 +50,8 @@ def warm_up(
 ) -> None:
     """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
 
-    Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about a
-    minute for compiling. Then the log ("graphtrack") says so before and after, as a warning, which Python
+    Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about
+    twenty seconds for compiling. Then the log ("graphtrack") says so before and after, as a warning, which Python
     shows where logging is not set up.
 
     Parameters
@@ -94,7 +94,7 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     program = program_of(model)
     called, inlined = {**_START, **_steps(program)}, _descent(program)
     if model.has_modes:
-        called, inlined = {**called, **_MODES, program.spread_tracks: 3.0}, {**inlined, **_COUPLINGS}
+        called, inlined = {**called, **_MODES, program.spread_tracks: 1.3}, {**inlined, **_COUPLINGS}
         here, beside = "start descent spread", "grid modes"
     else:
         here, beside = "start descent", "grid"
@@ -107,7 +107,7 @@ def graph_rehearsal(model: Model) -> Rehearsal:
     """What GTSAM's batch engine calls: where it starts, and the search for basins where the chain has one."""
     if not is_chain(model) or not (model.has_body or model.has_head):
         return start_rehearsal()
-    called = {**_START, program_of(model).find_other_basin: 7.0}
+    called = {**_START, program_of(model).find_other_basin: 5.0}
     if model.has_modes:
         called |= {**_MODES, program_of(model).spread_tracks: 3.0}
         return Rehearsal(lambda: _search(_like(model)), called, _COUPLINGS)

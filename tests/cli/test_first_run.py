@@ -25,7 +25,7 @@ SAID = "compiling, once on this machine"
 
 @pytest.fixture
 def cold(tmp_path, monkeypatch):
-    """A folder with tracks, on a machine where the first run of an engine compiles for a minute."""
+    """A folder with tracks, on a machine where the first run of an engine compiles it."""
     monkeypatch.chdir(tmp_path)
     gt.write(gt.simulate("joint", n_tracks=2, n_steps=5, rng=np.random.default_rng(0)), "tracks.csv")
     gt.write(gt.read("tracks.csv"), "tracks.parquet")
