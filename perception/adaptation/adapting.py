@@ -14,9 +14,9 @@ from perception.adaptation.labels import WalkingLabels, walking_labels
 from perception.adaptation.learning import AdaptationParameters, PackageModels, learn, stages, thinned
 from perception.adaptation.models import CameraModels
 from perception.adaptation.recording import check_camera, looks_of, patches_in
-from perception.adaptation.rendered import Sight
+from perception.adaptation.rendered import Scenery
 from perception.detection.boxes import PersonBox
-from perception.ground.upright import LeaningView, feet_of, heights_of
+from perception.ground.upright import LeaningView
 from perception.images.frames import FrameSource
 from perception.images.told import Progress, told_frames
 
@@ -81,29 +81,29 @@ def adapted(
     walking = [_labels(one, camera, view, progress, refuse) for one in recordings if one.people]
     used = [one for one in recordings if one.people]
     labels = thinned(joined(walking), parameters)
-    taken, parts, seconds, heights, places = [], [], 0.0, [], []
+    few = len(np.unique(labels.person)) < parameters.many_people
+    taken, parts, seconds, places = [], [], 0.0, []
     for one, whose in zip(used, _recording_of(labels, walking), strict=True):
         if one.frames.size() != size:
             width, height = one.frames.size()
             expected = f"{size[0]} × {size[1]} as those of the first recording"
             raise InputError(f"frames of {width} × {height} pixels", expected, path=one.frames.path)
         chosen = [one.people[k] for k in labels.box[whose].tolist()]
-        wanted = {item.frame for item in chosen}
+        scenery = Scenery(chosen if few else (), one.people, view, camera)
+        wanted = {item.frame for item in chosen} | (scenery.frames if few else set())
         with told_frames(one.frames, wanted.__contains__, len(wanted), progress, one_size=True) as decoded:
-            found = patches_in(decoded, chosen, refuse, view)
+            found = patches_in(scenery.watched(decoded), chosen, refuse, view)
         there = np.array(sorted(found), np.int64)
-        heights.append(heights_of(chosen, view))
-        places.append(camera.image_to_ground(feet_of(chosen, view)))
+        places += scenery.places(rng)
         parts.append(whose[there])  # boxes of frames that did not come are gone
         taken += [found[k] for k in there.tolist()]
         seconds += (max(p.frame for p in one.people) - min(p.frame for p in one.people) + 1) / one.rate
-    sight = Sight.of(np.concatenate(heights), np.concatenate(places), camera)
     order = np.concatenate(parts)
     left = labels.taken(order)
     kept = thinned(replace(left, box=np.arange(len(left))), parameters)
     patches = [taken[k] for k in kept.box.tolist()]
     with progress(stages(parameters), "rounds") as advance:
-        models = learn(patches, kept, seconds, size, package, rng, parameters, advance, sight)
+        models = learn(patches, kept, seconds, size, package, rng, parameters, advance, places)
     models.upright = view is not None
     return Adapted(models, labels)
 

@@ -59,6 +59,12 @@ _PLACES = _USUAL + _STEP / 160.0 * np.column_stack([_X, _Y])
 """(n, 2) where a head is looked for."""
 
 
+def within_reach(head: FloatArray) -> NDArray[np.bool_]:
+    """Whether heads (n, 2), in heights of the box, are among the places where they are looked for."""
+    low, high = _PLACES.min(axis=0), _PLACES.max(axis=0)
+    return np.asarray(((head >= low) & (head <= high)).all(axis=1), np.bool_)
+
+
 def orientations(patch: Image) -> NDArray[np.float32]:
     """Gradients (rows, columns, 9) about head and shoulders, in squares of `_STEP` pixels of a patch.
 

@@ -4,19 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, difference
-from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH, HeadSamples, crop_of, head_of_crop
+from perception.adaptation.alignment import (
+    HEAD_HEIGHT,
+    HEAD_WIDTH,
+    HeadSamples,
+    HeadTemplates,
+    crop_of,
+    head_of_crop,
+    within_reach,
+)
 from perception.adaptation.labels import WalkingLabels
 from perception.adaptation.models import CameraModels
 from perception.adaptation.patches import ABOVE, COLUMNS, TALL, in_patch
-from perception.adaptation.rendered import RenderedPeople, Sight, rendered_people
-from perception.adaptation.teaching import BODY, CLASSES, HEAD, HeldOut, Taught, folds_of, taught
+from perception.adaptation.rendered import RenderedPeople, rendered_people
+from perception.adaptation.teaching import (
+    BODY,
+    CLASSES,
+    HEAD,
+    HeldOut,
+    Taught,
+    folds_of,
+    seen_directions,
+    taught,
+)
 from perception.adaptation.tracks import OUTLIERS, class_outlier_probability
 from perception.images.pixels import Image, crop
 from perception.pose.classifier import Classifier
@@ -24,8 +41,15 @@ from perception.pose.head_path import select_along_track
 from perception.pose.heads import HeadLocaliser
 from perception.storage import ModelCard
 
+if TYPE_CHECKING:
+    from perception.synthetic.inserted import Place
+
 _SMOOTHNESS = 12.0
 """Log ratio that a step of one head height along a track costs."""
+_TEMPLATE_HEADS = 500
+"""Rendered heads of which templates are learned."""
+_FOUND = 0.01
+"""1-σ in heights of the box of where heads are found, which rendered people's heads have too."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +133,7 @@ def learn(
     rng: np.random.Generator,
     parameters: AdaptationParameters = AdaptationParameters(),
     advance: Callable[[int], None] = lambda count: None,
-    sight: Sight | None = None,
+    places: Sequence[Place] = (),
 ) -> CameraModels:
     """The models of a camera, of people who surely walk.
 
@@ -121,22 +145,31 @@ def learn(
     size : columns and rows of its frames
     package : models to begin with
     advance : is told when one of `stages` is done
-    sight : how the camera sees people; where few walk, such people are rendered to help
+    places : where the camera sees people walk; where few do, others are rendered there to help
     """
     angle = labels.angle
     few = len(np.unique(labels.person)) < parameters.many_people
-    rendered = rendered_people(sight, rng) if sight is not None and few else None
-    of_rendered = _of_rendered(rendered)
+    rendered = rendered_people(places, rng) if len(places) and few else None
     fold = folds_of(labels.person, rng)
     some = _some(len(patches), parameters.first_heads)
     first = np.array([_found(patches[k], package.head_localiser) for k in some.tolist()])
     figures = _of_package([patches[k] for k in some.tolist()], first, angle[some], package)
     place = np.median(first, axis=0)
     advance(1)
-    given = _attempt(patches, np.tile(place, (len(patches), 1)), labels, fold, of_rendered)
+    as_given = None if rendered is None else np.tile(place, (len(rendered.angle), 1))
+    given = _attempt(
+        patches, np.tile(place, (len(patches), 1)), labels, fold, _of_rendered(rendered, as_given)
+    )
     figures |= _figures(given, labels, "_boxes_as_given")
-    advance(1)
     best, templates, known = given, None, first
+    of_rendered = _of_rendered(rendered, _nearly(rendered, rng))
+    if rendered is not None:
+        by_rendered = _templates_of(rendered, rng)
+        heads = _along_tracks(patches, labels, by_rendered, np.unique(labels.person))
+        tried = _attempt(patches, heads, labels, fold, of_rendered)
+        if tried.loss(angle) < best.loss(angle):
+            best, templates, known = tried, by_rendered, heads[some]
+    advance(1)
     for _ in range(parameters.rounds):
         samples = HeadSamples.of([patches[k] for k in some.tolist()], known, angle[some], rng)
         heads = _placed(patches, samples, fold[some], labels, fold)
@@ -174,24 +207,47 @@ def _placed(
     """Heads (n, 2) by templates of other people, along each track."""
     heads = np.zeros((len(patches), 2))
     for k in np.unique(fold).tolist():
-        templates = samples.templates(fold_of_sample != k)
-        for one in np.unique(labels.person[fold == k]).tolist():
-            rows = np.flatnonzero(labels.person == one)
-            found = [templates.candidates(patches[j]) for j in rows.tolist()]
-            chosen = select_along_track(found, smoothness=_SMOOTHNESS)
-            boxes = np.array([c.boxes[j] for c, j in zip(found, chosen.tolist(), strict=True)])
-            heads[rows] = boxes[:, :2] + boxes[:, 2:] / 2.0
+        whose = np.unique(labels.person[fold == k])
+        found = _along_tracks(patches, labels, samples.templates(fold_of_sample != k), whose)
+        heads[fold == k] = found[fold == k]
     return heads
+
+
+def _along_tracks(
+    patches: Sequence[Image], labels: WalkingLabels, templates: HeadTemplates, people: NDArray[np.int64]
+) -> FloatArray:
+    """Heads (n, 2) of some of the people, by templates along each track; NaN for the others."""
+    heads = np.full((len(patches), 2), np.nan)
+    for one in people.tolist():
+        rows = np.flatnonzero(labels.person == one)
+        found = [templates.candidates(patches[j]) for j in rows.tolist()]
+        chosen = select_along_track(found, smoothness=_SMOOTHNESS)
+        boxes = np.array([c.boxes[j] for c, j in zip(found, chosen.tolist(), strict=True)])
+        heads[rows] = boxes[:, :2] + boxes[:, 2:] / 2.0
+    return heads
+
+
+def _templates_of(rendered: RenderedPeople, rng: np.random.Generator) -> HeadTemplates:
+    """Of the heads of rendered people, as far as they are where heads are looked for."""
+    some = np.flatnonzero(within_reach(rendered.head))[:_TEMPLATE_HEADS]
+    patches = [rendered.patches[k] for k in some.tolist()]
+    samples = HeadSamples.of(patches, rendered.head[some], rendered.angle[some], rng)
+    return samples.templates(np.ones(len(some), bool))
 
 
 _Rendered = Sequence[tuple[NDArray[np.float32], FloatArray] | None]
 
 
-def _of_rendered(rendered: RenderedPeople | None) -> _Rendered:
-    """What body and head of rendered people look like, and where they point."""
-    if rendered is None:
+def _nearly(rendered: RenderedPeople | None, rng: np.random.Generator) -> FloatArray | None:
+    """The heads (n, 2) of rendered people, as well as heads are found."""
+    return None if rendered is None else rendered.head + rng.normal(0.0, _FOUND, rendered.head.shape)
+
+
+def _of_rendered(rendered: RenderedPeople | None, heads: FloatArray | None) -> _Rendered:
+    """What body and head of rendered people look like whose heads (n, 2) are known, and where they point."""
+    if rendered is None or heads is None:
         return None, None
-    return [(view.all_features(rendered.patches, rendered.head), rendered.angle) for view in (BODY, HEAD)]
+    return [(view.all_features(rendered.patches, heads), rendered.angle) for view in (BODY, HEAD)]
 
 
 def _attempt(
@@ -252,7 +308,7 @@ def _card(
 ) -> ModelCard:
     people = len(np.unique(labels.person))
     said = f"the directions of travel of {people} people who surely walk, in {seconds / 60.0:.1f} minutes"
-    unseen = unseen_views(best.body.seen)
+    walked = seen_directions(CLASSES.index(labels.angle), labels.person)
     parts = [best.body_out.log_likelihood, best.head_out.log_likelihood]
     outliers = class_outlier_probability(parts, labels.angle, labels.person, labels.count)
     parameters: dict[str, Any] = {
@@ -262,11 +318,15 @@ def _card(
         OUTLIERS: outliers,
     }
     fails = "another view or other light; people who look or stand aside are known by what walkers show"
-    if unseen:
-        fails += f"; nobody walked at {', '.join(unseen)} to the camera: the likelihoods are flat there"
+    for without, of_those in (
+        (~best.body.seen, "the likelihoods are flat there"),
+        (best.body.seen & ~walked, "only rendered people showed what that looks like"),
+    ):
+        if without.any():
+            fails += f"; nobody walked at {', '.join(_views(without))} to the camera: {of_those}"
     return ModelCard(CameraModels.kind, said, fails, len(labels), parameters, figures)
 
 
-def unseen_views(seen: NDArray[np.bool_]) -> list[str]:
-    """The directions that (almost) nobody walked in, or its mirror image, to print."""
-    return [f"{np.rad2deg(a):.0f}°" for a in CLASSES.pan[~seen].tolist()]
+def _views(some: NDArray[np.bool_]) -> list[str]:
+    """Some of the directions (8,), to print."""
+    return [f"{np.rad2deg(a):.0f}°" for a in CLASSES.pan[some].tolist()]

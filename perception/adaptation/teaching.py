@@ -24,10 +24,10 @@ CLASSES = PoseClasses.circle(8)
 """Of bodies and heads."""
 
 _FOLDS = 5
-_SHRINKAGES = (1.0, 3.0)
-"""To choose from by people left out."""
-_SHARES = (0.0, 0.3)
-"""What rendered people count in all, in those who walk; to choose from in the same way."""
+_CHOICES = ((1.0, 0.0), (3.0, 0.0))
+"""Shrinkages, and what rendered people count in all, in those who walk; people left out choose."""
+_CHOICES_WITH_RENDERED = (*_CHOICES, (10.0, 1.0), (10.0, 3.0))
+"""The same where people are rendered."""
 _NEVER = 100.0
 """Log density by which a direction that nobody walked in is behind the others."""
 _LEAST_PEOPLE = 2
@@ -107,7 +107,7 @@ class Taught:
     ----------
     weight : (8, d); bias : (8,)
     temperature, share : as in `fit_temperature_and_share`
-    seen : (8,) whether people walked in the direction, or its mirror image
+    seen : (8,) whether people walked in the direction, or its mirror image, or rendered people did
     """
 
     weight: NDArray[np.float32]
@@ -190,35 +190,31 @@ def taught(
         likelier
     """
     label = CLASSES.index(angle)
-    more = None if rendered is None else _sums_of_rendered(*rendered, features, sign)
-    tried = [(s, share) for share in (_SHARES if rendered is not None else (0.0,)) for s in _SHRINKAGES]
+    more = None if rendered is None else _sums_of_rendered(*rendered, sign)
+    tried = _CHOICES if rendered is None else _CHOICES_WITH_RENDERED
     parts = np.unique(fold).tolist()
-    sums = [_Sums.of(features[fold == k], sign, label[fold == k], person[fold == k]) for k in parts]
-    everybody = reduce(_Sums.__add__, sums)
+    sums = [Sums.of(features[fold == k], sign, label[fold == k], person[fold == k]) for k in parts]
+    everybody = reduce(Sums.__add__, sums)
     scores = np.zeros((len(tried), len(label), len(CLASSES)))
     for k, of_part in zip(parts, sums, strict=True):
         rest = everybody - of_part
         for s, (shrinkage, share) in enumerate(tried):
             model = rest.helped(more, share).discriminant(sign, shrinkage)
             scores[s, fold == k] = _of_both(features[fold == k], sign, *model)
-    seen = seen_directions(label, person)
-    found = [_honest(one, label, fold, seen) for one in scores]
+    walked = seen_directions(label, person)
+    # Who is rendered goes everywhere.
+    seen = [walked | (share > 0.0) for _, share in tried]
+    found = [_honest(*one, label, fold) for one in zip(scores, seen, strict=True)]
     best = int(np.argmin([one.loss(angle) for one in found]))
     temperature, beside = fit_temperature_and_share(scores[best], label)
     shrinkage, share = tried[best]
     weight, bias = everybody.helped(more, share).discriminant(sign, shrinkage)
-    return Taught(weight, bias, temperature, beside, seen), found[best]
+    return Taught(weight, bias, temperature, beside, seen[best]), found[best]
 
 
-def _sums_of_rendered(
-    rendered: NDArray[np.float32],
-    angle: FloatArray,
-    features: NDArray[np.float32],
-    sign: NDArray[np.float32],
-) -> _Sums:
-    """Those of rendered people (m, d), moved to where people of the recording (n, d) are on average."""
-    apart = np.where(sign > 0, features.mean(axis=0) - rendered.mean(axis=0), 0.0).astype(np.float32)
-    return _Sums.of(rendered + apart, sign, CLASSES.index(angle), np.arange(len(angle)))
+def _sums_of_rendered(rendered: NDArray[np.float32], angle: FloatArray, sign: NDArray[np.float32]) -> Sums:
+    """Those of rendered people (m, d), each of whom is somebody else."""
+    return Sums.of(rendered, sign, CLASSES.index(angle), np.arange(len(angle)))
 
 
 def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -228,7 +224,7 @@ def seen_directions(label: NDArray[np.int64], person: NDArray[np.int64]) -> NDAr
 
 
 def _honest(
-    scores: FloatArray, label: NDArray[np.int64], fold: NDArray[np.int64], seen: NDArray[np.bool_]
+    scores: FloatArray, seen: NDArray[np.bool_], label: NDArray[np.int64], fold: NDArray[np.int64]
 ) -> HeldOut:
     """Scores (n, 8) calibrated by those of people in other parts."""
     result = np.empty_like(scores)
@@ -240,7 +236,7 @@ def _honest(
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
+class Sums:
     """What a linear discriminant is made of, so that people can be left out by subtraction.
 
     Pictures count with their mirror images, so that features of different `View.sign` do not go together.
@@ -263,7 +259,7 @@ class _Sums:
         sign: NDArray[np.float32],
         label: NDArray[np.int64],
         person: NDArray[np.int64],
-    ) -> _Sums:
+    ) -> Sums:
         """Those of n pictures; who stays long does not count for all."""
         _, place, count = np.unique(person, return_inverse=True, return_counts=True)
         weight = 1.0 / np.sqrt(count[place])
@@ -278,21 +274,36 @@ class _Sums:
         even, odd = (2.0 * (features[:, part].T @ weighted[:, part]).astype(float) for part in parts)
         return cls(of_class, total, (even, odd))
 
-    def __add__(self, other: _Sums) -> _Sums:
+    def __add__(self, other: Sums) -> Sums:
         even, odd = (a + b for a, b in zip(self.squares, other.squares, strict=True))
-        return _Sums(self.weight + other.weight, self.total + other.total, (even, odd))
+        return Sums(self.weight + other.weight, self.total + other.total, (even, odd))
 
-    def __sub__(self, other: _Sums) -> _Sums:
+    def __sub__(self, other: Sums) -> Sums:
         even, odd = (a - b for a, b in zip(self.squares, other.squares, strict=True))
-        return _Sums(self.weight - other.weight, self.total - other.total, (even, odd))
+        return Sums(self.weight - other.weight, self.total - other.total, (even, odd))
 
-    def helped(self, others: _Sums | None, share: float) -> _Sums:
-        """With other people, who count ``share`` of what these do in all."""
+    def helped(self, others: Sums | None, share: float) -> Sums:
+        """With other people, moved to where these are, who count ``share`` of what these do in all."""
         if others is None or share == 0.0:
             return self
         factor = share * float(self.weight.sum()) / float(others.weight.sum())
-        even, odd = (factor * square for square in others.squares)
-        return self + _Sums(factor * others.weight, factor * others.total, (even, odd))
+        moved = others.moved_to(self)
+        even, odd = (factor * square for square in moved.squares)
+        return self + Sums(factor * moved.weight, factor * moved.total, (even, odd))
+
+    def moved_to(self, others: Sums) -> Sums:
+        """These, all moved by how far others are from those of the same direction on average.
+
+        Features that change sign in a mirror do not move: no side differs from the other.
+        """
+        even = self.squares[0].shape[0]
+        means = self.total[:, :even] / np.maximum(self.weight, 1e-9)[:, None]
+        apart = (others.total[:, :even] - others.weight[:, None] * means).sum(axis=0) / others.weight.sum()
+        total = self.total.copy()
+        total[:, :even] += self.weight[:, None] * apart
+        crossed = np.outer(self.total[:, :even].sum(axis=0), apart)
+        square = self.squares[0] + crossed + crossed.T + self.weight.sum() * np.outer(apart, apart)
+        return Sums(self.weight, total, (square, self.squares[1]))
 
     def discriminant(
         self, sign: NDArray[np.float32], shrinkage: float

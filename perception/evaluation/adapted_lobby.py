@@ -25,7 +25,9 @@ from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
 from perception.images.frames import FrameSource
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
-from perception.observe.pipeline import Models, observe_frame
+from perception.observe.pipeline import Models, observe_frame, to_tracks
+from perception.observe.seen import SeenPerson
+from perception.report.people import estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +113,7 @@ def _judged(
     said = {}
     for name, of_camera in (("taught", models), ("package", None)):
         looking = Models(*parts, of_camera=of_camera).seeing(camera, recording.frames.size)
-        body, head = {}, {}
+        body, head, everybody = {}, {}, []
         for frame in recording.frames:
             of_frame = [item for item in people if (item.frame, item.track_id) in wanted]
             of_frame = [item for item in of_frame if item.frame == frame.number]
@@ -119,9 +121,12 @@ def _judged(
                 continue
             for seen in observe_frame(frame.image, frame.number, of_frame, looking, lambda reason: None):
                 key = seen.frame, seen.track_id
+                everybody += [seen] if key in walking else []
                 body[key] = float(CLASSES.mean_pan(seen.body[None])[0])
                 head[key] = float(looking.head_classes.mean_pan(seen.pan[:1])[0])
         said[name] = body, head
+        if of_camera is not None:
+            smoothed = _smoothed(everybody, of_camera, recording.rate)
     body, head = said["taught"]
     return {
         "judged on": sequence.name,
@@ -129,6 +134,7 @@ def _judged(
         "walking (people)": len(np.unique(labels.person)),
         "boxes": len(walking),
         "body, walking": _error(body, walking),
+        "body, smoothed": _error(smoothed, walking),
         "head, walking": _error(head, walking),
         "head against gaze": _error(head, sequence.gaze),
         "travel against gaze": _error(walking, sequence.gaze),
@@ -136,6 +142,21 @@ def _judged(
         "the package's body, walking": _error(said["package"][0], walking),
         "in learning: body of people left out": models.card.figures["body_error_deg"],
     }
+
+
+def _smoothed(seen: list[SeenPerson], models: CameraModels, rate: float) -> dict[tuple[int, int], float]:
+    """The body as the graph has it, which knows how people move besides, radians in the image frame."""
+    camera = lobby_camera()
+    tracks = to_tracks(seen, CLASSES.pans, camera, rate).tracks
+    found: dict[tuple[int, int], float] = {}
+    for track in estimated(tracks, camera, "smoother", lambda count: None, models.graph)[0]:
+        if track.body is None:
+            continue
+        angles = camera.image_angle(track.body, track.position)
+        found |= dict(
+            zip(((frame, track.track_id) for frame in track.frame.tolist()), angles.tolist(), strict=True)
+        )
+    return found
 
 
 def _error(said: dict[tuple[int, int], float], truth: dict[tuple[int, int], float]) -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -144,6 +144,81 @@ class ShownPerson:
     path: FloatArray
 
 
+class ShownPeople(Mapping[int, list[ShownPerson]]):
+    """What there is to draw in each frame, made when it is asked for: of an hour, only columns are kept.
+
+    Parameters
+    ----------
+    tracks : of everybody
+    """
+
+    def __init__(self, tracks: Sequence[_Shown]) -> None:
+        self._tracks = tracks
+        number, frame, row = [], [], []
+        for k, one in enumerate(tracks):
+            rows = np.flatnonzero(np.isfinite(one.place).all(axis=1))
+            number.append(np.full(len(rows), k))
+            frame.append(one.track.frame[rows])
+            row.append(rows)
+        frames: NDArray[np.int64] = np.concatenate([*frame, np.zeros(0, np.int64)])
+        order = np.argsort(frames, kind="stable")
+        self._frames, start = np.unique(frames[order], return_index=True)
+        self._start = np.append(start, len(frames))
+        self._number = np.concatenate([*number, np.zeros(0, np.int64)])[order]
+        self._row = np.concatenate([*row, np.zeros(0, np.int64)])[order]
+
+    def __getitem__(self, frame: int) -> list[ShownPerson]:
+        k = int(np.searchsorted(self._frames, frame))
+        if k == len(self._frames) or self._frames[k] != frame:
+            raise KeyError(frame)
+        inside = slice(self._start[k], self._start[k + 1])
+        return [
+            self._tracks[number].person(row)
+            for number, row in zip(self._number[inside].tolist(), self._row[inside].tolist(), strict=True)
+        ]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._frames.tolist())
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """Where somebody is in the picture.
+
+    Attributes
+    ----------
+    place, seen : (n, 4) boxes of the rows of the track, and whether they were seen (n,)
+    angles : (n, 4) of body and head, each with its standard deviation
+    pixel : (n, 2) of the feet
+    first : (n,) row at which the path begins that is drawn at each
+    """
+
+    track: Track
+    place: FloatArray
+    seen: NDArray[np.bool_]
+    angles: FloatArray
+    pixel: FloatArray
+    first: NDArray[np.int64]
+
+    def person(self, row: int) -> ShownPerson:
+        """The person in a row."""
+        body, body_std, head, head_std = self.angles[row].tolist()
+        return ShownPerson(
+            self.track.track_id,
+            self.place[row],
+            bool(self.seen[row]),
+            self.track.position[row],
+            body,
+            body_std,
+            head,
+            head_std,
+            self.pixel[self.first[row] : row + 1],
+        )
+
+
 def shown_by_frame(
     estimates: TrackSet,
     observations: TrackSet,
@@ -151,7 +226,7 @@ def shown_by_frame(
     camera: GroundCamera,
     *,
     trail: float = 4.0,
-) -> dict[int, list[ShownPerson]]:
+) -> ShownPeople:
     """What there is to draw in each frame.
 
     Parameters
@@ -161,39 +236,27 @@ def shown_by_frame(
     trail : seconds of the path
     """
     observed = {track.track_id: track for track in observations}
-    found: dict[int, list[ShownPerson]] = {}
+    found = []
     for track in estimates:
         place, seen = _boxes_of(track, observed[track.track_id], boxes, camera)
-        pixel = camera.ground_to_image(track.position)
-        angles = {name: _angle(track, name) for name in ("body", "head")}
+        angles = np.column_stack([*_angle(track, "body"), *_angle(track, "head")])
         first = np.searchsorted(track.t, track.t - trail)
-        for row, frame in enumerate(track.frame.tolist()):
-            if not np.isfinite(place[row]).all():
-                continue
-            (body, body_std), (head, head_std) = ((v[row], s[row]) for v, s in angles.values())
-            path = pixel[first[row] : row + 1]
-            person = ShownPerson(
-                track.track_id,
-                place[row],
-                bool(seen[row]),
-                track.position[row],
-                float(body),
-                float(body_std),
-                float(head),
-                float(head_std),
-                path,
-            )
-            found.setdefault(frame, []).append(person)
-    return found
+        pixel = camera.ground_to_image(track.position)
+        found.append(_Shown(track, place, seen, angles, pixel, first))
+    return ShownPeople(found)
 
 
 def boxes_shown(people: Mapping[int, Sequence[ShownPerson]]) -> PersonBoxes:
     """The boxes of what `shown_by_frame` found."""
-    rows = [(frame, person) for frame, of_frame in people.items() for person in of_frame]
+    frame: list[int] = []
+    number: list[int] = []
+    box: list[FloatArray] = []
+    for one, of_frame in people.items():
+        frame += [one] * len(of_frame)
+        number += [person.track_id for person in of_frame]
+        box += [person.box for person in of_frame]
     return PersonBoxes(
-        np.array([frame for frame, _ in rows], np.int64),
-        np.array([person.track_id for _, person in rows], np.int64),
-        np.array([person.box for _, person in rows], float).reshape(-1, 4),
+        np.array(frame, np.int64), np.array(number, np.int64), np.array(box, float).reshape(-1, 4)
     )
 
 
@@ -205,7 +268,7 @@ def _angle(track: Track, name: str) -> tuple[FloatArray, FloatArray]:
 
 def _boxes_of(
     track: Track, observation: Track, boxes: Sequence[PersonBox], camera: GroundCamera
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Boxes (n, 4) of the rows of an estimate, and whether they were seen (n,).
 
     Between two that were seen there are those of the estimated feet, of sizes in between.

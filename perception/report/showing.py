@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -31,7 +31,7 @@ _PHOTOS, _PHOTO_WIDTH, _QUALITY = 6, 1100, 85
 def write_video(
     path: Path,
     frames: Iterable[Frame],
-    people: dict[int, list[ShownPerson]],
+    people: Mapping[int, Sequence[ShownPerson]],
     camera: GroundCamera,
     rate: float,
 ) -> int:

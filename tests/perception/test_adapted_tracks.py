@@ -14,10 +14,13 @@ from graphtrack.model import Model
 from perception.adaptation.adapting import joined
 from perception.adaptation.labels import walking_labels
 from perception.adaptation.learning import AdaptationParameters, thinned
-from perception.adaptation.rendered import Sight, rendered_people
-from perception.adaptation.teaching import CLASSES, folds_of, taught
+from perception.adaptation.patches import ABOVE, COLUMNS, ROWS, TALL, as_patch, surroundings
+from perception.adaptation.rendered import Scenery, rendered_people
+from perception.adaptation.teaching import CLASSES, Sums, folds_of, taught
 from perception.adaptation.tracks import class_outlier_probability, with_outliers
-from perception.detection.boxes import write_boxes
+from perception.detection.boxes import PersonBox, write_boxes
+from perception.images.frames import Frame
+from perception.synthetic.inserted import Insertion, Place, with_person
 from perception.synthetic.pasted_street import FPS, pasted_street
 
 
@@ -87,13 +90,77 @@ def test_rendered_people_help_where_few_walk() -> None:
     assert helped <= alone + 1e-9
 
 
-def test_people_are_rendered_as_the_camera_sees_them() -> None:
+def test_people_are_rendered_where_the_camera_saw_people_walk() -> None:
+    rng = np.random.default_rng(4)
     camera = GroundCamera.from_scale(0.02)
-    sight = Sight.of(np.array([30.0, 40.0, 50.0]), np.zeros((3, 2)), camera)
-    assert sight.elevation == (0.0, 0.45) and 30 <= sight.size[0] <= sight.size[1] <= 50
-    people = rendered_people(sight, np.random.default_rng(4), 3)
-    assert len(people.patches) == len(people.angle) == 3
-    assert (np.abs(people.head[:, 0]) < 0.2).all() and (people.head[:, 1] < 0.3).all()
+    walkers = [PersonBox(k, 1, (40.0 + 5.0 * k, 60.0, 16.0, 40.0)) for k in range(12)]
+    scenery = Scenery(walkers, walkers, None, camera)
+    # What is behind is told apart from who walks there, who is somewhere else in every frame.
+    behind = rng.integers(60, 200, (160, 160, 3), np.uint8)
+    shown = []
+    for item in walkers:
+        image = behind.copy()
+        first, upper, across, down = (int(value) for value in item.box)
+        image[upper : upper + down, first : first + across // 4] = 255
+        shown.append(Frame(item.frame, image))
+    assert [frame.number for frame in scenery.watched(shown)] == sorted(scenery.frames)
+    places = scenery.places(rng)
+    assert len(places) == len(walkers)
+    for place, item in zip(places, walkers, strict=True):
+        _, top, width, height = place.box
+        assert (width, height) == pytest.approx(item.box[2:], abs=1.0)
+        assert top / len(place.image) == pytest.approx(ABOVE / ROWS)
+        np.testing.assert_array_equal(place.image, surroundings(behind, item.box))
+    people = rendered_people(places, rng, 40)
+    assert len(people.patches) == len(people.angle) == 40
+    assert all(patch.shape == (ROWS, COLUMNS, 3) for patch in people.patches)
+    # Heads are near the box's top: the middle of a person of 1.75 m is a tenth below it.
+    assert np.abs(np.median(people.head, axis=0) - (0.0, 0.09)).max() < 0.05
+    empty = as_patch(places[0].image)
+    inside = slice(ABOVE, ABOVE + TALL), slice(COLUMNS // 2 - 30, COLUMNS // 2 + 30)
+    changed = np.abs(people.patches[0][inside].astype(float) - empty[inside]).mean()
+    assert changed > 5.0
+
+
+def test_rendered_people_look_where_they_are_said_to() -> None:
+    """Who faces the camera shows a face, who goes away hair: skin is redder than hair on average."""
+    rng = np.random.default_rng(5)
+    place = Place(np.full((224, 160, 3), 120, np.uint8), (48.0, 32.0, 64.0, 160.0), 0.2, 8.0)
+    steady = Insertion(offset=(0.0, 0.0), scale=0.0, noise=0.0, blur=0.0)
+    red = []
+    for angle in (0.0, np.pi):
+        found = []
+        for _ in range(40):
+            picture, head = with_person(place, angle, rng, steady)
+            across, down = np.rint(head).astype(int)
+            part = picture[down - 2 : down + 6, across - 4 : across + 4].astype(float)
+            found.append(part[..., 2].mean() - part[..., 0].mean())
+        red.append(np.mean(found))
+    assert red[0] > red[1] + 5.0
+
+
+def test_people_of_few_kinds_move_with_those_they_help() -> None:
+    """Rendered people are shifted to the real ones direction by direction, not to their mean."""
+    rng = np.random.default_rng(6)
+    sign = np.ones(3, np.float32)
+    angle = rng.uniform(-np.pi, np.pi, 4000)
+    label = CLASSES.index(angle)
+
+    def looks(whose: np.ndarray) -> np.ndarray:
+        clean = np.column_stack([np.cos(whose), np.cos(2.0 * whose), np.zeros(len(whose))])
+        return (clean + 0.1 * rng.normal(size=clean.shape)).astype(np.float32)
+
+    off = np.array([3.0, -2.0, 1.0], np.float32)
+    real = np.full(20, np.pi)  # all of them are seen from behind
+    few = Sums.of(looks(real) + off, sign, CLASSES.index(real), np.arange(20))
+    many = Sums.of(looks(angle), sign, label, np.arange(len(angle)))
+    helped = few.helped(many, 3.0)
+    alone = Sums.of(looks(angle) + off, sign, label, np.arange(len(angle)))
+    for k in range(len(CLASSES)):
+        found, expected = helped.total[k] / helped.weight[k], alone.total[k] / alone.weight[k]
+        np.testing.assert_allclose(found, expected, atol=0.15)
+    assert helped.weight.sum() == pytest.approx(4.0 * few.weight.sum())
+    np.testing.assert_allclose(few.helped(many, 0.0).total, few.total)
 
 
 @pytest.mark.slow

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from rerun_recordings import read_recording
 
 import graphtrack as gt
 from graphtrack.errors import InputError
+from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import Model
 from graphtrack.tracks import TrackSet
 from perception.adaptation import adapting
@@ -242,6 +245,26 @@ def test_who_is_not_seen_is_shown_where_the_estimate_is(street: PastedStreet) ->
     assert [shown[k][0].seen for k in range(3)] == [True, False, True]
     np.testing.assert_allclose(shown[1][0].box, (pixel[1, 0] - 10, pixel[1, 1] - 51, 20, 51))
     np.testing.assert_allclose(shown[2][0].path, pixel)
+
+
+def test_what_is_shown_is_kept_as_columns() -> None:
+    rows, people, camera = 2000, 3, GroundCamera.from_scale(0.02)
+    frame, still = np.arange(rows), np.zeros((rows, 2))
+    tracks, boxes = [], []
+    for number in range(people):
+        tracks.append(gt.Track(number, frame, t=frame / FPS, position=still + number))
+        boxes += [PersonBox(k, number, (1.0, 2.0, 20.0, 50.0)) for k in frame.tolist()]
+    seen = who_is_who(TrackSet(tuple(tracks)), boxes, identified=True)
+    gc.collect()
+    tracemalloc.start()
+    try:
+        shown = shown_by_frame(TrackSet(tuple(tracks)), seen, boxes, camera)
+        kept = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    assert kept < 200 * rows * people  # a made person has three times as much
+    assert len(shown) == rows and rows not in shown
+    assert [person.track_id for person in shown[7]] == list(range(people))
 
 
 @pytest.mark.parametrize("method", METHODS)
