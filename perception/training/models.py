@@ -24,6 +24,7 @@ from perception.synthetic import (
     HeadVariation,
     PedestrianSet,
     PedestrianVariation,
+    draw_poses,
     make_heads,
     make_pedestrians,
 )
@@ -123,7 +124,8 @@ def train_on_rendered(
         )
     # The two that are means and exemplars are best at what they were trained on; the network holds both.
     found = count // 2 if name == DeepBelief.kind else 0
-    heads = make_heads(count - found, rng, _EXACT, advance=advance)
+    pan, tilt = draw_poses(count - found, rng, _EXACT, CLASSIFIERS[name](seed=seed).classes)
+    heads = make_heads(count - found, rng, _EXACT, pan=pan, tilt=tilt, advance=advance)
     heads += make_heads(found, rng, FOUND, advance=advance)
     model = _head_pose(name, heads, seed, as_published)
     calibrate_for_use(model, seed)
