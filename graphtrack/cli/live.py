@@ -28,7 +28,7 @@ from graphtrack.cli.state_file import StateFile
 from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds, text_of
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour
 from graphtrack.cli.stream_forecast import FrameForecasts
-from graphtrack.cli.stream_names import StreamNames
+from graphtrack.cli.stream_names import ORIGIN, StreamNames
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import Conversations
@@ -166,14 +166,15 @@ def track_stream(
     def tell(row: dict[str, Any]) -> None:
         give(row if names.are_native else names.restored(row))
         if copy is not None:
-            copy(row)
+            copy(names.since_then(row))
 
     known = {"never": False, "always": True}.get(associate)
     told = asked is not None or model.has_groups
     warm_up(model, chosen, behaviour=told, forecasts=horizon is not None)
     if state is None:
         there = lines_of(stream, 1)
-        lines, rows, _ = answering(names.native_lines(there), known)
+        lines, names = names.beginning(there)
+        lines, rows, _ = answering(names.native_lines(lines), known)
         return _answer(lines, rows, None, listener, tell, _is_here(there))
     with closing(StateFile(state, save_every)) as file:
         settings = settings_of(model, chosen, lag, fps, camera)
@@ -181,9 +182,12 @@ def track_stream(
         lines = incoming
         if file.entries:
             known = bool(saved_setting(file, "detections")) if known is None else known
+            origin = saved_setting(file, ORIGIN)
+            names = names.counting_from(origin if isinstance(origin, int) else 0)
         else:
             incoming = lines_of(stream, 1)
-            lines = names.native_lines(incoming)
+            lines, names = names.beginning(incoming)
+            lines = names.native_lines(lines)
         lines, rows, restore = answering(lines, known)
         # GTSAM does not give away what iSAM2 knows: it has to see every row again.
         every = None if chosen == "isam2" else save_every

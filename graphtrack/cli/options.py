@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hi
 
 import typer
 
-from graphtrack.cli import of_tables
+from graphtrack.cli.of_tables import OfTables
 from graphtrack.errors import InputError
 from graphtrack.remote import place_of
 
@@ -171,24 +171,17 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the random num
 
 
 @dataclass(frozen=True)
-class Reading:
-    """What can be said of an input that is already in metres; see `expanded`."""
-
-    _associate: ClassVar[Literal["auto", "never"]] = "never"
-
+class _OfAnyFile:
     fps: Fps = None
     format: FormatName = None
     select: Select = None
-    columns: of_tables.Columns = None
-    time_unit: of_tables.TimeUnit = None
-    units: of_tables.Units = None
-    crs: of_tables.Crs = None
-    delimiter: of_tables.Delimiter = None
-    decimal: of_tables.Decimal = None
-    encoding: of_tables.Encoding = None
-    sql: of_tables.Sql = None
-    topic: of_tables.Topic = None
-    fixed_frame: of_tables.FixedFrame = None
+
+
+@dataclass(frozen=True)
+class Reading(OfTables, _OfAnyFile):
+    """What can be said of an input that is already in metres; see `expanded`."""
+
+    _associate: ClassVar[Literal["auto", "never"]] = "never"
 
     def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:
         """What a command reads, by the names of its options, for `check_outputs`.

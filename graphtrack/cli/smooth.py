@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ import typer
 from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
 from graphtrack.cli.dataset import check_streamed, is_streamed, smooth_streamed
+from graphtrack.cli.of_tables import OfTables
 from graphtrack.display import duration
 
 _LARGE = "Data sets larger than memory"
@@ -91,7 +93,7 @@ def smooth(
             "--image-scale": reading.image_scale,
         }
         unused["--trust"] = trust not in (None, "declared")
-        unused |= {options.option_name(name): reading.given().get(name) for name in options.of_tables.OPTIONS}
+        unused |= {options.option_name(one.name): getattr(reading, one.name) for one in fields(OfTables)}
         unused["--format"] = reading.format not in (None, "parquet")
         smooth_streamed(
             check_streamed(inputs, output, unused),

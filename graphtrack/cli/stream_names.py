@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 from graphtrack.cli.stream import text_of
@@ -12,11 +13,18 @@ from graphtrack.errors import InputError
 from graphtrack.io.layout import Layout
 from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.table import schema
-from graphtrack.table.moments import NANOSECONDS
+from graphtrack.table.moments import DAY, NANOSECONDS_IN
 
 _TIMES = ("t", "end")
 _DIGITS = 3
-"""Of a unit of time: what an answer's time is rounded to, so that whole numbers are whole again."""
+"""Of a unit of time, but nanoseconds, which are whole: what an answer's time is rounded to, so that whole
+numbers are whole again."""
+
+ORIGIN = "time_origin"
+"""The origin's name among the settings of a state."""
+
+Lines = Iterator[tuple[int, bytes]]
+"""Lines with their numbers, from 1."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +34,13 @@ class StreamNames:
     Attributes
     ----------
     columns : name in the native table → name in the stream
-    per_second : units of time in a second; 1 leaves times as they are
+    unit : nanoseconds of a unit of time; those of a second leave times as they are
+    origin : nanoseconds at t = 0; see `beginning`
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
-    per_second: float = 1.0
+    unit: int = NANOSECONDS_IN["s"]
+    origin: int = 0
 
     @classmethod
     def of(cls, layout: Layout) -> StreamNames:
@@ -46,22 +56,54 @@ class StreamNames:
             if not schema.is_column(key) or name in layout.wild.values():
                 raise InputError(f"columns {key}={name} with -", "names of the native table's columns")
         unit = layout.time_unit or "s"
-        if unit not in NANOSECONDS:
-            raise InputError(f"--time-unit {unit} with -", f"one of {', '.join(NANOSECONDS)}")
+        if unit not in NANOSECONDS_IN:
+            raise InputError(f"--time-unit {unit} with -", f"one of {', '.join(NANOSECONDS_IN)}")
         if layout.units is not None or layout.crs is not None:
             raise InputError("--units or --crs with -", "rows in metres")
-        return cls(dict(layout.columns), 1e9 / NANOSECONDS[unit])
+        return cls(dict(layout.columns), NANOSECONDS_IN[unit])
+
+    def beginning(self, lines: Lines) -> tuple[Lines, StreamNames]:
+        """The lines, and the names with the origin that the first of them that can be read implies.
+
+        The seconds of a stream count from the midnight (UTC) before it. That is taken off while times are
+        whole numbers: a double that counts from 1970 has no digits left below a microsecond.
+        """
+        read: list[tuple[int, bytes]] = []
+        if self._leaves_times:
+            return lines, self
+        for line in lines:
+            read.append(line)
+            try:
+                given = dict(parse_line(text_of(line[1])))
+            except InputError:
+                continue
+            time = next((given[name] for name in map(self._name, _TIMES) if _is_number(given.get(name))), 0)
+            since = time * self.unit
+            return chain(read, lines), self.counting_from(int(since) // DAY * DAY if 0 < since < 2**63 else 0)
+        return iter(read), self
+
+    def counting_from(self, origin: int) -> StreamNames:
+        """The same, of a stream whose seconds count from so many nanoseconds."""
+        return replace(self, origin=origin)
 
     @property
     def are_native(self) -> bool:
         """Whether nothing is called or measured otherwise than in the native table."""
-        return not self.columns and self.per_second == 1.0
+        return not self.columns and self._leaves_times
+
+    @property
+    def _leaves_times(self) -> bool:
+        return self.unit == NANOSECONDS_IN["s"]
+
+    def _name(self, key: str) -> str:
+        return self.columns.get(key, key)
 
     def settings(self) -> dict[str, Any]:
         """What the answers depend on, for a state."""
-        return {"columns": dict(self.columns), "per_second": self.per_second}
+        found: dict[str, Any] = {"columns": dict(self.columns), "per_second": 1e9 / self.unit}
+        return found | {ORIGIN: self.origin} if self.origin else found
 
-    def native_lines(self, lines: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+    def native_lines(self, lines: Lines) -> Lines:
         """Lines with their numbers, as the native table has them."""
         if self.are_native:
             return lines
@@ -79,15 +121,25 @@ class StreamNames:
             key = meaning.get(name, name)
             if name not in meaning and name in self.columns:  # another column has that meaning
                 continue
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            found.append((key, value / self.per_second if key in _TIMES and is_number else value))
+            found.append((key, self._seconds(value) if key in _TIMES else value))
         # A key that stands twice must stay so: it is an error.
         body = ", ".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in found)
         return f"{{{body}}}\n".encode()
 
+    def _seconds(self, value: Any) -> Any:
+        if self._leaves_times or not _is_number(value):
+            return value
+        try:
+            if isinstance(value, int):
+                return (value * self.unit - self.origin) / 10**9
+            # The difference of two doubles of one size is exact; what a product would lose is not lost.
+            return (value - self.origin // self.unit) / (1e9 / self.unit)
+        except OverflowError:  # no time at all, which is told where rows are
+            return value
+
     def restored(self, answer: Mapping[str, Any]) -> dict[str, Any]:
         """An answer under the stream's own names, in its unit."""
-        return {self.columns.get(key, key): self._value(key, value) for key, value in answer.items()}
+        return {self._name(key): self._value(key, value) for key, value in answer.items()}
 
     def _value(self, key: str, value: Any) -> Any:
         if isinstance(value, list):  # what is revised, and forecasts, are rows themselves
@@ -95,7 +147,25 @@ class StreamNames:
         return self._time(value) if key in _TIMES else value
 
     def _time(self, value: Any) -> Any:
-        if self.per_second == 1.0 or not isinstance(value, int | float):
+        if self._leaves_times or not _is_number(value):
             return value
-        count = round(value * self.per_second, _DIGITS)
-        return int(count) if float(count).is_integer() else count
+        count = round(value * (1e9 / self.unit), 0 if self.unit == 1 else _DIGITS)
+        whole = self.origin // self.unit
+        return int(count) + whole if float(count).is_integer() else count + whole
+
+    def since_then(self, answer: Mapping[str, Any]) -> dict[str, Any]:
+        """An answer under the native table's names, in seconds from where the stream's times count from."""
+        return self._later(answer) if self.origin else dict(answer)
+
+    def _later(self, answer: Mapping[str, Any]) -> dict[str, Any]:
+        found = dict(answer)
+        for key, value in answer.items():
+            if isinstance(value, list):
+                found[key] = [self._later(one) if isinstance(one, Mapping) else one for one in value]
+            elif key in _TIMES and _is_number(value):
+                found[key] = value + self.origin / 1e9
+        return found
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -93,25 +93,32 @@ def _foretold_angles(
         # The records have no concentration where nothing was seen, and where classes stand for the angle.
         noise = packed.records[f"{name}_kappa"]
         seen = hidden & (noise > 0.0)
-        density = blurred(angle[seen] - estimate[seen], noise[seen], kappa[seen])
-        outliers = likelihood.outlier_probability
-        total[seen] = np.log((1.0 - outliers) * density + outliers / (2.0 * math.pi))
+        density = log_blurred(angle[seen] - estimate[seen], noise[seen], kappa[seen])
+        total[seen] = _or_any(density, likelihood.outlier_probability)
     if classes is not None:
         weight = classes.sum(axis=1)
         seen = hidden & np.isfinite(weight) & (weight > 0.0)
-        n, outliers = classes.shape[1], likelihood.class_outlier_probability
+        n, share = classes.shape[1], classes[seen] / weight[seen, None]
         apart = class_centres(n) - estimate[seen, None]
-        densities = blurred(apart, np.asarray(class_kappa(n)), kappa[seen, None])
-        density = np.einsum("nk,nk->n", classes[seen] / weight[seen, None], densities)
-        total[seen] = np.log((1.0 - outliers) * density + outliers / (2.0 * math.pi))
+        densities = log_blurred(apart, np.asarray(class_kappa(n)), kappa[seen, None])
+        density = special.logsumexp(densities, axis=1, b=share)
+        total[seen] = _or_any(density, likelihood.class_outlier_probability)
     return total
 
 
-def blurred(apart: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """∫ VM(θ; 0, κ₁)·VM(θ; ``apart``, κ₂) dθ: the density of an angle of concentration κ₁ about an estimate.
+def _or_any(log_density: FloatArray, outliers: float) -> FloatArray:
+    """log of ε/2π + (1 − ε)·L: of angles that are outliers with the probability ε."""
+    with np.errstate(divide="ignore"):  # without outliers
+        anywhere = np.log(outliers / (2.0 * math.pi))
+    return np.logaddexp(math.log1p(-outliers) + log_density, anywhere)
 
-    I₀(|κ₁ + κ₂·e^{i·apart}|)/(2π·I₀(κ₁)·I₀(κ₂)), exactly.
+
+def log_blurred(apart: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
+    """log ∫ VM(θ; 0, κ₁)·VM(θ; ``apart``, κ₂) dθ: of an angle of concentration κ₁ about an estimate.
+
+    That is I₀(|κ₁ + κ₂·e^{i·apart}|)/(2π·I₀(κ₁)·I₀(κ₂)), exactly; far from sure estimates it is smaller than
+    any double, its logarithm is not.
     """
     resultant = np.abs(first + second * np.exp(1j * apart))
     scaled = special.i0e(resultant) / (2.0 * math.pi * special.i0e(first) * special.i0e(second))
-    return np.asarray(scaled * np.exp(resultant - first - second))
+    return np.asarray(np.log(scaled) + (resultant - first - second))

@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.ros.definitions import DETECTIONS, GAZE, GROUP, IDS, PEOPLE
-from graphtrack.ros.messages import HEAD, NANOSECONDS
+from graphtrack.ros.messages import HEAD, SECOND
 from graphtrack.ros.rotation import quaternion_of
 
 HEIGHT, WIDTH = 1.7, 0.5
@@ -130,7 +130,7 @@ def person_of(name: str, label: str, number: int, quantities: FloatArray, known:
 
 def time_of(make: Make, stamp: int) -> Any:
     """A time (ns) as ROS has it."""
-    return make("builtin_interfaces/msg/Time", sec=stamp // NANOSECONDS, nanosec=stamp % NANOSECONDS)
+    return make("builtin_interfaces/msg/Time", sec=stamp // SECOND, nanosec=stamp % SECOND)
 
 
 def header_of(make: Make, stamp: int, frame_id: str) -> Any:

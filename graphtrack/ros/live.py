@@ -19,16 +19,16 @@ from graphtrack.ros.definitions import IDS
 from graphtrack.ros.estimates import Person, person_of, quantities_of
 from graphtrack.ros.ground import Ground, Seen
 from graphtrack.ros.humans import Humans
-from graphtrack.ros.messages import NANOSECONDS, frame_of
+from graphtrack.ros.messages import SECOND, frame_of
 from graphtrack.ros.transforms import Transforms
 
 _GONE = 5.0
 """Seconds without a sight of somebody with a name after which they are forgotten."""
 
-_KEPT = 30 * NANOSECONDS
+_KEPT = 30 * SECOND
 """How long transforms are kept."""
 
-_JUMP = NANOSECONDS
+_JUMP = SECOND
 """By how much stamps may go back, as messages overtake each other; further back a new recording begins."""
 
 _LOOKS = 0.5
@@ -140,7 +140,7 @@ class Live:
             columns = {name: values[usable] for name, values in columns.items()}
         if self._last is None:
             self._origin = frame.stamp
-        t = (frame.stamp - self._origin) / NANOSECONDS
+        t = (frame.stamp - self._origin) / SECOND
         names = columns["name"].tolist() if columns else []
         found = self._estimates(t, names, _observations(t, columns))
         self._last = frame.stamp

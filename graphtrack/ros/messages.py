@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from graphtrack.ros.definitions import DETECTIONS, IDS, PEOPLE, POSE, POSE_WITH_COVARIANCE, POSES
 
-NANOSECONDS = 10**9
+SECOND = 10**9
+"""Nanoseconds, in which stamps are."""
 HEAD = "head"
 """The class of a hypothesis of a detection whose pose is that of the head."""
 
@@ -47,7 +48,7 @@ class Frame(NamedTuple):
 
 def stamp_of(header: Any) -> int:
     """Nanoseconds of a header's stamp."""
-    return int(header.stamp.sec) * NANOSECONDS + int(header.stamp.nanosec)
+    return int(header.stamp.sec) * SECOND + int(header.stamp.nanosec)
 
 
 def frame_of(message: Any, kind: str) -> Frame:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.ros.estimates import Person, Quantities
-from graphtrack.ros.messages import NANOSECONDS
+from graphtrack.ros.messages import SECOND
 
 _HEADER = 4
 """Bytes before the contents of a message, from which its numbers are aligned."""
@@ -53,7 +53,7 @@ class Repeated:
             one._replace(of=Quantities(*marks[k * size : (k + 1) * size].tolist()))
             for k, one in enumerate(people)
         ]
-        raw = bytes(serialise(_SECONDS * NANOSECONDS + _NANOSECONDS % NANOSECONDS, marked))
+        raw = bytes(serialise(_SECONDS * SECOND + _NANOSECONDS % SECOND, marked))
         self._head, self._size = raw[:_HEADER], len(raw)
         padded = raw[_HEADER:].ljust(-(-(len(raw) - _HEADER) // 8) * 8, b"\0")
         self._words = np.frombuffer(padded, dtype="<u8")
@@ -62,7 +62,7 @@ class Repeated:
         self._which = number[self._places].astype(np.int64)
         halves = self._words.view("<u4")
         self._seconds = np.flatnonzero(halves == _SECONDS)
-        self._nanoseconds = np.flatnonzero(halves == _NANOSECONDS % NANOSECONDS)
+        self._nanoseconds = np.flatnonzero(halves == _NANOSECONDS % SECOND)
 
     def messages(self, stamps: NDArray[np.int64], quantities: FloatArray) -> list[bytes]:
         """The messages of m times.
@@ -76,7 +76,7 @@ class Repeated:
         values = np.ascontiguousarray(quantities, dtype="<f8").reshape(len(stamps), -1)
         words[:, self._places] = values[:, self._which].view("<u8")
         halves = words.view("<u4")
-        halves[:, self._seconds] = (stamps // NANOSECONDS)[:, None]
-        halves[:, self._nanoseconds] = (stamps % NANOSECONDS)[:, None]
+        halves[:, self._seconds] = (stamps // SECOND)[:, None]
+        halves[:, self._nanoseconds] = (stamps % SECOND)[:, None]
         end = self._size - _HEADER
         return [self._head + row[:end].tobytes() for row in words.view("u1")]

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 
-NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+NANOSECONDS_IN = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 """Nanoseconds of the units of time."""
 
-_UNIT_OF = {count: unit for unit, count in NANOSECONDS.items()}
-_DAY = 86_400 * 10**9
+_UNIT_OF = {count: unit for unit, count in NANOSECONDS_IN.items()}
+DAY = 86_400 * 10**9
+"""Nanoseconds."""
 EPOCH = 1e8
 """Seconds from which a number counts from 1970: three years are longer than a recording."""
 
@@ -81,7 +82,7 @@ class TimeScale:
 
 def from_nanoseconds(since: NDArray[np.int64], beside: TimeScale | None) -> tuple[FloatArray, int]:
     """Seconds (n,) from nanoseconds, and the origin, in nanoseconds, that they count from."""
-    origin = beside.origin if beside is not None else int(since.min()) // _DAY * _DAY if len(since) else 0
+    origin = beside.origin if beside is not None else int(since.min()) // DAY * DAY if len(since) else 0
     return (since - origin) / 1e9, origin
 
 
@@ -93,10 +94,10 @@ def from_numbers(
     Parameters
     ----------
     values : (n,) int64 or float, NaN where there is none
-    unit : one of `NANOSECONDS`
+    unit : one of `NANOSECONDS_IN`
     beside : of a table whose times count from the same
     """
-    each = NANOSECONDS[unit]
+    each = NANOSECONDS_IN[unit]
     whole = values.dtype.kind in "iu"
     known = values if whole else values[np.isfinite(values)]
     epoch = bool(len(known)) and float(np.median(known)) * (each / 1e9) >= EPOCH
@@ -107,7 +108,7 @@ def from_numbers(
     if whole:
         seconds, origin = from_nanoseconds(values.astype(np.int64) * each, beside)
     else:
-        origin = beside.origin if beside is not None else int(known.min() * (each / 1e9)) // 86_400 * _DAY
+        origin = beside.origin if beside is not None else int(known.min() * (each / 1e9)) // 86_400 * DAY
         # The difference of two doubles of one size is exact; what a product would lose is not lost.
         seconds = (values - origin / each) * (each / 1e9)
     return seconds, TimeScale("number", each, whole, origin)
@@ -121,7 +122,7 @@ def from_dates(values: NDArray[Any], zone: str, beside: TimeScale | None) -> tup
     seconds, origin = from_nanoseconds(since[~empty], beside)
     found = np.full(len(values), np.nan)
     found[~empty] = seconds
-    return found, TimeScale("date", NANOSECONDS.get(unit, 1), origin=origin, zone=zone)
+    return found, TimeScale("date", NANOSECONDS_IN.get(unit, 1), origin=origin, zone=zone)
 
 
 def date_texts(values: Any) -> NDArray[Any]:
@@ -203,5 +204,5 @@ def _offset(zone: str) -> int:
 
 def check_time_unit(unit: str | None) -> None:
     """Raise InputError for a unit of time that is none."""
-    if unit is not None and unit != "iso" and unit not in NANOSECONDS:
-        raise InputError(f"time_unit = {unit!r}", f"one of {', '.join(NANOSECONDS)}, iso")
+    if unit is not None and unit != "iso" and unit not in NANOSECONDS_IN:
+        raise InputError(f"time_unit = {unit!r}", f"one of {', '.join(NANOSECONDS_IN)}, iso")

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from scipy import special
 
-from graphtrack.geometry.angles import FloatArray, mean_resultant_length
+from graphtrack.geometry.angles import FloatArray, concentration_from_resultant, mean_resultant_length
 from graphtrack.trust.pieces import Pieces
 
 WIDER = 10.0
@@ -113,7 +113,7 @@ def angle_log_density(
         cos, sin = np.cos(angle), np.sin(angle)
         noise = np.where(here, declared[k], 0.0) / scale[:, None] ** 2
         length = np.hypot(along, across) + 1e-12
-        known = concentrations(length)
+        known = concentration_from_resultant(length)
         one, two = known * along / length + noise * cos, known * across / length + noise * sin
         both = np.hypot(one, two) + 1e-12
         inlier = special.i0e(both) / (special.i0e(known) * special.i0e(noise)) * np.exp(both - known - noise)
@@ -126,16 +126,3 @@ def angle_log_density(
             share * after * two + (1.0 - share) * across,
         )
     return total
-
-
-def concentrations(length: FloatArray) -> FloatArray:
-    """κ of von Mises densities of such mean resultant lengths (any shape), to 10⁻³ of itself.
-
-    One step of Newton's method from the approximation of Banerjee et al. (2005).
-    """
-    length = np.minimum(length, 1.0 - 1e-9)
-    kappa = length * (2.0 - length**2) / (1.0 - length**2)
-    ratio = mean_resultant_length(kappa)
-    slope = np.maximum(1.0 - ratio**2 - ratio / kappa, 1e-12)
-    # Far out, the ratio's rounding is all there is to divide.
-    return np.where(kappa < 1e3, np.maximum(kappa - (ratio - length) / slope, 0.5 * kappa), kappa)

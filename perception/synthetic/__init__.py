@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from perception.synthetic.cameras import Camera
 from perception.synthetic.contact_sheet import contact_sheet
-from perception.synthetic.heads import HeadSet, HeadVariation, make_heads
+from perception.synthetic.heads import HeadSet, HeadVariation, draw_poses, make_heads
 from perception.synthetic.pedestrians import PedestrianSet, PedestrianVariation, make_pedestrians
 from perception.synthetic.scene import Furniture, Label, Person, RenderedFrame, Scene, render_frame
 
@@ -20,6 +20,7 @@ __all__ = [
     "RenderedFrame",
     "Scene",
     "contact_sheet",
+    "draw_poses",
     "make_heads",
     "make_pedestrians",
     "render_frame",

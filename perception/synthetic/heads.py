@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image
+from perception.pose.classes import PoseClasses
 from perception.synthetic.appearance import Appearance, random_appearance
 from perception.synthetic.cameras import Camera
 from perception.synthetic.head import CORE, EXTRA, head_solids, neck_and_shoulders
@@ -21,6 +22,8 @@ from perception.synthetic.solids import Solids, rotation_roll, rotation_up, rota
 _DISTANCE = 6.0
 _MARGIN = 0.22
 """Metres from the head's origin to the edge of the rendered picture: hats and jitter fit in."""
+_SPARE = 20_000
+"""Poses among which those of rare classes are looked for: their rarest have some hundred of them."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,41 @@ class HeadSet:
         return HeadSet(self.images + other.images, pan, tilt, self.skin + other.skin)
 
 
+def _draw_pans(count: int, rng: np.random.Generator, variation: HeadVariation) -> FloatArray:
+    return rng.uniform(*variation.pan, count)
+
+
+def _draw_tilts(count: int, rng: np.random.Generator, variation: HeadVariation) -> FloatArray:
+    tilt = rng.uniform(*variation.tilt, count)
+    if variation.tilt_deviation is not None:
+        tilt = np.clip(rng.normal(0.0, variation.tilt_deviation, count), *variation.tilt)
+    return tilt
+
+
+def draw_poses(
+    count: int, rng: np.random.Generator, variation: HeadVariation, classes: PoseClasses, least: int = 2
+) -> tuple[FloatArray, FloatArray]:
+    """Pans and tilts (count,) in radians as `make_heads` draws them, with at least so many of every class.
+
+    Where a draw has fewer, heads of the classes that have most of them give way to others. A draw that has
+    enough is left as it is, and so is one too small to have them.
+    """
+    pan, tilt = _draw_pans(count, rng, variation), _draw_tilts(count, rng, variation)
+    labels = classes.index(pan, tilt)
+    of_class = np.bincount(labels, minlength=len(classes))
+    if of_class.min() >= least or count < least * len(classes):
+        return pan, tilt
+    pans, tilts = _draw_pans(_SPARE, rng, variation), _draw_tilts(_SPARE, rng, variation)
+    spare = classes.index(pans, tilts)
+    for k in np.flatnonzero(of_class < least):
+        for other in np.flatnonzero(spare == k)[: least - of_class[k]]:
+            place = np.flatnonzero(labels == of_class.argmax())[0]
+            of_class[labels[place]] -= 1
+            pan[place], tilt[place], labels[place] = pans[other], tilts[other], k
+            of_class[k] += 1
+    return pan, tilt
+
+
 def make_heads(
     count: int,
     rng: np.random.Generator,
@@ -94,12 +132,8 @@ def make_heads(
     people : the person of each head, to set them instead of drawing them
     advance : is told of each head that is done
     """
-    pan = rng.uniform(*variation.pan, count) if pan is None else np.asarray(pan, float)
-    if tilt is None:
-        tilt = rng.uniform(*variation.tilt, count)
-        if variation.tilt_deviation is not None:
-            tilt = np.clip(rng.normal(0.0, variation.tilt_deviation, count), *variation.tilt)
-    tilt = np.asarray(tilt, float)
+    pan = _draw_pans(count, rng, variation) if pan is None else np.asarray(pan, float)
+    tilt = _draw_tilts(count, rng, variation) if tilt is None else np.asarray(tilt, float)
     made = []
     for i in range(count):
         look = random_appearance(rng) if people is None else people[i]

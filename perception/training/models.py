@@ -24,6 +24,7 @@ from perception.synthetic import (
     HeadVariation,
     PedestrianSet,
     PedestrianVariation,
+    draw_poses,
     make_heads,
     make_pedestrians,
 )
@@ -64,6 +65,9 @@ FAR = PedestrianVariation(
 )
 """People in wide-angle views: small, blurred, seen from above, behind things and before a busy background."""
 
+_HEAD_POSE: dict[str, Callable[[], FeatureClassifier]] = {
+    kind.kind: kind for kind in (Templates, Exemplars, DeepBelief)
+}
 _EXACT = HeadVariation(offset=0.03, scale=0.05, tilt_deviation=0.45)
 _SKIN_IMAGES = 2000
 _CALIBRATION_IMAGES = 1500
@@ -123,7 +127,8 @@ def train_on_rendered(
         )
     # The two that are means and exemplars are best at what they were trained on; the network holds both.
     found = count // 2 if name == DeepBelief.kind else 0
-    heads = make_heads(count - found, rng, _EXACT, advance=advance)
+    pan, tilt = draw_poses(count - found, rng, _EXACT, _HEAD_POSE[name]().classes)
+    heads = make_heads(count - found, rng, _EXACT, pan=pan, tilt=tilt, advance=advance)
     heads += make_heads(found, rng, FOUND, advance=advance)
     model = _head_pose(name, heads, seed, as_published)
     calibrate_for_use(model, seed)

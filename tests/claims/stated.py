@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import product
 
 from claim import Claim, Measured, Record, Results
+from following import FOLLOWING
 from pixels import PIXELS
 
 RATES = (100, 80, 60)
@@ -301,5 +302,6 @@ CLAIMS: Sequence[Claim] = (
     Claim("docs/engine.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
     Claim("README.md", "chen-classes", online_engines, "| engine | | body, head, online"),
     Claim("docs/tracking.md", "meetings", meetings, "| switches, 120 meetings |"),
+    *FOLLOWING,
     *PIXELS,
 )

@@ -15,7 +15,6 @@ from command import TRACK_STREAM, going_on
 
 from graphtrack.cli import live, main
 from graphtrack.cli.state_file import StateFile, seal
-from graphtrack.cli.stream_names import StreamNames
 from graphtrack.errors import InputError
 from graphtrack.model import Model
 
@@ -273,27 +272,34 @@ def test_unknown_keys_and_bad_rows_are_told(track):
 
 # -- other names ---------------------------------------------------------------------------------------------
 
-NAMES = ("--columns", "id=agent,t=stamp,x=pos_x,y=pos_y", "--time-unit", "ms")
+STAMPS = {"ms": (10**3, 0), "ns": (10**9, 1_763_892_000_123_456_789)}
+"""Counts in a second of a unit of time, and at the beginning: 0, or since 1970."""
 
 
-def renamed(line):
+def renamed(line, unit):
     """A row of `scene` as somebody else writes it; what is no row stays as it is."""
     try:
         row = json.loads(line)
     except ValueError:
         return line
     names = {"track_id": "agent", "t": "stamp", "x": "pos_x", "y": "pos_y"}
-    row = {names.get(key, key): round(1e3 * value) if key == "t" else value for key, value in row.items()}
+    scale, first = STAMPS[unit]
+    row = {
+        names.get(key, key): first + round(scale * value) if key == "t" else value
+        for key, value in row.items()
+    }
     return json.dumps(row | {"x": "of the image"}).encode() + b"\n"
 
 
-def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path):
-    lines = scene(12)
+@pytest.mark.parametrize("unit", STAMPS)
+def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path, unit):
+    lines, (scale, start) = scene(12), STAMPS[unit]
     code, expected, _ = track(lines)
+    options = ("--columns", "id=agent,t=stamp,x=pos_x,y=pos_y", "--time-unit", unit)
     state = tmp_path / "state"
-    given = [renamed(line) for line in lines]
-    first_code, first, _ = track(given[:20], *NAMES, "--state", state)
-    second_code, second, said = track(given[20:], *NAMES, "--state", state)
+    given = [renamed(line, unit) for line in lines]
+    first_code, first, _ = track(given[:20], *options, "--state", state)
+    second_code, second, said = track(given[20:], *options, "--state", state)
     assert (code, first_code, second_code) == (2, 2, 2)
     kept = going_on(said)[1]
     found = [json.loads(line) for line in [*first[:kept], *second]]
@@ -303,27 +309,13 @@ def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path):
             assert mine["line"] == other["line"]
             continue
         assert (mine["agent"], mine["frame"]) == (other["track_id"], other["frame"])
-        assert mine["stamp"] == round(1e3 * other["t"]) and isinstance(mine["stamp"], int)
+        assert mine["stamp"] == start + round(scale * other["t"]) and isinstance(mine["stamp"], int)
         if other["x"] is not None:
             assert mine["pos_x"] == pytest.approx(other["x"]) and mine["x_std"] == pytest.approx(
                 other["x_std"]
             )
     code, _, said = track(lines, "--state", state)
     assert code == 2 and "columns" in said
-
-
-def test_what_is_told_within_an_answer_has_the_same_names_and_unit():
-    names = StreamNames({"t": "stamp", "x": "pos_x"}, 1e3)
-    answer = {
-        "end": 1.7,
-        "revised": [{"t": 0.9, "before": -1, "after": 1}],
-        "forecast": [{"ahead": 0.4, "x": 2.0}],
-    }
-    assert names.restored(answer) == {
-        "end": 1700,
-        "revised": [{"stamp": 900, "before": -1, "after": 1}],
-        "forecast": [{"ahead": 0.4, "pos_x": 2.0}],
-    }
 
 
 @pytest.mark.parametrize(

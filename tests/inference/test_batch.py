@@ -312,12 +312,13 @@ def test_the_estimate_costs_less_than_start_truth_and_data(preset: str) -> None:
 )
 def test_covariances_are_the_inverse_of_the_exact_curvature(preset: str, situation: str) -> None:
     track, parameters = SITUATIONS[situation]
-    track = track[:4]
+    track = track[3:7]  # in which each state is seen, and something is missing where there are gaps
     model = Model(preset, parameters)
     found = smooth_track(track, model, options=EXACTLY).track
     columns = free(model)
     curvature = hessian(cost_around(states_of(found), track, model), len(track) * len(columns))
-    assert np.linalg.eigvalsh(curvature).min() > 0.0
+    # Far from rounding: what nothing determines has no inverse.
+    assert np.linalg.eigvalsh(curvature).min() > 0.01
     expected = np.linalg.inv(curvature)
     assert found.covariance is not None
     for k, whole in enumerate(stated_blocks(expected, columns, model, found)):

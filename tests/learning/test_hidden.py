@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import unit, von_mises_log_density, wrap
 from graphtrack.inference import solve
 from graphtrack.learning import fit
 from graphtrack.learning.free import free_parameters, with_values
-from graphtrack.learning.hidden import FOLDS, blurred, told
+from graphtrack.learning.hidden import FOLDS, log_blurred, told
 from graphtrack.learning.objective import Objective
 from graphtrack.learning.solving import Solver
 from graphtrack.model import CouplingParameters, GaitParameters, Model
@@ -60,8 +60,24 @@ def test_the_density_of_a_blurred_angle_is_its_integral(kappas: tuple[float, flo
             return float(np.exp(sum(logs)))
 
         expected = integrate.quad(product, -np.pi, np.pi, points=[0.0, apart], limit=200)[0]
-        found = blurred(np.array([apart]), np.array([first]), np.array([second]))[0]
-        assert found == pytest.approx(expected, rel=1e-6, abs=1e-12)
+        found = log_blurred(np.array([apart]), np.array([first]), np.array([second]))[0]
+        assert np.exp(found) == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
+def test_an_angle_far_from_a_sure_estimate_is_foretold_though_its_density_underflows() -> None:
+    apart, first, second = np.array([3.0]), np.array([900.0]), np.array([800.0])
+
+    def log_product(angle: float) -> float:
+        return float(von_mises_log_density(angle, 0.0, 900.0) + von_mises_log_density(angle, 3.0, 800.0))
+
+    # Its mass is about the one place between both; as a double the density would be 0 there.
+    greatest = max(np.linspace(0.0, 3.0, 30_001), key=log_product)
+    most = log_product(greatest)
+    scaled = integrate.quad(lambda angle: np.exp(log_product(angle) - most), greatest - 0.5, greatest + 0.5)[
+        0
+    ]
+    assert most < -1000.0
+    assert log_blurred(apart, first, second)[0] == pytest.approx(most + np.log(scaled), rel=1e-9)
 
 
 def test_hidden_positions_are_foretold_as_by_the_smoother_of_linear_models() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from graphtrack.geometry.angles import difference, unit
+from perception.pose.classes import PoseClasses
 from perception.synthetic import (
     Camera,
     Furniture,
@@ -15,6 +16,7 @@ from perception.synthetic import (
     Person,
     Scene,
     contact_sheet,
+    draw_poses,
     make_heads,
     make_pedestrians,
     render_frame,
@@ -105,6 +107,24 @@ def test_the_same_seed_gives_the_same_heads_and_another_seed_others() -> None:
         np.testing.assert_array_equal(a, b)
     np.testing.assert_array_equal(first.pan, again.pan)
     assert not np.array_equal(first.pan, other.pan)
+
+
+def test_few_drawn_poses_have_some_of_every_class() -> None:
+    """Of 36 classes, of which 24 have some one in a hundred each, 200 drawn poses lack one as a rule."""
+    classes = PoseClasses.circle(12, 3)
+    for seed in range(5):
+        pan, tilt = draw_poses(200, np.random.default_rng(seed), HeadVariation(), classes)
+        of_class = np.bincount(classes.index(pan, tilt), minlength=len(classes))
+        assert of_class.min() >= 2 and of_class.sum() == 200
+        # Most of them look ahead still.
+        assert of_class[12:24].sum() > 120
+
+
+def test_poses_of_all_classes_are_left_as_heads_are_drawn() -> None:
+    heads = make_heads(12, np.random.default_rng(3))
+    pan, tilt = draw_poses(12, np.random.default_rng(3), HeadVariation(), PoseClasses.circle(2), least=1)
+    np.testing.assert_array_equal(pan, heads.pan)
+    np.testing.assert_array_equal(tilt, heads.tilt)
 
 
 def test_sizes_and_ranges_are_those_asked_for() -> None:

@@ -16,7 +16,7 @@ from graphtrack.model.parameters import LikelihoodParameters
 from graphtrack.tracks import Track, TrackSet
 from graphtrack.trust import declared_noise
 from graphtrack.trust.bias import shared_offset, turned
-from graphtrack.trust.filters import angle_log_density, concentrations, position_log_density
+from graphtrack.trust.filters import angle_log_density, position_log_density
 from graphtrack.trust.pieces import pieces_of
 
 FULL = gt.Model("full")
@@ -87,13 +87,6 @@ def test_angles_are_as_probable_as_an_integral_over_the_circle_says() -> None:
         total += np.log(density.sum() * width)
         density /= density.sum() * width
     assert found[0, 0] == pytest.approx(total, abs=0.1)
-
-
-def test_concentrations_are_those_of_their_lengths() -> None:
-    kappa = np.array([1e-6, 0.1, 1.0, 3.0, 30.0, 300.0])
-    from graphtrack.geometry.angles import mean_resultant_length
-
-    assert concentrations(mean_resultant_length(kappa)) == pytest.approx(kappa, rel=5e-3)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -22,7 +22,7 @@ from graphtrack.io.source import Source
 from graphtrack.io.tables.cells import Cells
 from graphtrack.io.tables.headings import LENGTHS, TIMES, meanings, plain, wide
 from graphtrack.io.tables.values import is_empty
-from graphtrack.table.moments import EPOCH, NANOSECONDS, is_iso
+from graphtrack.table.moments import EPOCH, NANOSECONDS_IN, is_iso
 from graphtrack.table.rows import Rows
 from graphtrack.table.speeds import Speeds
 from graphtrack.tracks import TrackSet
@@ -199,7 +199,7 @@ def _time_unit(cells: Cells, name: str) -> tuple[str, str]:
     if most >= EPOCH * 10:
         # An epoch of this century has 10 digits in seconds.
         of_epoch = next(
-            (u for u, count in NANOSECONDS.items() if most * count < 1e19 and most * count > 1e17), None
+            (u for u, count in NANOSECONDS_IN.items() if most * count < 1e19 and most * count > 1e17), None
         )
         if of_epoch is not None:
             unit = of_epoch

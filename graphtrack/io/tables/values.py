@@ -14,7 +14,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.numbers import expected_number, parse_number
 from graphtrack.io.tables.cells import Cells
 from graphtrack.table.moments import (
-    NANOSECONDS,
+    NANOSECONDS_IN,
     NotIso,
     TimeScale,
     from_dates,
@@ -162,12 +162,12 @@ def times(
 
 
 def _check_reach(cells: Cells, name: str, values: FloatArray, unit: str) -> None:
-    most = 2**62 / NANOSECONDS[unit]
+    most = 2**62 / NANOSECONDS_IN[unit]
     with np.errstate(invalid="ignore"):
         beyond = np.abs(values) > most
     if beyond.any():
         row = int(np.argmax(beyond))
-        finer = next((u for u, count in NANOSECONDS.items() if abs(values[row]) <= 2**62 / count), None)
+        finer = next((u for u, count in NANOSECONDS_IN.items() if abs(values[row]) <= 2**62 / count), None)
         hint = f"; --time-unit {finer} reads it" if finer is not None else ""
         raise cells.fail(f"{values[row]:.17g}", f"a time in {unit}{hint}", row, name)
 
