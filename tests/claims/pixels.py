@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from itertools import product
 
 from claim import Claim, Measured, Record, Results, numbers
 
 COLOUR, MEMORY = "colour, then pose", "colour with memory, then pose"
 MIXED, PRINTED = "mixed-state", "mixed-state, as in the paper"
-CLASSES = "Body and head from class likelihoods"
-SOURCES = ("mocap, walking", "mocap, turning", "mocap, sideways and back")
 
 
-def _values(cell: object) -> list[float]:
+def values_of(cell: object) -> list[float]:
     """Of a cell that is a number, or text with numbers; nothing of an empty one."""
     return [] if cell is None else [shown.value for shown in numbers(str(cell))]
 
@@ -73,7 +70,7 @@ def mixed_state(results: Results) -> Measured:
     return {
         f"{row['pans']}: {row['method']}": [
             row["sequences"],
-            *(value for column in columns for value in _values(row[column])),
+            *(value for column in columns for value in values_of(row[column])),
             row["never lost (%)"],
         ]
         for row in results.rows("Tracking before things")
@@ -126,7 +123,7 @@ def mixed_state_said(results: Results) -> Measured:
         WORSE: [pan[PRINTED], pan[COLOUR]],
         RATIOS: [box["ratio"], pan["ratio"]],
         MODES: [mode[COLOUR] - pan[COLOUR]],
-        LEVEL: [nodding["level (°)"], _values(nodding["tilt error (°)"])[0], facing["level (°)"]],
+        LEVEL: [nodding["level (°)"], values_of(nodding["tilt error (°)"])[0], facing["level (°)"]],
         FIG_4: [place[who, box] for who in (COLOUR, PRINTED) for box in ("well placed", "badly placed")],
         ON_TOP: [
             *(top[who, what]["ratio"] for who in (MIXED, COLOUR) for what in ("centre (widths)", "pan (°)")),
@@ -138,111 +135,13 @@ def mixed_state_said(results: Results) -> Measured:
 def still_heads(results: Results) -> Measured:
     """What the page says in words of 004's Tables 1 to 3."""
     named = {
-        (row["people learned from"], row["exemplars a pose"], row["density"]): _values(row["ours (%)"])[0]
+        (row["people learned from"], row["exemplars a pose"], row["density"]): values_of(row["ours (%)"])[0]
         for row in results.rows("Identification of nine pans")
     }
     shown = [(34, k, density) for k in (1, 2) for density in ("gaussian", "saturated")]
     shown += [(70, 3, "gaussian"), (70, 4, "saturated")]
     diagonal = [row[f"{row['true pan (°)']:g}"] for row in results.rows("Confusions of pans", of="ours")]
     return {STILL: [named[key] for key in shown], TABLE_2: [min(diagonal), max(diagonal)]}
-
-
-# 002 from pixels, and in the image.
-
-
-def _cells(results: Results, where: Mapping[str, object], presets: Sequence[str]) -> list[float | None]:
-    """Body, then head, with each preset: error and its interval."""
-    found: list[float | None] = []
-    for angle, preset in product(("body", "head"), presets):
-        row = results.row(CLASSES, angle=angle, model=preset, **where)
-        found += [row["error (°)"], row["low"], row["high"]]
-    return found
-
-
-def chen_pixels(results: Results) -> Measured:
-    """Errors by method and model, heads by the package's network."""
-    methods = {
-        "particle filter": "particle",
-        "particle filter, eq. 12–14 as printed": "particle, eq. 12–14",
-        "graph, chain": "graph, chain",
-        "graph, isam2": "graph, isam2",
-        "offline: smoother": "smoother",
-    }
-    found: dict[str, list[float | None]] = {}
-    for label, method in methods.items():
-        where = {"data": "deep_belief", "method": method}
-        found[label] = _cells(results, where, ("separate", "joint-body", "joint"))
-    seen = [
-        results.row(CLASSES, data="deep_belief", angle=angle, method="smoother", model="joint")
-        for angle in ("body", "head")
-    ]
-    return {"per frame": [row["most likely class (°)"] for row in seen], **found}
-
-
-TEMPLATES = "joint, body and head are {} and {} (particle filter), {} and {} (`chain`), {} and {} (offline)"
-WITH_FULL = (
-    "whose modes are of no use to people who face where they go, has {} and {} online (`isam2` {} and {}), "
-    "and {} and {} offline"
-)
-HEADS_GAIN = "takes {}–{}° off the head's error online (`templates`: {}–{}°), and {}–{}° offline"
-CAUSAL = (
-    "change the error by {}° ({} … {}; `templates` {}°, {} … {}), smoothed jointly the "
-    "difference is {}° ({} … {})"
-)
-
-
-def chen_pixels_said(results: Results) -> Measured:
-    """What the page says of 002's heads, and of `full`."""
-
-    def errors(data: str, method: str, model: str) -> list[float]:
-        where = {"data": data, "method": method, "model": model}
-        return [results.row(CLASSES, angle=angle, **where)["error (°)"] for angle in ("body", "head")]
-
-    found = [
-        error
-        for method in ("particle", "graph, chain", "smoother")
-        for error in errors("templates", method, "joint")
-    ]
-    methods = ("graph, chain", "graph, isam2", "smoother")
-    full = [error for method in methods for error in errors("deep_belief", method, "full")]
-    return {TEMPLATES: found, WITH_FULL: full}
-
-
-def chen_pixels_differences(results: Results) -> Measured:
-    """What the joint estimate takes off the head's error, and what causal heads cost it."""
-    title, what = "Paired differences", "joint − joint-body"
-    rows = results.rows(title, difference=what)
-    online = {
-        data: [-_values(row["head (°)"])[0] for row in rows if row["data"] == data and not _offline(row)]
-        for data in ("deep_belief", "templates")
-    }
-    offline = [-_values(row["head (°)"])[0] for row in rows if _offline(row)]
-    gains = [end for values in (*online.values(), offline) for end in (min(values), max(values))]
-    whole = "heads of the whole track − causal heads"
-    jointly = results.row(title, data="deep_belief", method="smoother", difference=f"{whole}, joint")
-    costs = [*results.rows(title, method="per frame", difference=whole), jointly]
-    return {HEADS_GAIN: gains, CAUSAL: [value for row in costs for value in _values(row["head (°)"])]}
-
-
-def _offline(row: Record) -> bool:
-    return str(row["method"]).startswith("smoother")
-
-
-def chen_image(results: Results) -> Measured:
-    """Errors of the joint particle filter with answers in the image of a camera."""
-    methods = {
-        "mixture, turned once": "particle, turned once",
-        "closest class, turned once": "particle, closest class, turned once",
-        "closest class, in the image (eq. 13–14)": "particle, closest class, in the image",
-    }
-    found: dict[str, list[float | None]] = {}
-    for label, method in methods.items():
-        found[label] = []
-        for angle, data in product(("body", "head"), SOURCES):
-            where = {"data": data, "angle": angle, "method": method, "model": "joint"}
-            row = results.row("Answers in the image", **where)
-            found[label] += [row["error (°)"], row["low"], row["high"]]
-    return found
 
 
 # Models on rendered images.
@@ -399,16 +298,12 @@ PIXELS: tuple[Claim, ...] = (
     Claim(TRACKERS, "ba-mixed-state", mixed_state_hidden, "| things of the head's colours: tracker |"),
     Claim(TRACKERS, "ba-mixed-state", mixed_state_said, labels=SAID),
     Claim(TRACKERS, "ba-mixed-state", still_heads, labels=(STILL, TABLE_2)),
-    Claim(PERCEPTION, "chen-pixels", chen_pixels, "| online, heads by `deep_belief`"),
-    Claim(PERCEPTION, "chen-pixels", chen_pixels_said, labels=(TEMPLATES, WITH_FULL)),
-    Claim(PERCEPTION, "chen-pixels", chen_pixels_differences, labels=(HEADS_GAIN, CAUSAL)),
     Claim(PERCEPTION, f"{EVALUATE} localisation --train 250 --count 400", localisation, "| 002 Table 1"),
     Claim(PERCEPTION, f"{EVALUATE} recognition", recognition, "| 004 Tables 1 and 3"),
     Claim(PERCEPTION, f"{EVALUATE} pose --count 400", pose, "| pose |"),
     Claim(PERCEPTION, f"{EVALUATE} keypoints", keypoints, "| keypoints of |"),
     Claim(PERCEPTION, FORMS, published, "| 002 as printed |"),
     Claim(PERCEPTION, FORMS, published_heads, labels=(PUBLISHED_HEADS,)),
-    Claim(BASELINES, "chen-classes", chen_image, "| `joint` | body: walking"),
     Claim(BASELINES, "baxter-network", network_gains, "| Fig. 5(b), detected"),
     Claim(BASELINES, "baxter-network", network_splits, "| heads: split |"),
 )

@@ -7,6 +7,7 @@ from itertools import product
 
 from beyond import BEYOND
 from claim import Claim, Measured, Record, Results
+from class_answers import CLASS_ANSWERS
 from pixels import PIXELS
 
 RATES = (100, 80, 60)
@@ -347,5 +348,6 @@ CLAIMS: Sequence[Claim] = (
     Claim("README.md", "chen-joint", readme_joint, READMES),
     Claim("docs/tracking.md", "meetings", meetings, "| switches, 120 meetings |"),
     *PIXELS,
+    *CLASS_ANSWERS,
     *BEYOND,
 )
