@@ -126,8 +126,8 @@ def _effect(found: Sequence[Scores], rng: np.random.Generator) -> Table:
 def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> Figure:
     from graphtrack.report.style import new_figure
 
-    figure = new_figure(13.0, 15.5)
-    parts = np.asarray(figure.subfigures(2, 1, height_ratios=[5.0, 10.5]), dtype=object)
+    figure = new_figure(13.0, 18.1)
+    parts = np.asarray(figure.subfigures(2, 1, height_ratios=[5.0, 13.1]), dtype=object)
     top, bottom = parts[0], parts[1]
     grid = top.subplots(2, len(found), sharex=True, sharey="row", squeeze=False)
     draw_errors(grid, found, GROUPS, rng)
