@@ -51,10 +51,32 @@ def street(results: Results) -> Measured:
     return found
 
 
-MODEL, PERCEPTION = "docs/model.md", "docs/perception.md"
+def real_heads(results: Results) -> Measured:
+    """How much of the time 004's trackers are on two heads, in per cent, and how far off the pan is."""
+    labels = {
+        "mixed-state": "mixed-state",
+        "mixed-state, motion of 0.4 s (noise and persistence of ten frames)": "mixed-state, motion of 0.4 s",
+        "mixed-state, told the place to half a head": "mixed-state, told the place",
+        "colour": "colour",
+        "colour, motion of 0.4 s": "colour, motion of 0.4 s",
+        "colour, told the place": "colour, told the place",
+    }
+    found: dict[str, list[float | None]] = {}
+    for label, method in labels.items():
+        *people, mean = results.rows("Real heads", method=method)
+        touching = mean["touching (%)"]
+        found[label] = [mean["on the head (%)"], touching]
+        if method.endswith("told the place"):
+            of_people = [row["on the head (%)"] for row in people]
+            found[label] = [mean["on the head (%)"], *of_people, touching, mean["pan, while on it (°)"]]
+    return found
+
+
+MODEL, PERCEPTION, TRACKERS = "docs/model.md", "docs/perception.md", "docs/trackers.md"
 
 BEYOND: tuple[Claim, ...] = (
     Claim(MODEL, "honesty", honesty, "| model | | Hz | position |", cells=3),
     Claim(PERCEPTION, "perception evaluate people --seed 0", found_people, "| `score` |"),
+    Claim(TRACKERS, "perception evaluate heads --heads 2 --seed 0", real_heads, "| two heads, 25 pictures"),
     Claim(PERCEPTION, "perception evaluate street --seed 0", street, "| method | share |", cells=2),
 )

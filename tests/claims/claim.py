@@ -131,7 +131,7 @@ class Claim:
 
 
 def _in_table(text: str, header: str, page: str, cells: int) -> dict[str, list[Shown]]:
-    lines = text.splitlines()
+    lines = [line.strip() for line in text.splitlines()]
     starts = [k for k, line in enumerate(lines) if line.startswith(header)]
     if len(starts) != 1:
         raise LookupError(f"{page}: {len(starts)} tables begin with {header!r}")

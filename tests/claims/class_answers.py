@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 
 from claim import Claim, Measured, Record, Results
@@ -90,6 +90,25 @@ def _offline(row: Record) -> bool:
     return str(row["method"]).startswith("smoother")
 
 
+def full_beside_joint(seed: int) -> Callable[[Results], Measured]:
+    """Errors with both, and their difference, of one draw of clips; deviations are not compared."""
+
+    def measured(results: Results) -> Measured:
+        found: dict[str, list[float | None]] = {}
+        for data in ("deep_belief", "templates"):
+            line = found.setdefault(f"{data}, {seed}", [])
+            for method in ("graph, chain", "smoother"):
+                where = {"data": data, "method": method}
+                for preset, angle in product(("joint", "full"), ("body", "head")):
+                    line.append(results.row(CLASSES, angle=angle, model=preset, **where)["error (°)"])
+                row = results.row("Paired differences", difference="full − joint", **where)
+                for angle in ("body", "head"):
+                    line += [values_of(row[f"{angle} (°)"])[0], None]
+        return found
+
+    return measured
+
+
 KNOWN_POSES = (
     "for {} to {} % of the bodies, by class, for {} to {} % of the pans, and for {}, {} and {} % of heads"
 )
@@ -145,6 +164,15 @@ def chen_image(results: Results) -> Measured:
 
 
 CLASS_ANSWERS: tuple[Claim, ...] = (
+    *(
+        Claim(
+            PERCEPTION,
+            f"chen-pixels --seed {seed}" if seed else "chen-pixels",
+            full_beside_joint(seed),
+            "| heads, `--seed` |",
+        )
+        for seed in range(3)
+    ),
     Claim(PERCEPTION, "chen-pixels", chen_pixels, "| online, heads by `deep_belief`"),
     Claim(PERCEPTION, "chen-pixels", chen_pixels_said, labels=(TEMPLATES, WITH_FULL)),
     Claim(PERCEPTION, "chen-pixels", chen_pixels_differences, labels=(HEADS_GAIN, CAUSAL)),
