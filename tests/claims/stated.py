@@ -36,6 +36,24 @@ def _interval(row: Record) -> list[float]:
     return [row["reduction %"], row["low"], row["high"]]
 
 
+# 000's statistic.
+
+
+def deviations(results: Results) -> Measured:
+    """People, frames, mean, deviation and how many per cent are near 0."""
+    labels = {
+        "motion capture, walking": "mocap, walking",
+        "turning": "mocap, turning",
+        "sideways and backwards": "mocap, sideways and back",
+        "CAVIAR mws1gt, labelled": "CAVIAR mws1gt",
+        "SALSA, a party": "SALSA, party",
+        "the corpus below": "simulated corpus",
+    }
+    columns = ("people", "frames", "mean (°)", "std (°)", "within 22.5° (%)")
+    rows = {row["data"]: row for row in results.rows("Direction of travel minus head")}
+    return {label: [rows[data][column] for column in columns] for label, data in labels.items()}
+
+
 # 000 on the simulated corpus.
 
 ON_CORPUS = _of(set(METHODS.values()) - {"particle joint", "particle joint-intentional"})
@@ -329,6 +347,7 @@ def meetings(results: Results) -> Measured:
 
 
 CLAIMS: Sequence[Claim] = (
+    Claim("docs/baselines.md", "baxter-statistics", deviations, "| deviation |"),
     Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
     Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"),
     Claim("docs/baselines.md", "baxter-simulated", simulated_by_method, "| corpus | 100 %: MSE"),
