@@ -4,7 +4,61 @@ from __future__ import annotations
 
 from itertools import product
 
-from claim import Claim, Measured, Results
+from claim import Claim, Measured, Record, Results
+
+# Modes of the couplings.
+
+PRESETS = ("separate", "joint", "joint-intentional", "full")
+SIDEWAYS = "sideways and back"
+WALKERS = ("ordinary", SIDEWAYS)
+MODES_SAID = (
+    "online in the body, by {}° ({} … {}, 95 % over clips), equal in the head (a difference of {}°, "
+    "{} … {}), and worse in the position, by {} mm ({} … {})"
+)
+README_SAID = "the position of those who side-step, by {} mm online and {} mm offline"
+
+
+def gaits_offline(results: Results) -> Measured:
+    """Means and medians of body and head, and the mean of positions."""
+    found: dict[str, list[float | None]] = {preset: [] for preset in PRESETS}
+    for preset, who in product(PRESETS, WALKERS):
+        row = results.rows("Errors by model", people=who, model=preset)[0]
+        found[preset] += [row[f"{of} (°){what}"] for of in ("body", "head") for what in ("", ", median")]
+        found[preset].append(row["position (m)"])
+    return found
+
+
+def gaits_online(results: Results) -> Measured:
+    """Means by both engines."""
+    rows = {(row["people"], row[""], row["model"]): row for row in results.rows("Errors by model")}
+    return {
+        f"{preset}{suffix}": [
+            rows[who, f"online, {engine}", preset][measure]
+            for who, measure in product(WALKERS, ("body (°)", "head (°)", "position (m)"))
+        ]
+        for (engine, suffix), preset in product((("chain", ""), ("isam2", ", isam2")), PRESETS)
+    }
+
+
+def _full_less_separate(results: Results, way: str) -> Record:
+    rows = results.rows("The error of full", people=SIDEWAYS, full_less="separate")
+    return next(row for row in rows if row[""] == way)
+
+
+def gaits_said(results: Results) -> Measured:
+    """`full` less `separate`, online, on those who do not face where they go."""
+    row = _full_less_separate(results, "online, chain")
+    body = [-row[f"body (°){end}"] for end in ("", ", high", ", low")]
+    head = [row[f"head (°){end}"] for end in ("", ", low", ", high")]
+    position = [1000.0 * row[f"position (m){end}"] for end in ("", ", low", ", high")]
+    return {MODES_SAID: [*body, *head, *position]}
+
+
+def readme_said(results: Results) -> Measured:
+    """How much worse its position is there."""
+    ways = ("online, chain", "offline")
+    return {README_SAID: [1000.0 * _full_less_separate(results, way)["position (m)"] for way in ways]}
+
 
 # Stated uncertainties.
 
@@ -75,6 +129,10 @@ def real_heads(results: Results) -> Measured:
 MODEL, PERCEPTION, TRACKERS = "docs/model.md", "docs/perception.md", "docs/trackers.md"
 
 BEYOND: tuple[Claim, ...] = (
+    Claim(MODEL, "gaits", gaits_offline, "| offline | body | head |"),
+    Claim(MODEL, "gaits", gaits_online, "| online | body | head |"),
+    Claim(MODEL, "gaits", gaits_said, labels=(MODES_SAID,)),
+    Claim("README.md", "gaits", readme_said, labels=(README_SAID,)),
     Claim(MODEL, "honesty", honesty, "| model | | Hz | position |", cells=3),
     Claim(PERCEPTION, "perception evaluate people --seed 0", found_people, "| `score` |"),
     Claim(TRACKERS, "perception evaluate heads --heads 2 --seed 0", real_heads, "| two heads, 25 pictures"),
