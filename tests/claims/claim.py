@@ -47,6 +47,11 @@ def numbers(text: str) -> list[Shown]:
     return found
 
 
+def values_in(cell: object) -> list[float]:
+    """Of a cell that is a number, or text with numbers; nothing of an empty one."""
+    return [] if cell is None else [shown.value for shown in numbers(str(cell))]
+
+
 class Results:
     """The tables that a command wrote with ``--json``."""
 

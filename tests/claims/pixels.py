@@ -1,147 +1,168 @@
-"""What the pages state of the experiments on pixels, and where in the experiments' tables it stands."""
+"""What the pages state of the experiments on pixels, but of trackers, and where it was measured."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 
-from claim import Claim, Measured, Record, Results, numbers
+from claim import Claim, Measured, Record, Results, values_in
 
-COLOUR, MEMORY = "colour, then pose", "colour with memory, then pose"
-MIXED, PRINTED = "mixed-state", "mixed-state, as in the paper"
-
-
-def values_of(cell: object) -> list[float]:
-    """Of a cell that is a number, or text with numbers; nothing of an empty one."""
-    return [] if cell is None else [shown.value for shown in numbers(str(cell))]
+CLASSES = "Body and head from class likelihoods"
+SOURCES = ("mocap, walking", "mocap, turning", "mocap, sideways and back")
 
 
-# 003.
+# 002 from pixels, and in the image.
 
 
-def _success(row: Record) -> list[float]:
-    return [row["success (%)"], row["std"], row["least"], row["greatest"]]
-
-
-def sigma_pi(results: Results) -> Measured:
-    """Success on rendered sequences in per cent, with its spread, and what the rest of the frames are."""
-    found: dict[str, list[float | None]] = {}
-    for row in results.rows("Paper / ours: Table 1"):
-        kind = row["kind"]
-        if kind == "mean of the persons":
-            means = [row["paper: success"], row["ours: success"], row["ours: motion"], row["paper: motion"]]
-            found["mean"] = means
-        elif row["paper: success"] is not None:
-            ours = _success(results.row("Rendered sequences", sequence=kind, method="sigma-pi"))
-            rest = [row[f"ours: {column}"] for column in ("missing", "mismatch", "motion")]
-            found[kind] = [row["paper: success"], *ours, *rest]
+def _cells(results: Results, where: Mapping[str, object], presets: Sequence[str]) -> list[float | None]:
+    """Body, then head, with each preset: error and its interval."""
+    found: list[float | None] = []
+    for angle, preset in product(("body", "head"), presets):
+        row = results.row(CLASSES, angle=angle, model=preset, **where)
+        found += [row["error (°)"], row["low"], row["high"]]
     return found
 
 
-WALKERS = {
-    "wk1gt 236–511, person 1": "walks through",
-    "wk2gt 360–634, person 4": "walks away",
-    "wk2gt 800–1043, person 5": "walks in",
-}
-"""The others stand."""
-
-
-def sigma_pi_real(results: Results) -> Measured:
-    """Success on CAVIAR's people in per cent, with and without views, least and greatest of the seeds."""
+def chen_pixels(results: Results) -> Measured:
+    """Errors by method and model, heads by the package's network."""
+    methods = {
+        "particle filter": "particle",
+        "particle filter, eq. 12–14 as printed": "particle, eq. 12–14",
+        "graph, chain": "graph, chain",
+        "graph, isam2": "graph, isam2",
+        "offline: smoother": "smoother",
+    }
     found: dict[str, list[float | None]] = {}
-    methods = ("sigma-pi", "local features", "motion alone")
-    means: dict[str, list[float]] = {method: [] for method in methods}
-    for row in results.rows("Real frames", method="sigma-pi"):
-        who = row["sequence"]
-        ours, local, alone = (results.row("Real frames", sequence=who, method=method) for method in methods)
-        values = [one[column] for one in (ours, local) for column in ("success (%)", "least", "greatest")]
-        found[f"{who} ({WALKERS.get(who, 'stands')})"] = [*values, alone["success (%)"]]
-        for method, one in zip(methods, (ours, local, alone), strict=True):
-            means[method].append(one["success (%)"])
-    found["mean"] = [sum(values) / len(values) for values in means.values()]
+    for label, method in methods.items():
+        where = {"data": "deep_belief", "method": method}
+        found[label] = _cells(results, where, ("separate", "joint-body", "joint"))
+    seen = [
+        results.row(CLASSES, data="deep_belief", angle=angle, method="smoother", model="joint")
+        for angle in ("body", "head")
+    ]
+    return {"per frame": [row["most likely class (°)"] for row in seen], **found}
+
+
+TEMPLATES = "joint, body and head are {} and {} (particle filter), {} and {} (`chain`), {} and {} (offline)"
+WITH_FULL = (
+    "whose modes are of no use to people who face where they go, has {} and {} online (`isam2` {} and {}), "
+    "and {} and {} offline"
+)
+HEADS_GAIN = "takes {}–{}° off the head's error online (`templates`: {}–{}°), and {}–{}° offline"
+CAUSAL = (
+    "change the error by {}° ({} … {}; `templates` {}°, {} … {}), smoothed jointly the "
+    "difference is {}° ({} … {})"
+)
+
+
+def chen_pixels_said(results: Results) -> Measured:
+    """What the page says of 002's heads, and of `full`."""
+
+    def errors(data: str, method: str, model: str) -> list[float]:
+        where = {"data": data, "method": method, "model": model}
+        return [results.row(CLASSES, angle=angle, **where)["error (°)"] for angle in ("body", "head")]
+
+    found = [
+        error
+        for method in ("particle", "graph, chain", "smoother")
+        for error in errors("templates", method, "joint")
+    ]
+    methods = ("graph, chain", "graph, isam2", "smoother")
+    full = [error for method in methods for error in errors("deep_belief", method, "full")]
+    return {TEMPLATES: found, WITH_FULL: full}
+
+
+def chen_pixels_differences(results: Results) -> Measured:
+    """What the joint estimate takes off the head's error, and what causal heads cost it."""
+    title, what = "Paired differences", "joint − joint-body"
+    rows = results.rows(title, difference=what)
+    online = {
+        data: [-values_in(row["head (°)"])[0] for row in rows if row["data"] == data and not _offline(row)]
+        for data in ("deep_belief", "templates")
+    }
+    offline = [-values_in(row["head (°)"])[0] for row in rows if _offline(row)]
+    gains = [end for values in (*online.values(), offline) for end in (min(values), max(values))]
+    whole = "heads of the whole track − causal heads"
+    jointly = results.row(title, data="deep_belief", method="smoother", difference=f"{whole}, joint")
+    costs = [*results.rows(title, method="per frame", difference=whole), jointly]
+    return {HEADS_GAIN: gains, CAUSAL: [value for row in costs for value in values_in(row["head (°)"])]}
+
+
+def _offline(row: Record) -> bool:
+    return str(row["method"]).startswith("smoother")
+
+
+def full_beside_joint(seed: int) -> Callable[[Results], Measured]:
+    """Errors with both, and their difference, of one draw of clips; deviations are not compared."""
+
+    def measured(results: Results) -> Measured:
+        found: dict[str, list[float | None]] = {}
+        for data in ("deep_belief", "templates"):
+            line = found.setdefault(f"{data}, {seed}", [])
+            for method in ("graph, chain", "smoother"):
+                where = {"data": data, "method": method}
+                for preset, angle in product(("joint", "full"), ("body", "head")):
+                    line.append(results.row(CLASSES, angle=angle, model=preset, **where)["error (°)"])
+                row = results.row("Paired differences", difference="full − joint", **where)
+                for angle in ("body", "head"):
+                    line += [values_in(row[f"{angle} (°)"])[0], None]
+        return found
+
+    return measured
+
+
+KNOWN_POSES = (
+    "for {} to {} % of the bodies, by class, for {} to {} % of the pans, and for {}, {} and {} % of heads"
+)
+
+
+def known_poses(results: Results) -> Measured:
+    """Errors of motion capture as 002's classifiers answer for it, by method and model."""
+    methods = {
+        "particle filter": "particle",
+        "particle filter, closest class": "particle, closest class",
+        "chain": "graph, chain",
+        "isam2": "graph, isam2",
+        "offline": "smoother",
+    }
+    rows = {
+        (row["method"], row["model"], row["data"], row["angle"]): row for row in results.rows("Known poses")
+    }
+    found: dict[str, list[float | None]] = {}
+    for (label, method), preset in product(methods.items(), ("joint-body", "joint", "full")):
+        own = [rows.get((method, preset, *where)) for where in product(SOURCES, ("body", "head"))]
+        if None not in own:
+            found[f"{label}, {preset}"] = [
+                row[column] for row in own if row for column in ("error (°)", "low", "high")
+            ]
     return found
 
 
-# 004.
-
-
-def mixed_state(results: Results) -> Measured:
-    """Errors of boxes, pans and tilts, mean ± deviation over the seeds."""
-    columns = ("e(t)", "pan error (°)", "pan error, mode (°)", "tilt error (°)")
-    return {
-        f"{row['pans']}: {row['method']}": [
-            row["sequences"],
-            *(value for column in columns for value in values_of(row[column])),
-            row["never lost (%)"],
-        ]
-        for row in results.rows("Tracking before things")
+def confusions(results: Results) -> Measured:
+    """How often the true class is the likeliest, in per cent."""
+    right = {
+        of: [row[row["true"]] for row in results.rows(f"Confusion in per cent of the true class: {of}")]
+        for of in ("body", "the head's pan", "the head's tilt")
     }
+    ends = [end(right[of]) for of in ("body", "the head's pan") for end in (min, max)]
+    return {KNOWN_POSES: [*ends, *right["the head's tilt"]]}
 
 
-def mixed_state_hidden(results: Results) -> Measured:
-    """How often heads come back from behind a wall, in per cent."""
-    amounts = {0.3: "some", 1.0: "many"}
-    return {
-        f"{amounts[row['clutter']]}: {row['tracker']}": [
-            row["sequences"],
-            row["alone (%)"],
-            row["guided by the graph (%)"],
-        ]
-        for row in results.rows("Back on the head")
+def chen_image(results: Results) -> Measured:
+    """Errors of the joint particle filter with answers in the image of a camera."""
+    methods = {
+        "mixture, turned once": "particle, turned once",
+        "closest class, turned once": "particle, closest class, turned once",
+        "closest class, in the image (eq. 13–14)": "particle, closest class, in the image",
     }
-
-
-WORSE = "eq. 5 alone has a worse pan than the baseline** ({}° against {}°)"
-RATIOS = "the ratio of mixed-state to the baseline is {} for e(t) and {} for the pan"
-MODES = "the mean of the distribution is better by {}° for the baseline"
-LEVEL = "tell nodding (tilts of {}° on average) with an error of {}°. Of heads that hardly nod ({}°)"
-FIG_4 = (
-    "of the baseline's frames with e(t) < 0.5 the pan is {}° off, above (but touching) {}°; of the paper's "
-    "filter {}° and {}°"
-)
-STILL = (
-    "{} % (90) Gaussian and {} % (94) saturated with one exemplar, {} % (87.5) and {} % (94.8) with two; of "
-    "70 people {} % (67.2) Gaussian with three and {} % (70.5) saturated with four"
-)
-TABLE_2 = "{} to {} % on the diagonal (85 to 100)"
-ON_TOP = (
-    "the box's middle to {} and the pan's to {} of the tracker's own (colour: {} and {}), though in {} % of "
-    "the sequences (colour: {} %) the box gets better"
-)
-
-
-def mixed_state_said(results: Results) -> Measured:
-    """What the page says in words of 004."""
-    beside = {row["measure"]: row for row in results.rows("Paper / ours: joint against sequential")}
-    box, pan, mode = (
-        beside[f"mean {name}"] for name in ("e(t)", "pan error (°)", "pan error of the mode (°)")
-    )
-    tracking = {(row["pans"], row["method"]): row for row in results.rows("Tracking before things")}
-    facing, nodding = tracking["−90° to 90°", MIXED], tracking["−90° to 90°, nodding", MIXED]
-    place = {(row["method"], row["box"]): row["pan error (°)"] for row in results.rows("Pan by how well")}
-    top = {(row["tracker"], row["error"]): row for row in results.rows("Graph on top")}
-    return {
-        WORSE: [pan[PRINTED], pan[COLOUR]],
-        RATIOS: [box["ratio"], pan["ratio"]],
-        MODES: [mode[COLOUR] - pan[COLOUR]],
-        LEVEL: [nodding["level (°)"], values_of(nodding["tilt error (°)"])[0], facing["level (°)"]],
-        FIG_4: [place[who, box] for who in (COLOUR, PRINTED) for box in ("well placed", "badly placed")],
-        ON_TOP: [
-            *(top[who, what]["ratio"] for who in (MIXED, COLOUR) for what in ("centre (widths)", "pan (°)")),
-            *(top[who, "centre (widths)"]["sequences where it is less (%)"] for who in (MIXED, COLOUR)),
-        ],
-    }
-
-
-def still_heads(results: Results) -> Measured:
-    """What the page says in words of 004's Tables 1 to 3."""
-    named = {
-        (row["people learned from"], row["exemplars a pose"], row["density"]): values_of(row["ours (%)"])[0]
-        for row in results.rows("Identification of nine pans")
-    }
-    shown = [(34, k, density) for k in (1, 2) for density in ("gaussian", "saturated")]
-    shown += [(70, 3, "gaussian"), (70, 4, "saturated")]
-    diagonal = [row[f"{row['true pan (°)']:g}"] for row in results.rows("Confusions of pans", of="ours")]
-    return {STILL: [named[key] for key in shown], TABLE_2: [min(diagonal), max(diagonal)]}
+    found: dict[str, list[float | None]] = {}
+    for label, method in methods.items():
+        found[label] = []
+        for angle, data in product(("body", "head"), SOURCES):
+            where = {"data": data, "angle": angle, "method": method, "model": "joint"}
+            row = results.row("Answers in the image", **where)
+            found[label] += [row["error (°)"], row["low"], row["high"]]
+    return found
 
 
 # Models on rendered images.
@@ -286,24 +307,32 @@ def network_splits(results: Results) -> Measured:
     }
 
 
-TRACKERS, PERCEPTION, BASELINES = "docs/trackers.md", "docs/perception.md", "docs/baselines.md"
+PERCEPTION, BASELINES = "docs/perception.md", "docs/baselines.md"
 EVALUATE = "perception evaluate"
 FORMS = f"{EVALUATE} published --train 1000 --count 400"
-SAID = (WORSE, RATIOS, MODES, LEVEL, FIG_4, ON_TOP)
 
 PIXELS: tuple[Claim, ...] = (
-    Claim(TRACKERS, "yan-sigma-pi", sigma_pi, "| kind | paper | ours |"),
-    Claim(TRACKERS, "yan-sigma-pi", sigma_pi_real, "| real frames"),
-    Claim(TRACKERS, "ba-mixed-state", mixed_state, "| heads: method |"),
-    Claim(TRACKERS, "ba-mixed-state", mixed_state_hidden, "| things of the head's colours: tracker |"),
-    Claim(TRACKERS, "ba-mixed-state", mixed_state_said, labels=SAID),
-    Claim(TRACKERS, "ba-mixed-state", still_heads, labels=(STILL, TABLE_2)),
+    *(
+        Claim(
+            PERCEPTION,
+            f"chen-pixels --seed {seed}" if seed else "chen-pixels",
+            full_beside_joint(seed),
+            "| heads, `--seed` |",
+        )
+        for seed in range(3)
+    ),
+    Claim(PERCEPTION, "chen-pixels", known_poses, "| known poses |"),
+    Claim(PERCEPTION, "chen-pixels", confusions, labels=(KNOWN_POSES,)),
+    Claim(PERCEPTION, "chen-pixels", chen_pixels, "| online, heads by `deep_belief`"),
+    Claim(PERCEPTION, "chen-pixels", chen_pixels_said, labels=(TEMPLATES, WITH_FULL)),
+    Claim(PERCEPTION, "chen-pixels", chen_pixels_differences, labels=(HEADS_GAIN, CAUSAL)),
     Claim(PERCEPTION, f"{EVALUATE} localisation --train 250 --count 400", localisation, "| 002 Table 1"),
     Claim(PERCEPTION, f"{EVALUATE} recognition", recognition, "| 004 Tables 1 and 3"),
     Claim(PERCEPTION, f"{EVALUATE} pose --count 400", pose, "| pose |"),
     Claim(PERCEPTION, f"{EVALUATE} keypoints", keypoints, "| keypoints of |"),
     Claim(PERCEPTION, FORMS, published, "| 002 as printed |"),
     Claim(PERCEPTION, FORMS, published_heads, labels=(PUBLISHED_HEADS,)),
+    Claim(BASELINES, "chen-classes", chen_image, "| `joint` | body: walking"),
     Claim(BASELINES, "baxter-network", network_gains, "| Fig. 5(b), detected"),
     Claim(BASELINES, "baxter-network", network_splits, "| heads: split |"),
 )

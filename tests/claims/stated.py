@@ -7,7 +7,7 @@ from itertools import product
 
 from beyond import BEYOND
 from claim import Claim, Measured, Record, Results
-from class_answers import CLASS_ANSWERS
+from following import FOLLOWING
 from pixels import PIXELS
 
 RATES = (100, 80, 60)
@@ -366,7 +366,7 @@ CLAIMS: Sequence[Claim] = (
     Claim("README.md", "baxter-occlusion", readme_windows, READMES),
     Claim("README.md", "chen-joint", readme_joint, READMES),
     Claim("docs/tracking.md", "meetings", meetings, "| switches, 120 meetings |"),
+    *FOLLOWING,
     *PIXELS,
-    *CLASS_ANSWERS,
     *BEYOND,
 )
