@@ -29,7 +29,8 @@ def reproduce(
         str,
         typer.Argument(
             help="baxter-simulated, baxter-caviar, baxter-occlusion, baxter-statistics, baxter-network, "
-            "chen-joint, chen-classes, chen-pixels, ba-mixed-state, yan-sigma-pi, honesty, meetings, or all.",
+            "chen-joint, chen-classes, chen-pixels, ba-mixed-state, yan-sigma-pi, gaits, honesty, meetings, "
+            "or all.",
             show_default=False,
         ),
     ],

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
-ROWS = (("particle", "joint-body"), ("particle", "joint"), ("graph, chain", "joint"))
+ROWS = (
+    *(("particle", "joint-body"), ("particle", "joint")),
+    *(("graph, chain", "joint"), ("graph, isam2", "joint")),
+)
 """Method and preset of the sheet's rows: 002's separate and joint filtering, and the graph online."""
 
 _SPEED, _HEAD = "#666666", "#111111"

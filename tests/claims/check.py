@@ -23,8 +23,8 @@ def results_of(command: str, folder: Path) -> Results:
     path = folder / f"{command.replace(' ', '_')}.json"
     if not path.is_file():
         line = command.split()
-        if command in all_experiments():
-            line = ["graphtrack", "reproduce", command, "--out", str(folder / command)]
+        if line[0] in all_experiments():
+            line = ["graphtrack", "reproduce", *line, "--out", str(path.with_suffix(""))]
         subprocess.run([sys.executable, "-m", *line, "--json", str(path)], check=True)
     return Results(json.loads(path.read_text(encoding="utf-8")))
 

@@ -81,10 +81,12 @@ class Claim:
     Attributes
     ----------
     page : its path from the root
-    command : experiment that measures it (`graphtrack reproduce`), or a command line that has ``--json``
+    command : experiment of `graphtrack reproduce` that measures it, with options, or a command line that has
+        ``--json``
     measured : what was, by label of a line
     header : how the table begins whose lines they are; None: the labels are text, with {} for the numbers
     labels : that text
+    cells : of a line that its label is made of, joined by " | "
     slack : units of the last place by which the page may differ
     share : or share of the number
     """
@@ -94,6 +96,7 @@ class Claim:
     measured: Callable[[Results], Measured]
     header: str | None = None
     labels: tuple[str, ...] = ()
+    cells: int = 1
     slack: float = 1.0
     share: float = 0.0
 
@@ -108,7 +111,7 @@ class Claim:
         text = (root / self.page).read_text(encoding="utf-8")
         if self.header is None:
             return {label: _in_text(text, label, self.page) for label in self.labels}
-        return _in_table(text, self.header, self.page)
+        return _in_table(text, self.header, self.page, self.cells)
 
     def compare(self, results: Results, root: Path) -> list[tuple[str, Shown, float, bool]]:
         """Label, number shown, number measured and whether they agree, for all that are compared.
@@ -132,8 +135,8 @@ class Claim:
         return rows
 
 
-def _in_table(text: str, header: str, page: str) -> dict[str, list[Shown]]:
-    lines = text.splitlines()
+def _in_table(text: str, header: str, page: str, cells: int) -> dict[str, list[Shown]]:
+    lines = [line.strip() for line in text.splitlines()]
     starts = [k for k, line in enumerate(lines) if line.startswith(header)]
     if len(starts) != 1:
         raise LookupError(f"{page}: {len(starts)} tables begin with {header!r}")
@@ -141,8 +144,8 @@ def _in_table(text: str, header: str, page: str) -> dict[str, list[Shown]]:
     for line in lines[starts[0] + 2 :]:
         if not line.startswith("|"):
             break
-        label, _, rest = line.strip("| ").partition("|")
-        found[_plain(label)] = numbers(rest)
+        *label, rest = line.strip("| ").split("|", cells)
+        found[" | ".join(map(_plain, label))] = numbers(rest)
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 
 from claim import Claim, Measured, Record, Results, values_in
@@ -90,6 +90,62 @@ def chen_pixels_differences(results: Results) -> Measured:
 
 def _offline(row: Record) -> bool:
     return str(row["method"]).startswith("smoother")
+
+
+def full_beside_joint(seed: int) -> Callable[[Results], Measured]:
+    """Errors with both, and their difference, of one draw of clips; deviations are not compared."""
+
+    def measured(results: Results) -> Measured:
+        found: dict[str, list[float | None]] = {}
+        for data in ("deep_belief", "templates"):
+            line = found.setdefault(f"{data}, {seed}", [])
+            for method in ("graph, chain", "smoother"):
+                where = {"data": data, "method": method}
+                for preset, angle in product(("joint", "full"), ("body", "head")):
+                    line.append(results.row(CLASSES, angle=angle, model=preset, **where)["error (°)"])
+                row = results.row("Paired differences", difference="full − joint", **where)
+                for angle in ("body", "head"):
+                    line += [values_in(row[f"{angle} (°)"])[0], None]
+        return found
+
+    return measured
+
+
+KNOWN_POSES = (
+    "for {} to {} % of the bodies, by class, for {} to {} % of the pans, and for {}, {} and {} % of heads"
+)
+
+
+def known_poses(results: Results) -> Measured:
+    """Errors of motion capture as 002's classifiers answer for it, by method and model."""
+    methods = {
+        "particle filter": "particle",
+        "particle filter, closest class": "particle, closest class",
+        "chain": "graph, chain",
+        "isam2": "graph, isam2",
+        "offline": "smoother",
+    }
+    rows = {
+        (row["method"], row["model"], row["data"], row["angle"]): row for row in results.rows("Known poses")
+    }
+    found: dict[str, list[float | None]] = {}
+    for (label, method), preset in product(methods.items(), ("joint-body", "joint", "full")):
+        own = [rows.get((method, preset, *where)) for where in product(SOURCES, ("body", "head"))]
+        if None not in own:
+            found[f"{label}, {preset}"] = [
+                row[column] for row in own if row for column in ("error (°)", "low", "high")
+            ]
+    return found
+
+
+def confusions(results: Results) -> Measured:
+    """How often the true class is the likeliest, in per cent."""
+    right = {
+        of: [row[row["true"]] for row in results.rows(f"Confusion in per cent of the true class: {of}")]
+        for of in ("body", "the head's pan", "the head's tilt")
+    }
+    ends = [end(right[of]) for of in ("body", "the head's pan") for end in (min, max)]
+    return {KNOWN_POSES: [*ends, *right["the head's tilt"]]}
 
 
 def chen_image(results: Results) -> Measured:
@@ -256,6 +312,17 @@ EVALUATE = "perception evaluate"
 FORMS = f"{EVALUATE} published --train 1000 --count 400"
 
 PIXELS: tuple[Claim, ...] = (
+    *(
+        Claim(
+            PERCEPTION,
+            f"chen-pixels --seed {seed}" if seed else "chen-pixels",
+            full_beside_joint(seed),
+            "| heads, `--seed` |",
+        )
+        for seed in range(3)
+    ),
+    Claim(PERCEPTION, "chen-pixels", known_poses, "| known poses |"),
+    Claim(PERCEPTION, "chen-pixels", confusions, labels=(KNOWN_POSES,)),
     Claim(PERCEPTION, "chen-pixels", chen_pixels, "| online, heads by `deep_belief`"),
     Claim(PERCEPTION, "chen-pixels", chen_pixels_said, labels=(TEMPLATES, WITH_FULL)),
     Claim(PERCEPTION, "chen-pixels", chen_pixels_differences, labels=(HEADS_GAIN, CAUSAL)),

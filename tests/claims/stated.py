@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from itertools import product
 
+from beyond import BEYOND
 from claim import Claim, Measured, Record, Results
 from following import FOLLOWING
 from pixels import PIXELS
@@ -33,6 +34,24 @@ def _of(names: Iterable[str]) -> dict[str, str]:
 
 def _interval(row: Record) -> list[float]:
     return [row["reduction %"], row["low"], row["high"]]
+
+
+# 000's statistic.
+
+
+def deviations(results: Results) -> Measured:
+    """People, frames, mean, deviation and how many per cent are near 0."""
+    labels = {
+        "motion capture, walking": "mocap, walking",
+        "turning": "mocap, turning",
+        "sideways and backwards": "mocap, sideways and back",
+        "CAVIAR mws1gt, labelled": "CAVIAR mws1gt",
+        "SALSA, a party": "SALSA, party",
+        "the corpus below": "simulated corpus",
+    }
+    columns = ("people", "frames", "mean (°)", "std (°)", "within 22.5° (%)")
+    rows = {row["data"]: row for row in results.rows("Direction of travel minus head")}
+    return {label: [rows[data][column] for column in columns] for label, data in labels.items()}
 
 
 # 000 on the simulated corpus.
@@ -260,18 +279,59 @@ def chen_classes(results: Results) -> Measured:
     return found
 
 
-def online_engines(results: Results) -> Measured:
+def engines(results: Results) -> Measured:
     """Errors of `joint` on people who walk, by engine; times are not compared."""
     labels = {
-        "chain (default)": ("chain", 0, 2),
-        "isam2": ("isam2", 1, 1),  # before them the 2 of iSAM2
-        "isam2 --lag none": ("isam2, full history", 0, 4),
-        "fixed-lag": ("fixed-lag", 0, 1),
+        "chain (default)": (("chain", "chain, offline"), 0, 2),
+        "isam2": (("isam2",), 1, 2),  # before them the 2 of iSAM2
+        "isam2 --lag none": (("isam2, full history",), 0, 4),
+        "fixed-lag": (("fixed-lag",), 0, 1),
+        "gtsam": (("gtsam, offline",), 0, 1),
     }
     found: dict[str, list[float | None]] = {}
-    for label, (method, before, after) in labels.items():
-        rows = [results.row("Every online engine", angle=angle, method=method) for angle in ("body", "head")]
+    for label, (methods, before, after) in labels.items():
+        rows = [
+            results.row("Every engine", angle=angle, method=method)
+            for method, angle in product(methods, ("body", "head"))
+        ]
         found[label] = [*[None] * before, *(row["error (°)"] for row in rows), *[None] * after]
+    return found
+
+
+# The README's table of filters beside the graph.
+
+STEERED = ("intentional", "graph joint-intentional", "graph joint-intentional, isam2")
+READMES = "| online, same observations |"
+
+
+def readme_corpus(results: Results) -> Measured:
+    """Both gains of 000's tracker and of the graph with a head that steers, at 80 % of the detections."""
+    return {
+        label: [end for method in STEERED for end in _gains(results, 80, method, measure)]
+        for label, measure in (
+            ("Baxter's corpus, squared error: times below their Kalman filter's", "MSE"),
+            ("the same, log-likelihood (CLL)", "CLL"),
+        )
+    }
+
+
+def readme_windows(results: Results) -> Measured:
+    """The same in withheld windows of motion capture."""
+    data, head = WINDOWS[2]
+    rows = [results.row(ERROR, data=data, head=head, method=method) for method in STEERED]
+    label = "a second unseen at the turn: squared error below a Kalman filter's"
+    return {label: [row["reduction %"] for row in rows]}
+
+
+def readme_joint(results: Results) -> Measured:
+    """002's separate and joint, of the particle filter and of the graph by both engines."""
+    found: dict[str, list[float | None]] = {}
+    for angle in ("body", "head"):
+        line = found.setdefault(f"{angle} of who walks: 002's separate → joint", [])
+        for method in ("particle", "graph", "graph, isam2"):
+            where = {"data": "mocap, walking", "angle": angle, "method": method}
+            row = results.row("Body and head: observation", **where)
+            line += [row["joint-body (°)"], row["joint (°)"]]
     return found
 
 
@@ -287,6 +347,7 @@ def meetings(results: Results) -> Measured:
 
 
 CLAIMS: Sequence[Claim] = (
+    Claim("docs/baselines.md", "baxter-statistics", deviations, "| deviation |"),
     Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
     Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("CLL"), "| detected: log-likelihood |"),
     Claim("docs/baselines.md", "baxter-simulated", simulated_by_method, "| corpus | 100 %: MSE"),
@@ -300,8 +361,12 @@ CLAIMS: Sequence[Claim] = (
     Claim("docs/papers.md", "chen-joint", chen_fitted, "| κ₂ for each method |"),
     Claim("docs/papers.md", "chen-joint", chen_heads, labels=(HEADS_SAID,)),
     Claim("docs/engine.md", "chen-classes", chen_classes, "| class likelihoods | walking: body"),
-    Claim("README.md", "chen-classes", online_engines, "| engine | | body, head, online"),
+    Claim("README.md", "chen-classes", engines, "| engine | | models |"),
+    Claim("README.md", "baxter-simulated", readme_corpus, READMES),
+    Claim("README.md", "baxter-occlusion", readme_windows, READMES),
+    Claim("README.md", "chen-joint", readme_joint, READMES),
     Claim("docs/tracking.md", "meetings", meetings, "| switches, 120 meetings |"),
     *FOLLOWING,
     *PIXELS,
+    *BEYOND,
 )

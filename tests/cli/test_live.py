@@ -77,6 +77,25 @@ def test_a_stop_leaves_no_trace_in_the_answers(track, tmp_path, engine, lag):
     assert going_on(said)[1] == len(found)
 
 
+@pytest.mark.parametrize("lag", ["0.3", "none"])
+def test_isam2_with_modes_goes_on_within_its_tolerances(track, tmp_path, lag):
+    lines, options = scene(16, people=2), ("--engine", "isam2", "--lag", lag, "--model", "full")
+    half, state = len(lines) // 2, ("--state", tmp_path / "state")
+    _, whole, _ = track(lines, *options)
+    _, found, _ = track(lines[:half], *options, *state)
+    _, more, said = track(lines[half:], *options, *state)
+    assert found == whole[: len(found)] and going_on(said)[1] == len(found)
+    assert len(more) == len(whole) - len(found)
+    apart = []
+    for one, other in zip(map(json.loads, more), map(json.loads, whole[len(found) :]), strict=True):
+        assert one.keys() == other.keys()
+        assert [one.get(name) for name in ("track_id", "status")] == [
+            other.get(name) for name in ("track_id", "status")
+        ]
+        apart += [abs(one[name] - other[name]) for name in ("x", "y", "aligned_p") if name in one]
+    assert len(apart) > 30 and max(apart) < 0.02
+
+
 class Killed(BaseException):
     """Stands in for a kill: what the file holds at that moment is what the next run finds."""
 

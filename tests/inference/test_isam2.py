@@ -194,3 +194,16 @@ def test_kernels_and_factors_have_the_same_gradient(preset: str) -> None:
         # Linearised where the steps began, so that the linear part is the gradient there.
         np.testing.assert_allclose(kernels.linearTerm(), factors.linearTerm(), rtol=1e-9, atol=1e-9)
         assert np.linalg.eigvalsh(kernels.information()).min() > -1e-9
+
+
+@pytest.mark.parametrize("preset", sorted(presets))
+def test_every_preset_online_is_within_the_uncertainty_of_the_chain(preset: str) -> None:
+    """With the defaults: what one Gauss–Newton step each leaves, in standard deviations."""
+    track = walk(40, seed=2, noise=0.1, angle_kappa=3.0)
+    _, chained, covariance = online(track, preset, engine="chain", lag=2.0)
+    known = np.isfinite(chained[-1])
+    spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[:, known]
+    for engine, lag in (("isam2", 2.0), ("isam2", None), ("fixed-lag", 2.0)):
+        _, found, _ = online(track, preset, engine=engine, lag=lag)
+        away = np.abs(apart(found, chained))[:, known] / spread
+        assert np.median(away) < 0.05 and np.sqrt(np.mean(away**2)) < 0.1 and away.max() < 0.4, (engine, lag)

@@ -13,6 +13,7 @@ from graphtrack.evaluation.reproduce import (
     baxter_statistics,
     chen_classes,
     chen_joint,
+    gaits,
     honesty,
     meetings,
 )
@@ -30,6 +31,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
             baxter_statistics,
             chen_joint,
             chen_classes,
+            gaits,
             honesty,
             meetings,
         )

@@ -40,8 +40,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RATES = (1.0, 0.8, 0.6)
-DRAWN = ("printed", "consistent", "kf fitted", "intentional", *GRAPHS)
-METHODS = (*DRAWN, *(f"{name}{ISAM2}" for name in GRAPHS))
+METHODS = (
+    *("printed", "consistent", "kf fitted", "intentional", *GRAPHS),
+    *(f"{name}{ISAM2}" for name in GRAPHS),
+)
 OWN = ("printed", "consistent")
 """000's filters with its parameters."""
 
@@ -250,11 +252,11 @@ def _figure(found: Outcomes, controls: Sequence[ControlGain]) -> Figure:
     x = np.arange(len(RATES), dtype=float)
     for measure, axes in enumerate(grid[0]):
         axes.axhline(1.0, color=NEUTRAL_COLOUR, linewidth=1.0, zorder=1)
-        shown = DRAWN if measure == 0 else OWN
+        shown = METHODS if measure == 0 else OWN
         for k, method in enumerate(shown):
             values = [spread(gains(found, rate, method)[measure]) for rate in RATES]
             middle, half = np.array([value[:2] for value in values], dtype=float).T
-            place = x + 0.11 * (k - 0.5 * (len(shown) - 1))
+            place = x + 0.1 * (k - 0.5 * (len(shown) - 1))
             with_whiskers(axes, place, middle, half, method, line=False)
         axes.set_xticks(x, [f"{rate:.0%} detected" for rate in RATES])
         axes.set_xlim(-0.5, len(RATES) - 0.5)
@@ -281,7 +283,7 @@ def _figure(found: Outcomes, controls: Sequence[ControlGain]) -> Figure:
     for axes in grid[0]:
         handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(
-        list(handles.values()), list(handles), loc="outside lower center", ncols=7, frameon=False, fontsize=9
+        list(handles.values()), list(handles), loc="outside lower center", ncols=5, frameon=False, fontsize=9
     )
     return figure
 

@@ -48,6 +48,9 @@ if TYPE_CHECKING:
 PAPER = {7: 64.0, 8: 75.5, 9: 84.5, 10: 12.9, 11: 73.2, 15: 62.0, 22: 68.3}
 """000 Table I: number of the trajectory → reduction of the MSE in %."""
 
+GRAPHS = tuple(f"graph {preset}{engine}" for engine in ("", ISAM2) for preset in PRESETS)
+"""The online graphs, by the chain and by iSAM2."""
+
 SHARP = (4, 5, 6)
 """Behaviours v–vii of the corpus."""
 
@@ -198,7 +201,7 @@ def trajectories(found: Sequence[WindowErrors]) -> Table:
     sharpest = np.argsort(-turns, kind="stable")[: len(PAPER)]
     reductions = {
         method: 100.0 * (1.0 - errors.by_method[method] / reference(errors, method))
-        for method in (*OWN_FILTERS, "intentional", *(f"graph {preset}" for preset in PRESETS))
+        for method in (*OWN_FILTERS, "intentional", *GRAPHS)
     }
     records: list[dict[str, Cell]] = []
     for (number, paper), k in zip(PAPER.items(), sharpest, strict=False):
@@ -287,7 +290,7 @@ def _figure(
         tidy(axes)
         parts = [errors for errors in found if errors.case is case]
         online = [m for m in ONLINE if m in methods and m not in ("kf", "printed")]
-        online = [m for m in online if m != case.reference and not m.endswith(ISAM2)]
+        online = [m for m in online if m != case.reference]
         values, spans = _bars(parts, online, rng)
         bars(line[1], [f"head {p.head}" for p in parts], values, spans)
         line[1].axhline(0.0, color=TRUTH_COLOUR, linewidth=0.8)

@@ -38,8 +38,10 @@ RATES = (1.0, 0.8, 0.6)
 GRAPHS = {"graph joint": "joint", "graph joint-intentional": "joint-intentional"}
 """Method → preset. In the second one the head steers the velocity, as it does in 000's tracker."""
 
-DRAWN = ("printed", "consistent", "kf fitted", "intentional", *GRAPHS)
-METHODS = (*DRAWN, *(f"{name}{ISAM2}" for name in GRAPHS))
+METHODS = (
+    *("printed", "consistent", "kf fitted", "intentional", *GRAPHS),
+    *(f"{name}{ISAM2}" for name in GRAPHS),
+)
 FIT_UNITS = {"graph joint": 20, "graph joint-intentional": 30}
 """Evaluations of the search for the parameters of each graph, two of them and three; half with ``quick``."""
 
@@ -289,18 +291,18 @@ def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
         for column, rate in enumerate(RATES):
             axes = grid[row, column]
             axes.axhline(1.0, color=NEUTRAL_COLOUR, linewidth=1.0, zorder=1)
-            for k, method in enumerate(DRAWN):
+            for k, method in enumerate(METHODS):
                 own = [gain for gain in found if gain.method == method and gain.rate == rate]
                 values = [getattr(gain, measure) for gain in own]
                 middle, spread = np.array([(np.median(v), deviation(v)) for v in values]).T
-                with_whiskers(axes, x + 0.12 * (k - 2.5), middle, spread, method, line=False)
+                with_whiskers(axes, x + 0.1 * (k - 3.5), middle, spread, method, line=False)
             axes.set_xticks(x, [corpus.name.replace(" ", "\n", 1) for corpus in examples])
             tidy(axes, grid="y")
             axes.tick_params(labelsize=8)
             if row == 0:
                 axes.set_title(f"detection {rate:.0%}", fontsize=10)
         grid[row, 0].set_ylabel(("MSE" if row == 0 else "log-likelihood") + " gain over KF (ratio)")
-    plots.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+    plots.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 

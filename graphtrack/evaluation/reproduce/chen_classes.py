@@ -142,7 +142,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "Answers in the image: classes of the angles at which a camera 3 m above the ground sees them, "
         "judged there at each particle's position (eq. 13–14 as printed), or turned to the world once, where "
         "the position was observed; of the first people only.",
-        "Every online engine: the people of the first source.",
+        "Every engine: the people of the first source.",
     )
     in_image = replace(
         detail(pictured, chen_image.GROUPS, rng), title="Answers in the image of a camera (eq. 13–14)"

@@ -1,9 +1,10 @@
-"""Every online engine on the same class likelihoods, with the preset ``joint``."""
+"""Every engine on the same class likelihoods, with the preset ``joint``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -11,22 +12,22 @@ from graphtrack.evaluation.reproduce.chen_joint import ANGLES, Scores
 from graphtrack.evaluation.reproduce.chen_tables import detail
 from graphtrack.evaluation.reproduce.experiment import Progress, Table
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
-from graphtrack.inference import track_online
-from graphtrack.inference.online import OnlineEngine
+from graphtrack.inference import smooth_track, track_online
 from graphtrack.model import Model
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import Track, TrackSet
 
 LAG = 2.0
 """Seconds that the online graphs keep open, as `graphtrack track` does."""
 
-KNOWN = {"chain": "graph, chain", "isam2": "graph, isam2"}
+KNOWN = {"chain": "graph, chain", "isam2": "graph, isam2", "chain, offline": "smoother"}
 """Engine → method of the experiment that it is already."""
 
-OTHERS: Mapping[str, tuple[OnlineEngine, float | None]] = {
-    "isam2, full history": ("isam2", None),
-    "fixed-lag": ("fixed-lag", LAG),
+OTHERS: Mapping[str, Callable[[Track, Model], Track]] = {
+    "isam2, full history": partial(track_online, engine="isam2", lag=None),
+    "fixed-lag": partial(track_online, engine="fixed-lag", lag=LAG),
+    "gtsam, offline": lambda track, model: smooth_track(track, model, engine="gtsam").track,
 }
-"""Name → engine and lag of those that the experiment has only here."""
+"""Name → estimator of those that the experiment has only here."""
 
 _PRESET = "joint"
 
@@ -46,10 +47,10 @@ def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, prog
         for name, method in KNOWN.items():
             errors[_PRESET, name, angle] = known.errors[_PRESET, method, angle]
     model = Model(_PRESET)
-    for name, (engine, lag) in OTHERS.items():
+    for name, estimator in OTHERS.items():
         found = []
         for track in tracks:
-            estimate = track_online(track, model, engine=engine, lag=lag)
+            estimate = estimator(track, model)
             found.append(
                 [
                     mean_absolute_error(getattr(estimate, angle), getattr(track, f"true_{angle}"))
@@ -59,6 +60,6 @@ def engine_table(known: Scores, tracks: TrackSet, rng: np.random.Generator, prog
             progress(1)
         for angle, of_people in zip(ANGLES, np.degrees(found).T, strict=True):
             errors[_PRESET, name, angle] = of_people
-    groups = dict.fromkeys((*KNOWN, *OTHERS), "online")
+    groups = {name: "offline" if name.endswith("offline") else "online" for name in (*KNOWN, *OTHERS)}
     table = detail([Scores(known.data, known.people, errors)], groups, rng)
-    return replace(table, title="Every online engine, with joint")
+    return replace(table, title="Every engine, with joint")

@@ -69,7 +69,6 @@ METHODS: Mapping[str, tuple[str, Estimator]] = {
 """Method → group and estimator: 002's filter and the graph, then their smoothers."""
 
 GROUPS = {method: group for method, (group, _) in METHODS.items()}
-DRAWN = {method: group for method, group in GROUPS.items() if not method.endswith(ISAM2)}
 
 WITH_MODES = ("graph", f"graph{ISAM2}", "smoother")
 """Methods that know the preset ``full`` as well, `joint` that is told whether people face where they go."""
@@ -271,7 +270,7 @@ def beside(found: Sequence[Scores], groups: Mapping[str, str], title: str) -> Ta
 def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
     from matplotlib.lines import Line2D
 
-    from graphtrack.evaluation.reproduce.style import COLOURS
+    from graphtrack.evaluation.reproduce.style import colour_of, filling
     from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
 
     names = ["002", *(one.data for one in found)]
@@ -286,18 +285,25 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
                 axes.plot((0, 2, 3), values, "o-", color=NEUTRAL_COLOUR, label="002, particle filter")
             else:
                 one = found[column - 1]
-                for k, (method, group) in enumerate(DRAWN.items()):
+                for k, (method, group) in enumerate(GROUPS.items()):
                     own = stages if method in WITH_MODES else stages[:-1]
                     keys = [(s, "" if s == "observation" else method, angle) for s in own]
                     drawn = [
                         bootstrap(lambda v: np.mean(v, axis=-1), one.errors[key], rng=rng) for key in keys
                     ]
-                    x = np.arange(len(own)) + 0.06 * (k - 1.5)
+                    x = np.arange(len(own)) + 0.06 * (k - 2.0)
                     value = np.array([interval.value for interval in drawn])
                     spread = [value - [i.low for i in drawn], [i.high for i in drawn] - value]
                     style = "-" if group == "online" else "--"
                     axes.errorbar(
-                        x, value, spread, fmt="o" + style, color=COLOURS[method], markersize=4, label=method
+                        x,
+                        value,
+                        spread,
+                        fmt="o" + style,
+                        color=colour_of(method),
+                        markerfacecolor=filling(method),
+                        markersize=4,
+                        label=method,
                     )
             tidy(axes, grid="y")
             axes.set_xticks(range(5), ["seen", "separate", "joint-\nbody", "joint", "full"])
@@ -310,8 +316,16 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
         grid[row, 0].set_ylabel(f"{angle}: mean error (°)")
     grid[0, 0].legend(frameon=False, fontsize=8)
     handles = [
-        Line2D([], [], color=COLOURS[method], linestyle="-" if group == "online" else "--", label=method)
-        for method, group in DRAWN.items()
+        Line2D(
+            [],
+            [],
+            color=colour_of(method),
+            marker="o",
+            markerfacecolor=filling(method),
+            linestyle="-" if group == "online" else "--",
+            label=method,
+        )
+        for method, group in GROUPS.items()
     ]
     grid[0, 1].legend(handles=handles, frameon=False, fontsize=8)
     return figure

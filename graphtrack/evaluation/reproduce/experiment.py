@@ -22,8 +22,7 @@ LAG = 5.0
 """Seconds that the online graph keeps open: more than any window that is withheld."""
 
 ISAM2 = ", isam2"
-"""After the name of an online graph that GTSAM's iSAM2 solves; the others are the compiled chain's. It is in
-tables and not in figures, where it would lie on the other."""
+"""After the name of an online graph that GTSAM's iSAM2 solves; the others are the compiled chain's."""
 
 Cell = str | int | float | None
 Progress = Callable[[int], None]

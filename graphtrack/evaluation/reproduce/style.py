@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
+from graphtrack.evaluation.reproduce.experiment import ISAM2
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.style import tidy
 
@@ -34,6 +35,16 @@ COLOURS = {
 """Method → colour; an offline method has that of its online like."""
 
 
+def colour_of(method: str) -> str:
+    """The colour of a method, whichever engine solves it."""
+    return COLOURS[method.removesuffix(ISAM2)]
+
+
+def filling(method: str) -> str:
+    """What its markers are filled with: those of iSAM2 are hollow, for it would lie on the chain's."""
+    return "white" if method.endswith(ISAM2) else colour_of(method)
+
+
 def bars(
     axes: Axes,
     groups: Sequence[str],
@@ -45,7 +56,16 @@ def bars(
     place = np.arange(len(groups), dtype=float)
     for k, (method, heights) in enumerate(values.items()):
         x = place + (k - 0.5 * (len(values) - 1)) * width
-        axes.bar(x, heights, 0.92 * width, color=COLOURS[method], label=method, zorder=2)
+        axes.bar(
+            x,
+            heights,
+            0.92 * width,
+            facecolor=filling(method),
+            edgecolor=colour_of(method),
+            hatch="////" if method.endswith(ISAM2) else None,
+            label=method,
+            zorder=2,
+        )
         if spans is not None:
             for at, (low, high) in zip(x, spans[method], strict=True):
                 axes.plot([at, at], [low, high], color="#222222", linewidth=1.0, zorder=3)
@@ -61,7 +81,8 @@ def with_whiskers(
         x,
         median,
         yerr=half,
-        color=COLOURS[method],
+        color=colour_of(method),
+        markerfacecolor=filling(method),
         marker="o",
         markersize=4.5,
         linewidth=1.2 if line else 0.0,
