@@ -51,8 +51,8 @@ def warm_up(
     """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
 
     Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about
-    twenty seconds for compiling. Then the log ("graphtrack") says so before and after, as a warning, which Python
-    shows where logging is not set up.
+    twenty seconds for compiling. Then the log ("graphtrack") says so before and after, as a warning, which
+    Python shows where logging is not set up.
 
     Parameters
     ----------
