@@ -197,13 +197,13 @@ class Isam2:
                 if link.serial not in log:
                     log[link.serial] = link, link.kept()
                 before, link.moved = link.moved, now
-                if first < size and (far := _distance(now, link.point, first)) > threshold:
+                if first < size and (far := link.curvature * _distance(now, link.point, first)) > threshold:
                     self._moved.append(link)
                     greatest = max(greatest, far)
                 if (
                     link.serial <= self._changed
                     and link is not newest
-                    and _distance(now, before, first) <= self._small
+                    and link.curvature * _distance(now, before, first) <= self._small
                 ):
                     return greatest
         return greatest

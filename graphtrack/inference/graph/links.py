@@ -10,6 +10,8 @@ import gtsam
 
 from graphtrack.model import Step
 
+_OF_CLASSES = 10.0
+
 
 class Link:
     """A step of an incremental smoother.
@@ -26,6 +28,8 @@ class Link:
     Attributes
     ----------
     key : of the variable
+    curvature : how many times as near to where it was linearised the step has to stay as others: likelihoods
+        of classes have peaks where angles have none
     moved : the estimate's coordinates beyond ``began``, as they were read last
     point : the coordinates beyond ``began`` where the Gaussians were linearised
     first : the first coordinate that terms which are not linear depend on, of this step or the one before;
@@ -40,6 +44,7 @@ class Link:
     __slots__ = (
         "began",
         "coupled",
+        "curvature",
         "first",
         "gaussians",
         "key",
@@ -53,6 +58,9 @@ class Link:
 
     def __init__(self, step: Step, began: Sequence[float], serial: int) -> None:
         self.step, self.serial, self.key = step, serial, gtsam.symbol("s", step.index)
+        seen = step.observation
+        has_classes = seen.body_likelihood is not None or seen.head_likelihood is not None
+        self.curvature = _OF_CLASSES if has_classes else 1.0
         self.began = list(began)
         self.point = self.moved = [0.0] * len(self.began)
         self.first = 0
