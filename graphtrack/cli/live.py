@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -25,10 +25,10 @@ from graphtrack.cli.console import console, counted, progress_bar
 from graphtrack.cli.detections import Frame, Scenes
 from graphtrack.cli.saving import Answering, Saving, saved_setting, settings_of
 from graphtrack.cli.state_file import StateFile
-from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds, text_of
+from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour
 from graphtrack.cli.stream_forecast import FrameForecasts
-from graphtrack.cli.stream_names import ORIGIN, StreamNames
+from graphtrack.cli.stream_names import ORIGIN, Lines, StreamNames, with_first_row
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import Conversations
@@ -36,12 +36,8 @@ from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_eng
 from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.io.json_lines import encoded
 from graphtrack.io.options import Associate
-from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.model import Model
 from graphtrack.readiness import is_cold, make_ready
-
-Lines = Iterator[tuple[int, bytes]]
-"""Lines with their numbers, from 1."""
 
 Restore = Callable[[Any], Any]
 """A member of those who answer, from its state."""
@@ -209,17 +205,8 @@ def track_stream(
 
 def _first_is_detection(lines: Lines) -> tuple[Lines, bool]:
     """The lines, and whether the first of them that can be used says nothing of whom it is."""
-    read: list[tuple[int, bytes]] = []
-    found = False
-    for line in lines:
-        read.append(line)
-        try:
-            given = dict(parse_line(text_of(line[1])))
-        except InputError:
-            continue
-        found = "end" in given or given.get("track_id") in (None, -1)
-        break
-    return chain(read, lines), found
+    lines, given = with_first_row(lines)
+    return lines, given is not None and ("end" in given or given.get("track_id") in (None, -1))
 
 
 def _go_on(

@@ -27,6 +27,18 @@ Lines = Iterator[tuple[int, bytes]]
 """Lines with their numbers, from 1."""
 
 
+def with_first_row(lines: Lines) -> tuple[Lines, dict[str, Any] | None]:
+    """The lines, and the cells of the first of them that can be read; None if there is none."""
+    read: list[tuple[int, bytes]] = []
+    for line in lines:
+        read.append(line)
+        try:
+            return chain(read, lines), dict(parse_line(text_of(line[1])))
+        except InputError:
+            continue
+    return iter(read), None
+
+
 @dataclass(frozen=True)
 class StreamNames:
     """What a stream calls its columns, and the unit of its times.
@@ -68,19 +80,14 @@ class StreamNames:
         The seconds of a stream count from the midnight (UTC) before it. That is taken off while times are
         whole numbers: a double that counts from 1970 has no digits left below a microsecond.
         """
-        read: list[tuple[int, bytes]] = []
         if self._leaves_times:
             return lines, self
-        for line in lines:
-            read.append(line)
-            try:
-                given = dict(parse_line(text_of(line[1])))
-            except InputError:
-                continue
-            time = next((given[name] for name in map(self._name, _TIMES) if _is_number(given.get(name))), 0)
-            since = time * self.unit
-            return chain(read, lines), self.counting_from(int(since) // DAY * DAY if 0 < since < 2**63 else 0)
-        return iter(read), self
+        lines, given = with_first_row(lines)
+        if given is None:
+            return lines, self
+        time = next((given[name] for name in map(self._name, _TIMES) if _is_number(given.get(name))), 0)
+        since = time * self.unit
+        return lines, self.counting_from(int(since) // DAY * DAY if 0 < since < 2**63 else 0)
 
     def counting_from(self, origin: int) -> StreamNames:
         """The same, of a stream whose seconds count from so many nanoseconds."""
