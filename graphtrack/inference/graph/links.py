@@ -8,6 +8,7 @@ from typing import Any
 
 import gtsam
 
+from graphtrack.inference.graph.chain_view import is_ambiguous
 from graphtrack.model import Step
 
 _OF_CLASSES = 10.0
@@ -58,9 +59,7 @@ class Link:
 
     def __init__(self, step: Step, began: Sequence[float], serial: int) -> None:
         self.step, self.serial, self.key = step, serial, gtsam.symbol("s", step.index)
-        seen = step.observation
-        has_classes = seen.body_likelihood is not None or seen.head_likelihood is not None
-        self.curvature = _OF_CLASSES if has_classes else 1.0
+        self.curvature = _OF_CLASSES if is_ambiguous(step) else 1.0
         self.began = list(began)
         self.point = self.moved = [0.0] * len(self.began)
         self.first = 0
