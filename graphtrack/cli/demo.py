@@ -30,13 +30,11 @@ def demo(
     from graphtrack.report.build import tracking_report
     from graphtrack.report.html import write_report
     from graphtrack.report.pairing import pair_tracks
-    from graphtrack.report.plots.orientation import plot_angles_of
     from graphtrack.report.plots.scene import plot_pairs
     from graphtrack.simulation.scenario import scenario
 
     observed = scenario(np.random.default_rng(seed), seconds=seconds)
-    angles = {track.track_id: f"angles-{track.track_id}.png" for track in observed}
-    names = (OBSERVATIONS, ESTIMATES, REPORT, TRACKS, *FIGURES, *angles.values())
+    names = (OBSERVATIONS, ESTIMATES, REPORT, TRACKS, *FIGURES)
     options.check_outputs({"--out": options.files_in(out, names)}, {"--model": options.model_file(model)})
     chosen = Model.named(model)
     options.make_folder(out)
@@ -50,13 +48,9 @@ def demo(
         comparison = compare(observed, methods, model=chosen, progress=advance)
     print_comparison(comparison)
     write_figures(comparison, out)
-    pairs = pair_tracks(estimates, observed)
-    pictures = {TRACKS: plot_pairs(pairs, title="Smoothed tracks")}
-    for pair in pairs:
-        pictures[angles[pair.estimate.track_id]] = plot_angles_of(pair)
-    for name, figure in pictures.items():
-        with atomic_path(out / name) as temporary:
-            figure.savefig(temporary, format="png", dpi=120)
+    figure = plot_pairs(pair_tracks(estimates, observed), title="Smoothed tracks")
+    with atomic_path(out / TRACKS) as temporary:
+        figure.savefig(temporary, format="png", dpi=120)
     report = tracking_report(
         estimates,
         observed,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtri
 
 from graphtrack.geometry.angles import BoolArray, FloatArray, difference, mean_absolute_error
 from graphtrack.tracks import STATE, Track
@@ -141,7 +141,7 @@ def consistency(nees: Sequence[FloatArray | float], dof: int) -> Consistency | N
     if not means:
         return None
     count = len(means)
-    low, high = stats.chi2.ppf([0.025, 0.975], dof * count) / count
+    low, high = chdtri(dof * count, [0.975, 0.025]) / count
     return Consistency(float(np.mean(means)), dof, count, float(low), float(high))
 
 

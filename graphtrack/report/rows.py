@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtri
 
 from graphtrack.errors import InputError
 
@@ -45,7 +45,7 @@ class NeesRow:
     def band(self) -> tuple[float, float]:
         """The central 95 % of the mean of ``count`` χ² variables with ``dof`` degrees of freedom."""
         total = self.dof * self.count
-        low, high = stats.chi2.ppf([0.025, 0.975], total) / self.count
+        low, high = chdtri(total, [0.975, 0.025]) / self.count
         return float(low), float(high)
 
 

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtri, ndtri
 
 from graphtrack.geometry.angles import FloatArray
 
-NORMAL_95 = float(stats.norm.ppf(0.975))
+NORMAL_95 = float(ndtri(0.975))
 """Half-width of the central 95 % interval of a normal variable, in standard deviations."""
 
 
@@ -41,7 +41,7 @@ def probability_ellipse(covariance: FloatArray, probability: float = 0.95) -> El
     xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     # Closed form: unlike an eigenvalue routine it takes NaN and needs no loop.
     middle, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
-    scale = stats.chi2.ppf(probability, df=2)
+    scale = chdtri(2, 1.0 - probability)
     return Ellipse(
         semi_major=np.sqrt(scale * np.maximum(middle + spread, 0.0)),
         semi_minor=np.sqrt(scale * np.maximum(middle - spread, 0.0)),
