@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
@@ -11,6 +12,7 @@ from typing import Any, Protocol
 from graphtrack.cli.state_file import StateFile, seal
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import Model
 
 _VERSION = 1
@@ -42,8 +44,9 @@ class Saving:
     """Keeps a stream in a state file: all people now and then, and each row as it comes.
 
     A row is in the file before it is answered, so that a run that goes on knows every row that was answered.
-    All people are written as they were at one row, but one at a time while rows go on: a person who is about
-    to change is written first.
+    All people are written as they were at one row, but one at a time while rows go on: of a person who is
+    about to change, what is to be written is taken aside. Streams that begin together are written at
+    different times, which their files' names settle.
 
     Parameters
     ----------
@@ -69,10 +72,11 @@ class Saving:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._file, self._people, self._settings = file, people, settings
-        self._every, self._clock, self._last = every, clock, clock()
+        self._every, self._clock = every, clock
+        self._last = clock() - (every or 0.0) * zlib.crc32(str(file.path).encode()) / 2**32
         self._changed: set[Any] = set()
         self._sealed: dict[Any, bytes] = {}
-        self._left: dict[Any, None] | None = None
+        self._left: dict[Any, Callable[[], Any] | None] | None = None
         people.before_change = self._before_change
         if file.entries:
             with self._told_of_the_file():
@@ -188,9 +192,8 @@ class Saving:
 
     def _seal(self, track_id: Any) -> None:
         assert self._left is not None
-        del self._left[track_id]
-        state = self._people.members[track_id].state()
-        self._sealed[track_id] = seal({"track_id": track_id, "state": state})
+        state = self._left.pop(track_id) or self._people.members[track_id].state
+        self._sealed[track_id] = seal({"track_id": track_id, "state": state()})
 
     def _hand_over(self) -> None:
         self._left = None
@@ -198,8 +201,12 @@ class Saving:
         self._file.replace([self._header, *self._sealed.values()])
 
     def _before_change(self, track_id: Any) -> None:
-        if self._left is not None and track_id in self._left:
-            self._seal(track_id)
+        if self._left is not None and track_id in self._left and self._left[track_id] is None:
+            member = self._people.members[track_id]
+            if isinstance(member, OnlineSmoother):
+                self._left[track_id] = member.later_state()
+            else:
+                self._seal(track_id)
         self._changed.add(track_id)
 
 

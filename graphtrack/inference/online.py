@@ -8,7 +8,8 @@ estimate uses only what came before it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -269,6 +270,16 @@ class OnlineSmoother:
         smoother = self._smoother
         saved = SavedState(self.engine, smoother.window(), smoother.arrays(), self._last, self._next_index)
         return pack_state(saved) | {"terms": self._terms()}
+
+    def later_state(self) -> Callable[[], dict[str, Any]]:
+        """What `state` is now, to be asked for when there is time: with the engine chain this is quick."""
+        smoother = self._smoother
+        if not isinstance(smoother, ChainWindow):
+            found = self.state()
+            return lambda: found
+        kept = copy(self)
+        kept._smoother = smoother.snapshot()
+        return kept.state
 
     @classmethod
     def from_state(

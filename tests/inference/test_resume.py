@@ -110,6 +110,18 @@ def test_it_goes_on_to_the_last_bit(engine: Any, preset: str, n: int, scene: str
     assert statuses >= {"new", "late", "duplicate", "too-late"}
 
 
+@pytest.mark.parametrize(
+    ("engine", "preset", "scene"), [("chain", "full", "classes"), ("fixed-lag", "joint", "angles")]
+)
+def test_a_state_that_is_asked_for_later_is_that_of_now(engine: Any, preset: str, scene: str) -> None:
+    smoother = OnlineSmoother(preset, engine=engine, lag=0.5)
+    taken: list[tuple[dict[str, Any], Callable[[], dict[str, Any]]]] = []
+    for observation in rows(SCENES[scene](60), seed=5):
+        smoother.update(observation)
+        taken.append((through_json(smoother.state()), smoother.later_state()))
+    assert all(through_json(later()) == now for now, later in taken)
+
+
 def test_what_is_remembered_of_intervals_does_not_show() -> None:
     """Frames are packed once for all intervals that round to the same; the first of them must not decide."""
     moments = [0.0, 0.1 + 3e-10, 5.0, 5.1, 5.2, 5.3, 5.4 + 1e-11]

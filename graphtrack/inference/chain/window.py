@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
-from graphtrack.inference.chain.slots import blocks_of
+from graphtrack.inference.chain.slots import Slot, blocks_of
 from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.chain.windows import AS_SET, FORETOLD, NOTHING, Advanced, Rules
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
@@ -128,6 +130,16 @@ class ChainWindow:
             kept["classified"] = np.ones(1)
         return {name: values.copy() for name, values in kept.items()}
 
+    def snapshot(self) -> ChainWindow:
+        """What `window` and `arrays` say now can be read from it later; it is not to be gone on with."""
+        kept, open_frames = copy(self), slice(*self._offsets.tolist())
+        arrays = {name: getattr(self._slot, name).copy() for name in _OF_WINDOW}
+        arrays |= {name: getattr(self._slot, name)[open_frames].copy() for name in _FACTORISATION}
+        kept._slot, kept._steps = SimpleNamespace(**arrays), list(self._steps)
+        kept._states, kept._offsets = self._states[open_frames].copy(), np.array([0, len(self._steps)])
+        kept._prior, kept._origin = arrays["prior"], arrays["origin"][0]
+        return kept
+
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
         """Go on where `window` and `arrays` were taken, as if nothing had happened.
 
@@ -190,7 +202,7 @@ class ChainWindow:
 
     def _take_slot(self, size: int) -> None:
         """Have a slot with room for so many frames, in which nothing is known."""
-        self._slot = blocks_of(self._program).slot(size)
+        self._slot: Slot | SimpleNamespace = blocks_of(self._program).slot(size)
         self._states, self._offsets = self._slot.states, self._slot.offsets
         self._prior, self._origin = self._slot.prior, self._slot.origin[0]
         self._of_frames = [getattr(self._slot, name) for name in _OF_FRAMES]
