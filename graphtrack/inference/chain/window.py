@@ -24,9 +24,10 @@ from graphtrack.model.terms.gait import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry")
 """What the next observation reads of the last solution; a row for each frame."""
-_OF_FRAMES = ("records", "body_heights", "head_heights", "states", *_FACTORISATION)
+_OF_FRAMES = ("body_heights", "head_heights", "states", *_FACTORISATION)
 _OF_WINDOW = ("shared", "origin", "prior", "newest", "modes_before", "classified")
-"""The arrays of a slot that move with a window: those with a row for each frame, and others."""
+"""The arrays of a slot that move with a window: those with a row for each frame, beside its records, and
+others."""
 
 _LEAST_FRAMES = 64
 _KNOWN = (math.nan, math.nan)
@@ -205,8 +206,9 @@ class ChainWindow:
         self._slot: Slot | SimpleNamespace = blocks_of(self._program).slot(size)
         self._states, self._offsets = self._slot.states, self._slot.offsets
         self._prior, self._origin = self._slot.prior, self._slot.origin[0]
-        self._of_frames = [getattr(self._slot, name) for name in _OF_FRAMES]
         self._clear()
+        # Records as rows of numbers: as records they would be copied field by field.
+        self._of_frames = [self._frames.rows, *(getattr(self._slot, name) for name in _OF_FRAMES)]
 
     def _clear(self) -> None:
         slot = self._slot
