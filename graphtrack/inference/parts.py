@@ -97,7 +97,7 @@ def _spread(model: Model) -> None:
 def _solve_window(model: Model) -> None:
     problem, result, memory = _made_up(model)
     problem, covariance = problem._replace(prior=np.zeros((8, 6))), np.empty((6, 6))
-    solve_window(problem, result.states, False, False, 1, 1e-8, memory, covariance)
+    solve_window(problem, result.states, False, False, False, 1, 1e-8, memory, covariance)
 
 
 def _let_go(model: Model) -> None:

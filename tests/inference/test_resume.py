@@ -12,11 +12,12 @@ import pytest
 from selection import others_slow
 from walks import walk
 
-from graphtrack.geometry.angles import wrap
+from graphtrack.geometry.angles import difference, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother
 from graphtrack.model import Observation
 from graphtrack.model.observation import observations
+from graphtrack.saved import from_text, to_text
 from graphtrack.tracks import Track
 
 CAMERA = GroundCamera.from_homography([[0.02, 0.001, -6.0], [0.0, -0.03, 14.0], [0.0, 0.0012, 1.0]])
@@ -120,6 +121,28 @@ def test_a_state_that_is_asked_for_later_is_that_of_now(engine: Any, preset: str
         smoother.update(observation)
         taken.append((through_json(smoother.state()), smoother.later_state()))
     assert all(through_json(later()) == now for now, later in taken)
+
+
+@pytest.mark.parametrize("preset", ["separate", "joint"])
+@pytest.mark.parametrize("scene", SCENES)
+def test_that_settled_frames_are_not_factored_anew_does_not_show(preset: str, scene: str) -> None:
+    options: dict[str, Any] = {"engine": "chain", "lag": 2.0, "camera": CAMERA}
+    smoother, anew = OnlineSmoother(preset, **options), OnlineSmoother(preset, **options)
+    differ = False
+    for observation in observations(SCENES[scene](90)):
+        found = smoother.update(observation)
+        state = through_json(anew.state())
+        arrays = state["arrays"]
+        if "factored" in arrays:
+            arrays["factored"] = to_text(from_text(arrays["factored"]) + 1.0)  # so far away
+        anew = OnlineSmoother.from_state(state, preset, **options)
+        expected = anew.update(observation)
+        np.testing.assert_allclose(found.position, expected.position, atol=1e-4)
+        np.testing.assert_allclose(found.covariance, expected.covariance, rtol=0.02, atol=1e-4)
+        for one, other in ((found.body, expected.body), (found.head, expected.head)):
+            assert abs(difference(one, other)) < 1e-3
+        differ = differ or bits(found) != bits(expected)
+    assert differ
 
 
 def test_what_is_remembered_of_intervals_does_not_show() -> None:

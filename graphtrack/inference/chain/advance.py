@@ -14,6 +14,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, assign
 from graphtrack.inference.chain.mode_spread import spread_newest
 from graphtrack.inference.chain.modes import is_classified, renew_couplings
+from graphtrack.inference.chain.newton import as_variable
 from graphtrack.inference.chain.stating import state_uncertainty
 from graphtrack.inference.chain.window_kernels import let_go, solve_window, the_only
 from graphtrack.inference.chain.windows import (
@@ -46,7 +47,9 @@ def memory_for(size: int) -> Workspace:
         np.empty((size, N)),
         np.empty((0, 4)),
         np.empty((4, N, N)),
+        np.empty((0, N + 1, N)),
         np.empty((0, N)),
+        np.zeros(1, np.int64),
     )
 
 
@@ -77,7 +80,9 @@ def memory_in(windows: Windows, slot: int, memory: Workspace) -> Workspace:
         memory.candidate,
         windows.trigonometry[slot],
         memory.scratch,
-        windows.newest[slot],
+        windows.message[slot],
+        windows.factored[slot],
+        memory.kept,
     )
 
 
@@ -136,6 +141,7 @@ def advance(
     """
     size = windows.states.shape[1]
     memory, before, covariance = memory_for(size), np.empty((size, N)), np.empty((N, N))
+    keeps = as_variable(True)
     for p in range(len(people)):
         slot = people[p, SLOT]
         problem, states, own = (
@@ -144,7 +150,9 @@ def advance(
             memory_in(windows, slot, memory),
         )
         kept = add_newest(problem, states, people[p, ADDS], guesses[p], before)
-        advanced.fine[p] = solve_or_restore(problem, states, people[p], rules, own, before[:kept], covariance)
+        advanced.fine[p] = solve_or_restore(
+            problem, states, people[p], keeps, rules, own, before[:kept], covariance
+        )
         if not advanced.fine[p]:
             continue
         tell(windows, slot, rules, covariance, p, advanced)
@@ -169,6 +177,7 @@ def solve_or_restore(
     problem: Problem,
     states: FloatArray,
     person: NDArray[np.int64],
+    keeps: bool,
     rules: Rules,
     own: Workspace,
     before: FloatArray,
@@ -180,6 +189,7 @@ def solve_or_restore(
         states,
         person[WARM] != 0,
         person[SEARCHES] != 0,
+        keeps,
         rules.max_iterations,
         rules.tolerance,
         own,
@@ -204,6 +214,8 @@ def advance_with_modes(
     """As `advance`, where the couplings have modes."""
     size = windows.states.shape[1]
     memory, before, covariance = memory_for(size), np.empty((size, N)), np.empty((N, N))
+    # Modes renew the couplings of all frames.
+    keeps = as_variable(False)
     for p in range(len(people)):
         slot = people[p, SLOT]
         problem, states, own = (
@@ -234,7 +246,9 @@ def advance_with_modes(
         if people[p, SOLVES] == 0:
             windows.classified[slot, 0] = classified
             continue
-        advanced.fine[p] = solve_or_restore(problem, states, people[p], rules, own, before[:kept], covariance)
+        advanced.fine[p] = solve_or_restore(
+            problem, states, people[p], keeps, rules, own, before[:kept], covariance
+        )
         if not advanced.fine[p]:
             continue
         windows.classified[slot, 0] = classified

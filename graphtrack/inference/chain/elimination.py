@@ -10,14 +10,20 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import apart, compiled, inlined
 from graphtrack.model.kernels.layout import N
 
 
 class Workspace(NamedTuple):
-    """Memory of a factorisation, for tracks of up to n frames."""
+    """Memory of a factorisation, for tracks of up to n frames.
+
+    A window's frames that have not moved since they were factored are not factored again: what the frames up
+    to one of them say about it, and of which states, is kept. Of whole tracks that is nobody's use, and there
+    are no rows.
+    """
 
     inverse: FloatArray  # (n, 6, 6) inverse Cholesky factors
     link: FloatArray  # (n, 6, 6) what ties each frame to the next, in the whitened state
@@ -26,7 +32,9 @@ class Workspace(NamedTuple):
     candidate: FloatArray  # (n, 6)
     trigonometry: FloatArray  # (n, 4) cosine and sine of body and head
     scratch: FloatArray  # (4, 6, 6)
-    newest: FloatArray  # (6, 6) Hessian of the newest frame of a window, the frames before eliminated
+    message: FloatArray  # (n, 7, 6) Hessian and gradient of each frame, those before eliminated; or (0, 7, 6)
+    factored: FloatArray  # (n, 6) the states at which each frame was factored; or (0, 6)
+    kept: NDArray[np.int64]  # (1,) the first frames, so many of them, are as they were factored
 
 
 def workspace(n: int) -> Workspace:
@@ -40,7 +48,9 @@ def workspace(n: int) -> Workspace:
         np.empty(vector),
         np.empty((n, 4)),
         np.empty((4, N, N)),
-        np.empty((N, N)),
+        np.empty((0, N + 1, N)),
+        np.empty((0, N)),
+        np.zeros(1, np.int64),
     )
 
 
@@ -202,12 +212,21 @@ def assign(target: FloatArray, source: FloatArray) -> None:
             target[k, i] = source[k, i]
 
 
+@inlined
+def first_open(workspace: Workspace) -> int:
+    """The first frame that may move: the last of those that are kept, or the first of all."""
+    return max(workspace.kept[0] - 1, 0)
+
+
 @compiled
 def sweep_back(n: int, workspace: Workspace) -> float:
-    """The Newton step (n, 6) from a factorisation; returns the decrease of cost that it promises."""
+    """The Newton step (n, 6) from a factorisation; returns the decrease of cost that it promises.
+
+    Frames that are kept have none, but for the last of them.
+    """
     inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step
     decrement = 0.0
-    for k in range(n - 1, -1, -1):
+    for k in range(n - 1, first_open(workspace) - 1, -1):
         for i in range(N):
             decrement += 0.5 * solution[k, i] * solution[k, i]
         if k < n - 1:

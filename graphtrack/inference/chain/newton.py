@@ -14,6 +14,7 @@ from graphtrack.inference.chain.elimination import (
     assign,
     clear,
     eliminate,
+    first_open,
     invert_cholesky,
     sweep_back,
 )
@@ -21,7 +22,7 @@ from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINI
 from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.program import add_frame
+from graphtrack.model.kernels.program import add_frame, note_turns
 
 
 @compiled
@@ -45,16 +46,41 @@ def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessia
     return cost
 
 
+@compiled
+def recall(
+    k: int, states: FloatArray, gradient: FloatArray, hessian: FloatArray, workspace: Workspace
+) -> float:
+    """What a frame and all before it cost more than where they were factored, with derivatives."""
+    message, cost = workspace.message[k], 0.0
+    assign(hessian, message[:N])
+    for i in range(N):
+        slope = message[N, i]
+        gradient[i] = slope
+        for j in range(N):
+            bend = message[max(i, j), min(i, j)] * (states[k, j] - workspace.factored[k, j])
+            gradient[i] += bend
+            slope += 0.5 * bend
+        cost += slope * (states[k, i] - workspace.factored[k, i])
+    note_turns(k, states, workspace.trigonometry)
+    return cost
+
+
 @apart
 def sweep_forward(
     problem: Problem, track: int, start: FloatArray, states: FloatArray, exact: bool, workspace: Workspace
 ) -> tuple[float, bool]:
-    """Cost of the states, and whether the Hessian there is positive definite; if so it is factored."""
+    """Cost of the states, and whether the Hessian there is positive definite; if so it is factored.
+
+    Where frames are kept it begins with the last of these, and the cost is less by a constant.
+    """
     n, inverse, link, solution = len(states), workspace.inverse, workspace.link, workspace.solution
     gradients, hessians, transition = workspace.scratch[0], workspace.scratch[1:3], workspace.scratch[3]
     workspace.scratch[:] = 0.0
-    cost, definite = 0.0, True
-    for k in range(n):
+    cost, definite, first = 0.0, True, workspace.kept[0]
+    if first > 0:
+        here = (first - 1) & 1
+        cost = recall(first - 1, states, gradients[here], hessians[here], workspace)
+    for k in range(first, n):
         here, before = k & 1, 1 - (k & 1)
         cost += add_frame(
             problem,
@@ -84,6 +110,11 @@ def sweep_forward(
                 solution[k - 1],
             )
         clear(gradients[before], hessians[before], transition)
+        if len(workspace.message) > 0 and definite:
+            assign(workspace.message[k, :N], hessians[here])
+            for i in range(N):
+                workspace.message[k, N, i] = gradients[here, i]
+                workspace.factored[k, i] = states[k, i]
     if definite:
         here = (n - 1) & 1
         definite = invert_cholesky(hessians[here], inverse[n - 1])
@@ -109,10 +140,13 @@ def minimise(
 ) -> tuple[float, float, int, int, bool]:
     """Newton's method with step halving on one track, from ``states`` (n, 6), in place.
 
+    Frames that are kept stay where they are, but for the last of them.
+
     Returns the first cost, the last, the number of steps, how it ended, and whether the workspace holds the
     exact Hessian, factored, at the end.
     """
     n, step, candidate = len(states), workspace.step, workspace.candidate[: len(states)]
+    first = first_open(workspace)
     start, full = states[0].copy(), as_variable(True)
     first_cost, definite = sweep_forward(problem, track, start, states, full, workspace)
     cost = first_cost
@@ -126,7 +160,7 @@ def minimise(
         if not definite or not math.isfinite(decrement):
             return first_cost, cost, iteration, NOT_FINITE, False
         if decrement <= tolerance * (1.0 + abs(cost)):
-            for k in range(n):
+            for k in range(first, n):
                 for i in range(N):
                     states[k, i] += step[k, i]
             return first_cost, cost, iteration, CONVERGED, exact
@@ -134,7 +168,7 @@ def minimise(
             break
         scale, found = 1.0, math.inf
         while scale > _SMALLEST_SCALE:
-            for k in range(n):
+            for k in range(first, n):
                 for i in range(N):
                     candidate[k, i] = states[k, i] + scale * step[k, i]
             found, definite = sweep_forward(problem, track, start, candidate, full, workspace)
@@ -146,5 +180,5 @@ def minimise(
             _, exact = sweep_forward(problem, track, start, states, full, workspace)
             return first_cost, cost, iteration, CONVERGED if exact else NOT_CONVERGED, exact
         cost = found
-        assign(states, candidate)
+        assign(states[first:], candidate[first:])
     return first_cost, cost, max_iterations, NOT_CONVERGED, exact

@@ -48,7 +48,8 @@ class Block:
             np.zeros((*frames, N, N)),
             np.zeros((*frames, N, N)),
             np.zeros((*frames, 4)),
-            np.zeros((SLOTS, N, N)),
+            np.zeros((*frames, N + 1, N)),
+            np.zeros((*frames, N)),
             np.zeros((SLOTS, 2, ROW)),
             np.zeros((SLOTS, 1), bool),
         )

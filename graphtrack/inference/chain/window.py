@@ -22,10 +22,10 @@ from graphtrack.model import Model, Step
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.terms.gait import Gait, gait_of
 
-_FACTORISATION = ("inverse", "link", "trigonometry")
+_FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
 """What the next observation reads of the last solution; a row for each frame."""
 _OF_FRAMES = ("body_heights", "head_heights", "states", *_FACTORISATION)
-_OF_WINDOW = ("shared", "origin", "prior", "newest", "modes_before", "classified")
+_OF_WINDOW = ("shared", "origin", "prior", "modes_before", "classified")
 """The arrays of a slot that move with a window: those with a row for each frame, beside its records, and
 others."""
 
@@ -126,7 +126,6 @@ class ChainWindow:
         kept = {"origin": self._origin, "states": self._states[open_frames], "prior": self._prior}
         if self._warm:
             kept |= {name: getattr(self._slot, name)[open_frames] for name in _FACTORISATION}
-            kept["newest"] = self._slot.newest
         if self._slot.classified[0]:
             kept["classified"] = np.ones(1)
         return {name: values.copy() for name, values in kept.items()}
@@ -153,10 +152,9 @@ class ChainWindow:
         self._take(window, arrays["origin"])
         self._states[:n] = arrays["states"].reshape(n, N)
         self._prior[:] = arrays["prior"].reshape(N + 2, N)
-        self._warm = "newest" in arrays
+        self._warm = "message" in arrays
         self._slot.classified[0] = "classified" in arrays
         if self._warm:
-            self._slot.newest[:] = arrays["newest"].reshape(N, N)
             for name in _FACTORISATION:
                 rows = getattr(self._slot, name)
                 rows[:n] = arrays[name].reshape(n, *rows.shape[1:])

@@ -12,6 +12,7 @@ from graphtrack.inference.chain.elimination import (
     assign,
     clear,
     eliminate,
+    first_open,
     invert_cholesky,
     sweep_back,
 )
@@ -25,6 +26,10 @@ from graphtrack.model.kernels.program import add_frame, add_links, add_own, cut,
 
 _FAR = 0.5
 """Radians beyond which a first guess is not better than that nothing turns."""
+_MOVED, _TURNED = 1e-2, 2e-3
+"""Metres or m/s, and radians, up to which a frame that has moved is not factored anew."""
+_STILL = 1e-9
+"""All of these, up to which the frames before one that has moved do not follow it."""
 
 
 @apart
@@ -33,6 +38,7 @@ def solve_window(
     states: FloatArray,
     warm: bool,
     search: bool,
+    keeps: bool,
     max_iterations: int,
     tolerance: float,
     workspace: Workspace,
@@ -42,6 +48,8 @@ def solve_window(
 
     ``warm`` if the workspace holds the factorisation of all frames but the newest, from the last call.
     ``search``: for another basin too, in which the window costs less; the prior is turned with it.
+    ``keeps``: frames that have settled since they were factored are not factored again, and follow those
+    after them; their terms must be the same as then.
     ``covariance`` (6, 6) becomes that of the newest frame. Returns whether all went well; if not, neither the
     states nor the factorisation are to be used.
     """
@@ -49,25 +57,37 @@ def solve_window(
     track = the_only(problem)
     here, last, memory = states[begin:end], end - begin - 1, from_frame(workspace, begin)
     full = as_variable(True)
+    memory.kept[0] = 0
     if warm and last > 0:
         foresee(problem, here, memory)
+        if keeps:
+            memory.kept[0] = settled(here[:last], memory.factored, 1.0)
+    before = here[first_open(memory)].copy()
     _, cost, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
+    kept, memory.kept[0] = memory.kept[0], 0
+    if status != NOT_FINITE and kept > 0:
+        follow(here, kept - 1, before, memory)
+        if settled(here[:kept], memory.factored, 2.0) < kept:
+            # They had to go farther than was foreseen.
+            kept = 0
+            _, cost, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
     if status == NOT_FINITE:
         return False
     again = np.empty((last + 1, N))
     if search and find_other_basin(problem, track, here, AT_END, again):
-        before = problem.prior.copy()
+        prior = problem.prior.copy()
+        if kept > 0:
+            cost, _ = sweep_forward(problem, track, here[0].copy(), here, full, memory)
         turn_past(problem.prior, here, again)
         _, found, _, ended, sound = minimise(problem, track, again, max_iterations, tolerance, memory)
         if ended != NOT_FINITE and found < cost:
             assign(here, again)
             exact = sound
         else:
-            assign(problem.prior, before)
+            assign(problem.prior, prior)
             _, exact = sweep_forward(problem, track, here[0].copy(), here, full, memory)
     if not exact and not sweep_forward(problem, track, here[0].copy(), here, not full, memory)[1]:
         return False
-    assign(memory.newest, memory.scratch[1 + (last & 1)])
     finite = True
     for i in range(N):
         finite = finite and math.isfinite(here[last, i])
@@ -77,6 +97,40 @@ def solve_window(
                 total += memory.inverse[last, m, i] * memory.inverse[last, m, j]
             covariance[i, j] = covariance[j, i] = total
     return finite
+
+
+@compiled
+def settled(states: FloatArray, factored: FloatArray, times: float) -> int:
+    """How many of the first frames are where they were factored, up to so many times what is allowed."""
+    for k in range(len(states)):
+        for i in range(N):
+            if not abs(states[k, i] - factored[k, i]) <= (_TURNED if i >= BODY else _MOVED) * times:
+                return k
+    return len(states)
+
+
+@compiled
+def follow(states: FloatArray, last: int, before: FloatArray, memory: Workspace) -> None:
+    """Move the frames before one, which are kept, as that one has moved from ``before``."""
+    inverse, link, solution, step = memory.inverse, memory.link, memory.solution, memory.step
+    for i in range(N):
+        step[last, i] = states[last, i] - before[i]
+    for k in range(last - 1, -1, -1):
+        farthest = 0.0
+        for i in range(N):
+            total = 0.0
+            for j in range(N):
+                total += link[k, i, j] * step[k + 1, j]
+            solution[k, i] = total
+        for i in range(N):
+            total = 0.0
+            for j in range(i, N):
+                total += inverse[k, j, i] * solution[k, j]
+            step[k, i] = -total
+            states[k, i] -= total
+            farthest = max(farthest, abs(total))
+        if farthest <= _STILL:
+            break
 
 
 @compiled
@@ -116,7 +170,9 @@ def from_frame(workspace: Workspace, begin: int) -> Workspace:
         workspace.candidate[begin:],
         workspace.trigonometry[begin:],
         workspace.scratch,
-        workspace.newest,
+        workspace.message[begin:],
+        workspace.factored[begin:],
+        workspace.kept,
     )
 
 
@@ -130,7 +186,7 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     last = len(states) - 1
     gradients, hessians, transition = memory.scratch[0], memory.scratch[1:3], memory.scratch[3]
     memory.scratch[:] = 0.0
-    assign(hessians[0], memory.newest)
+    assign(hessians[0], memory.message[last - 1, :N])
     add_frame(
         problem,
         the_only(problem),

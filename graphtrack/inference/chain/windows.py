@@ -56,6 +56,7 @@ class Windows(NamedTuple):
     inverse: FloatArray  # (S, n, 6, 6)
     link: FloatArray  # (S, n, 6, 6)
     trigonometry: FloatArray  # (S, n, 4)
-    newest: FloatArray  # (S, 6, 6)
+    message: FloatArray  # (S, n, 7, 6)
+    factored: FloatArray  # (S, n, 6)
     modes_before: FloatArray  # (S, 2, ROW) both couplings' modes in the frame before the window
     classified: NDArray[np.bool_]  # (S, 1) whether class likelihoods of the head have been seen
