@@ -21,7 +21,8 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import Conversations, Group, with_group_at
 from graphtrack.inference.observed import checked
-from graphtrack.inference.online import OnlineEngine, OnlineSmoother
+from graphtrack.inference.online import OnlineSmoother
+from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.inference.state import Estimate, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
 from graphtrack.model.kernels.beside import processors

@@ -32,7 +32,8 @@ from graphtrack.cli.stream_names import ORIGIN, Lines, StreamNames, with_first_r
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import Conversations
-from graphtrack.inference.online import OnlineEngine, OnlineSmoother, online_engine
+from graphtrack.inference.online import OnlineSmoother
+from graphtrack.inference.online_engines import OnlineEngine, online_engine
 from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.io.json_lines import encoded
 from graphtrack.io.options import Associate

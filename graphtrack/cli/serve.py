@@ -90,7 +90,7 @@ def serve(
     from graphtrack.cli.track import asked_of, horizon_of
     from graphtrack.errors import InputError
     from graphtrack.geometry.camera import GroundCamera
-    from graphtrack.inference.online import check_lag, online_engine
+    from graphtrack.inference.online_engines import check_lag, online_engine
     from graphtrack.io.cameras import read_homography
     from graphtrack.model import Model
 

@@ -18,7 +18,7 @@ from graphtrack.remote import place_of
 
 if TYPE_CHECKING:
     from graphtrack.cli.stream_behaviour import Asked
-    from graphtrack.inference.online import OnlineEngine
+    from graphtrack.inference.online_engines import OnlineEngine
     from graphtrack.model import Model
     from graphtrack.table.rows import Rows
 
@@ -115,7 +115,8 @@ def track(
 ) -> None:
     """Track online: the estimate at each frame from what came before it alone."""
     from graphtrack.display import duration
-    from graphtrack.inference.online import OnlineSmoother, check_lag, online_engine
+    from graphtrack.inference.online import OnlineSmoother
+    from graphtrack.inference.online_engines import check_lag, online_engine
     from graphtrack.inference.recorded import track_online
     from graphtrack.io import write
     from graphtrack.model import Model
@@ -192,7 +193,7 @@ def _track_detections(
     from graphtrack.association.tracker import OnlineTracker
     from graphtrack.cli.console import print_summary
     from graphtrack.display import duration
-    from graphtrack.inference.online import online_engine
+    from graphtrack.inference.online_engines import online_engine
     from graphtrack.io import write
 
     tracker = OnlineTracker(model, engine=engine, lag=lag, camera=rows.camera)

@@ -15,7 +15,7 @@ from graphtrack.baselines.particle.filter import particle_filter, particle_smoot
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import smooth_track
-from graphtrack.inference.online import OnlineEngine
+from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.inference.recorded import track_online
 from graphtrack.model import Model
 from graphtrack.model.model import BEST_PRESET

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from graphtrack.inference.graph.guided import Guided
 from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.late import merged, worked_in
 from graphtrack.inference.observed import checked
-from graphtrack.inference.offline import engine_of, refuse_only_compiled
+from graphtrack.inference.online_engines import OnlineEngine, check_lag, online_engine
 from graphtrack.inference.solution import stated
 from graphtrack.inference.state import (
     FAILURES,
@@ -45,39 +45,8 @@ from graphtrack.model.observation import seconds_between
 from graphtrack.readiness import make_ready
 from graphtrack.saved import DAMAGES, damaged
 
-OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
-ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")
-
 _PROMISED_DECREASE = 1e-8
 """Of the cost, relative, below which the chain engine takes no further Newton step for an observation."""
-
-
-def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
-    """The engine that tracks with a model: what was asked for, or "chain" wherever that is possible.
-
-    Raises
-    ------
-    InputError
-        If the engine is unknown, the chain was asked for and a term has no compiled kernel, or one has none
-        beside modes of the couplings.
-    """
-    if engine not in ENGINES:
-        raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
-    if engine == "auto":
-        engine = "chain" if is_chain(model) else "fixed-lag"
-    if engine == "chain":
-        engine_of(model, "chain")
-    else:
-        refuse_only_compiled(model, engine)
-    return engine
-
-
-def check_lag(lag: float | None, engine: OnlineEngine) -> None:
-    """Raise InputError for what is no length of a window (seconds), or none where the engine needs one."""
-    if lag is None and engine != "isam2":
-        raise InputError(f"no lag with the engine {engine}", "seconds; the full history is for isam2")
-    if lag is not None and not (math.isfinite(lag) and lag > 0.0):
-        raise InputError(f"lag = {lag}", "a positive number of seconds")
 
 
 class OnlineSmoother:

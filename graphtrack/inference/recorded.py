@@ -12,7 +12,8 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import Conversations
-from graphtrack.inference.online import OnlineEngine, OnlineSmoother
+from graphtrack.inference.online import OnlineSmoother
+from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.inference.social import lacks_groups
 from graphtrack.inference.state import Estimate
 from graphtrack.io.given import tracks_of

@@ -9,7 +9,7 @@ from pathlib import Path
 from graphtrack.cli.stream import LONGEST_LINE, StreamBounds
 from graphtrack.cli.stream_behaviour import Asked
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.online import OnlineEngine
+from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
 

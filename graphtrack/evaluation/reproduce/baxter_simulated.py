@@ -27,7 +27,7 @@ from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_a
 from graphtrack.evaluation.reproduce.resampling import deviation
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import track_online
-from graphtrack.inference.online import OnlineEngine
+from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.simulation.corpus import NUMERALS, Corpus, CorpusParameters, simulate_behaviour
 

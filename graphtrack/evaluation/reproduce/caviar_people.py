@@ -16,7 +16,7 @@ from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_a
 from graphtrack.evaluation.statistics import head_deviation
 from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.inference import track_online
-from graphtrack.inference.online import OnlineEngine
+from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.tracks import Track
 

@@ -17,7 +17,7 @@ from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_den
 from graphtrack.evaluation.reproduce.prediction import from_the_past
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference import smooth, track_online
-from graphtrack.inference.online import OnlineEngine
+from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.model import Model, Parameters
 from graphtrack.tracks import Track, TrackSet
 

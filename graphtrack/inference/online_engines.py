@@ -1,0 +1,42 @@
+"""Which engine tracks a person online, and how far its window may reach."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from graphtrack.errors import InputError
+from graphtrack.inference.chain.engine import is_chain
+from graphtrack.inference.offline import engine_of, refuse_only_compiled
+from graphtrack.model import Model
+
+OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
+ENGINES: tuple[OnlineEngine, ...] = ("auto", "chain", "fixed-lag", "isam2")
+
+
+def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
+    """The engine that tracks with a model: what was asked for, or "chain" wherever that is possible.
+
+    Raises
+    ------
+    InputError
+        If the engine is unknown, the chain was asked for and a term has no compiled kernel, or one has none
+        beside modes of the couplings.
+    """
+    if engine not in ENGINES:
+        raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
+    if engine == "auto":
+        engine = "chain" if is_chain(model) else "fixed-lag"
+    if engine == "chain":
+        engine_of(model, "chain")
+    else:
+        refuse_only_compiled(model, engine)
+    return engine
+
+
+def check_lag(lag: float | None, engine: OnlineEngine) -> None:
+    """Raise InputError for what is no length of a window (seconds), or none where the engine needs one."""
+    if lag is None and engine != "isam2":
+        raise InputError(f"no lag with the engine {engine}", "seconds; the full history is for isam2")
+    if lag is not None and not (math.isfinite(lag) and lag > 0.0):
+        raise InputError(f"lag = {lag}", "a positive number of seconds")
