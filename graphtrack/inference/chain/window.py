@@ -17,6 +17,7 @@ from graphtrack.inference.chain.windows import AS_SET, FORETOLD, NOTHING, Advanc
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.state import FAILURES, Angles, Newest, Window
 from graphtrack.model import Model, Step
+from graphtrack.model.factors.derived import COUPLED
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.terms.gait import Gait, gait_of
 
@@ -124,6 +125,9 @@ class ChainWindow:
         if self._warm:
             kept |= {name: getattr(self._slot, name)[open_frames] for name in _FACTORISATION}
             kept["newest"] = self._slot.newest
+            if self._model.has_modes:
+                newest = self._slot.records[self._offsets[1] - 1]
+                kept["coupled"] = np.array([newest[name] for name in COUPLED])
         if self._slot.classified[0]:
             kept["classified"] = np.ones(1)
         return {name: values.copy() for name, values in kept.items()}
@@ -147,6 +151,10 @@ class ChainWindow:
             for name in _FACTORISATION:
                 rows = getattr(self._slot, name)
                 rows[:n] = arrays[name].reshape(n, *rows.shape[1:])
+        if "coupled" in arrays:
+            # The next frame goes on from the couplings that the newest one was solved with.
+            for name, value in zip(COUPLED, arrays["coupled"], strict=True):
+                self._slot.records[name][n - 1] = value
 
     def _take(self, window: Window, origin: FloatArray) -> None:
         prior, modes = np.zeros((N + 2, N)), self._slot.modes_before.copy()
