@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from walks import walk
 
+from graphtrack import simulate
 from graphtrack.inference import OnlineSmoother
 from graphtrack.inference.graph.batch import variable_keys
 from graphtrack.model import Model, Observation
@@ -91,6 +92,21 @@ def test_a_step_of_the_chain_is_a_fraction_of_gtsams(preset: str, record: Record
     show([("median ms", median), ("99th percentile", late), ("GTSAM, median CPU ms", peer)])
     record(f"online step, GTSAM joint / chain {preset}, processor time", peer / mine)
     assert peer > 2.5 * mine
+
+
+@pytest.mark.parametrize("preset", ["joint", "full"])
+def test_no_step_of_twenty_people_takes_much_longer_than_others(preset: str) -> None:
+    """Processor time of this thread, garbage collection included."""
+    people = simulate(preset, n_tracks=20, n_steps=1000, fps=25.0, rng=np.random.default_rng(1))
+    smoothers = [OnlineSmoother(preset) for _ in people]
+    spent = []
+    for seen in zip(*map(observations, people), strict=True):
+        start = time.thread_time()
+        OnlineSmoother.update_together(smoothers, seen)
+        spent.append(1e3 * (time.thread_time() - start))
+    median, late = np.quantile(spent[100:], (0.5, 0.99))
+    show([("20 people, median ms", median), ("99th percentile", late), ("ratio", late / median)])
+    assert late < 3.0 * median
 
 
 def test_the_cost_of_a_step_does_not_grow() -> None:

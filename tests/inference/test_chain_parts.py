@@ -10,9 +10,12 @@ from walks import walk
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import OnlineSmoother
+from graphtrack.inference.chain.advance import go_on
+from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.grid import greatest_gain
 from graphtrack.inference.chain.modes import renew_couplings
 from graphtrack.inference.chain.start import fill
+from graphtrack.inference.chain.window_kernels import foresee, from_frame
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import Model, Parameters
 from graphtrack.model.kernels.layout import BODY, HEAD
@@ -75,12 +78,20 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
     states, before = window._states[: end + 1].copy(), window.modes_before
     states[end] = states[end - 1]
     states[end, :2] += (seen[-1].t - seen[-2].t) * states[end - 1, 2:4]
+    slot, memory, records = window._slot, workspace(end + 1), window._slot.records.copy()
+    for name in ("inverse", "link", "trigonometry"):
+        getattr(memory, name)[:] = getattr(slot, name)[: end + 1]
+    memory.newest[:] = slot.newest
     smoother.update(seen[-1])
     assert window._offsets.tolist() == [begin + 1, end + 1]
     # The records of all frames are there still.
-    problem, n = window._slot.problem._replace(offsets=np.array([begin, end + 1])), end + 1 - begin
+    gait, n = gait_of(smoother.model.parameters.gait), end + 1 - begin
+    records[end] = slot.records[end]
+    problem = slot.problem._replace(offsets=np.array([begin, end + 1]), records=records)
+    # The step that the newest frame asks for, and then the modes.
+    go_on(records[end - 1], records[end], gait.head_rate_seen)
+    foresee(problem, states[begin:], from_frame(memory, begin))
     filtered = np.empty((2, n, ROW))
-    gait = gait_of(smoother.model.parameters.gait)
     renew_couplings(
         problem, 0, states[begin:], gait, False, before, filtered, np.empty((n, 2)), np.empty((n, 2))
     )

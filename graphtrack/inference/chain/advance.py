@@ -6,6 +6,7 @@ Nobody's window knows of another's, so that it makes no difference who is taken 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,10 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, assign
 from graphtrack.inference.chain.mode_spread import spread_newest
-from graphtrack.inference.chain.modes import is_classified, renew_couplings
+from graphtrack.inference.chain.modes import is_classified, is_seen, renew_couplings
 from graphtrack.inference.chain.newton import as_variable
 from graphtrack.inference.chain.stating import state_uncertainty
-from graphtrack.inference.chain.window_kernels import let_go, solve_window, the_only
+from graphtrack.inference.chain.window_kernels import foresee, from_frame, let_go, solve_window, the_only
 from graphtrack.inference.chain.windows import (
     ADDS,
     FORETOLD,
@@ -34,6 +35,7 @@ from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import ROW, Gait
+from graphtrack.model.terms.intentional_motion import steer
 
 
 @compiled
@@ -202,6 +204,22 @@ def solve_or_restore(
     return fine
 
 
+@compiled
+def go_on(before: Any, after: Any, rate_seen: float) -> None:
+    """Couplings of a new frame, and the steering to it, as they were of the one before."""
+    share = after.body_aligned_kappa / before.body_aligned_kappa if before.body_aligned_kappa > 0.0 else 0.0
+    after.motion_body_kappa = share * before.motion_body_kappa
+    after.motion_body_cos, after.motion_body_sin = before.motion_body_cos, before.motion_body_sin
+    share = after.head_aligned_kappa / before.head_aligned_kappa if before.head_aligned_kappa > 0.0 else 0.0
+    after.head_body_kappa = share * before.head_body_kappa
+    after.head_body_cos, after.head_body_sin = before.head_body_cos, before.head_body_sin
+    after.head_doubt = before.head_doubt
+    rate = -math.log1p(-before.steer_gain) / before.dt if before.steer_gain > 0.0 else 0.0
+    if is_seen(before) != is_seen(after):
+        rate *= rate_seen if is_seen(after) else 1.0 / max(rate_seen, 1e-9)
+    steer(after, min(rate, after.steer_rate))
+
+
 @apart
 def advance_with_modes(
     windows: Windows,
@@ -228,6 +246,11 @@ def advance_with_modes(
         end = problem.offsets[1]
         n = end - begin
         classified = windows.classified[slot, 0] or is_classified(problem, the_only(problem))
+        if people[p, WARM] != 0 and people[p, ADDS] != NOTHING and n > 1:
+            # Modes are judged by states: first those that the new observation asks for.
+            go_on(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
+            foresee(problem, states[begin:end], from_frame(own, begin))
+            people[p, WARM] = 0
         filtered, modes, pulls = np.empty((2, n, ROW)), np.empty((n, 2)), np.empty((n, 2))
         renew_couplings(
             problem,

@@ -14,11 +14,11 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.slots import Slot, blocks_of
-from graphtrack.inference.chain.stating import stating_of
-from graphtrack.inference.chain.windows import AS_SET, FORETOLD, NOTHING, Advanced, Rules
+from graphtrack.inference.chain.windows import AS_SET, FORETOLD, NOTHING, Advanced, rules_of
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.state import FAILURES, Angles, Newest, Window
 from graphtrack.model import Model, Step
+from graphtrack.model.factors.derived import COUPLED
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.terms.gait import Gait, gait_of
 
@@ -126,6 +126,9 @@ class ChainWindow:
         kept = {"origin": self._origin, "states": self._states[open_frames], "prior": self._prior}
         if self._warm:
             kept |= {name: getattr(self._slot, name)[open_frames] for name in _FACTORISATION}
+            if self._model.has_modes:
+                newest = self._slot.records[self._offsets[1] - 1]
+                kept["coupled"] = np.array([newest[name] for name in COUPLED])
         if self._slot.classified[0]:
             kept["classified"] = np.ones(1)
         return {name: values.copy() for name, values in kept.items()}
@@ -134,7 +137,9 @@ class ChainWindow:
         """What `window` and `arrays` say now can be read from it later; it is not to be gone on with."""
         kept, open_frames = copy(self), slice(*self._offsets.tolist())
         arrays = {name: getattr(self._slot, name).copy() for name in _OF_WINDOW}
-        arrays |= {name: getattr(self._slot, name)[open_frames].copy() for name in _FACTORISATION}
+        arrays |= {
+            name: getattr(self._slot, name)[open_frames].copy() for name in ("records", *_FACTORISATION)
+        }
         kept._slot, kept._steps = SimpleNamespace(**arrays), list(self._steps)
         kept._states, kept._offsets = self._states[open_frames].copy(), np.array([0, len(self._steps)])
         kept._prior, kept._origin = arrays["prior"], arrays["origin"][0]
@@ -158,6 +163,10 @@ class ChainWindow:
             for name in _FACTORISATION:
                 rows = getattr(self._slot, name)
                 rows[:n] = arrays[name].reshape(n, *rows.shape[1:])
+        if "coupled" in arrays:
+            # The next frame goes on from the couplings that the newest one was solved with.
+            for name, value in zip(COUPLED, arrays["coupled"], strict=True):
+                self._slot.records[name][n - 1] = value
 
     def _take(self, window: Window, origin: FloatArray) -> None:
         prior, modes = np.zeros((N + 2, N)), self._slot.modes_before.copy()
@@ -377,13 +386,6 @@ def _size_for(frames: int) -> int:
     while 8 * frames > 7 * size:
         size *= 2
     return size
-
-
-@lru_cache(64)
-def rules_of(model: Model, tolerance: float, max_iterations: int) -> Rules:
-    """The same for the same, so that windows that have it can be taken together."""
-    stating = stating_of(model.parameters)
-    return Rules(model.has_body, model.has_head, max_iterations, tolerance, stating)
 
 
 @lru_cache(16)

@@ -20,9 +20,10 @@ from graphtrack.inference.chain.newton import add_prior, as_variable, minimise, 
 from graphtrack.inference.chain.restart import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
 from graphtrack.model.kernels.compiled import apart, compiled
-from graphtrack.model.kernels.layout import BODY, HEAD, N
+from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame, add_links, add_own, cut, note_turns
+from graphtrack.model.terms.position import CAUCHY, add_pixel, add_position
 
 _FAR = 0.5
 """Radians beyond which a first guess is not better than that nothing turns."""
@@ -30,6 +31,13 @@ _MOVED, _TURNED = 1e-2, 2e-3
 """Metres or m/s, and radians, up to which a frame that has moved is not factored anew."""
 _STILL = 1e-9
 """All of these, up to which the frames before one that has moved do not follow it."""
+
+_RUN, _LONGEST_RUN = 3, 10
+"""Newest positions in a row that are taken for gross errors: so many, and another place is looked for. With
+more it has been."""
+
+_LEAP = 1.5
+"""By how much the other place has to cost less, in k²: people do not leap. It is four positions at k."""
 
 
 @apart
@@ -74,6 +82,19 @@ def solve_window(
     if status == NOT_FINITE:
         return False
     again = np.empty((last + 1, N))
+    if have_strayed(problem, track, here):
+        # The loss is not convex: whoever has followed false positions may have to be looked for elsewhere.
+        if kept > 0:
+            kept = 0
+            cost, _ = sweep_forward(problem, track, here[0].copy(), here, full, memory)
+        assign(again, here)
+        find_by_squares(problem, track, again, max_iterations, tolerance, memory)
+        _, found, _, ended, sound = minimise(problem, track, again, max_iterations, tolerance, memory)
+        if ended != NOT_FINITE and found < cost - _LEAP * problem.shared[0].robust_threshold ** 2:
+            assign(here, again)
+            cost, exact = found, sound
+        else:
+            _, exact = sweep_forward(problem, track, here[0].copy(), here, full, memory)
     if search and find_other_basin(problem, track, here, AT_END, again):
         prior = problem.prior.copy()
         if kept > 0:
@@ -97,6 +118,73 @@ def solve_window(
                 total += memory.inverse[last, m, i] * memory.inverse[last, m, j]
             covariance[i, j] = covariance[j, i] = total
     return finite
+
+
+@apart
+def have_strayed(problem: Problem, track: int, states: FloatArray) -> bool:
+    """Whether some of the newest positions that were seen are all farther from the states than k.
+
+    At least `_RUN` of them and at most `_LONGEST_RUN`. Only with the Cauchy loss, whose pull falls beyond k
+    standard deviations.
+    """
+    shared, offset, count = problem.shared[0], problem.offsets[track], 0
+    if shared.robust != CAUCHY:
+        return False
+    far = 0.5 * shared.robust_threshold**2 * math.log(2.0)
+    gradient, hessian = np.zeros(N), np.zeros((N, N))
+    for k in range(len(states) - 1, -1, -1):
+        frame, cost = problem.records[offset + k], 0.0
+        if frame.pixel_information > 0.0:
+            cost = add_pixel(
+                states[k],
+                problem.origin[track, X],
+                problem.origin[track, Y],
+                frame.u,
+                frame.v,
+                frame.pixel_information,
+                shared.to_image,
+                shared.robust,
+                shared.robust_threshold,
+                False,
+                gradient,
+                hessian,
+            )
+        elif frame.position_information > 0.0:
+            cost = add_position(
+                states[k],
+                problem.origin[track, X],
+                problem.origin[track, Y],
+                frame.x,
+                frame.y,
+                frame.position_information,
+                shared.robust,
+                shared.robust_threshold,
+                False,
+                gradient,
+                hessian,
+            )
+        else:
+            continue
+        if not cost > far or count == _LONGEST_RUN + 1:
+            break
+        count += 1
+    return _RUN <= count <= _LONGEST_RUN
+
+
+@apart
+def find_by_squares(
+    problem: Problem,
+    track: int,
+    states: FloatArray,
+    max_iterations: int,
+    tolerance: float,
+    memory: Workspace,
+) -> None:
+    """Minimise with squares in place of the robust loss, in place."""
+    robust = problem.shared[0].robust
+    problem.shared[0].robust = 0.0
+    minimise(problem, track, states, max_iterations, tolerance, memory)
+    problem.shared[0].robust = robust
 
 
 @compiled

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.stating import Stating
+from graphtrack.inference.chain.stating import Stating, stating_of
+from graphtrack.model import Model
 
 SLOT, ADDS, SOLVES, WARM, SEARCHES, LEAVE = range(6)
 """Columns of what is to be done with each window, as whole numbers: its slot; whether the frame after its
@@ -27,6 +29,13 @@ class Rules(NamedTuple):
     max_iterations: int
     tolerance: float
     stating: Stating
+
+
+@lru_cache(64)
+def rules_of(model: Model, tolerance: float, max_iterations: int) -> Rules:
+    """The same for the same, so that windows that have it can be taken together."""
+    stating = stating_of(model.parameters)
+    return Rules(model.has_body, model.has_head, max_iterations, tolerance, stating)
 
 
 class Advanced(NamedTuple):

@@ -1,0 +1,84 @@
+"""Ten frames at one place that nobody was at: what they cost, and how soon the path is found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import graphtrack as gt
+from graphtrack.simulation.degrade import add_noise
+from graphtrack.tracks import Track
+
+STD, FPS, BEGINS, ENDS = 0.05, 30.0, 45, 55
+
+
+def with_loss(preset: str, robust: str, threshold: float) -> gt.Model:
+    parameters = gt.Model(preset).parameters
+    likelihood = replace(parameters.likelihood, robust=robust, robust_threshold=threshold)
+    return gt.Model(preset, replace(parameters, likelihood=likelihood))
+
+
+def walker(seed: int) -> Track:
+    """Somebody who walks straight, seen at one place 1.5 m beside for ten frames."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(75) / FPS
+    path = np.column_stack([1.3 * t, np.zeros_like(t)])
+    position = path + STD * rng.standard_normal(path.shape)
+    position[BEGINS:ENDS] = path[BEGINS] + (0.0, 1.5)
+    std = np.full(len(t), STD)
+    return Track(seed, np.arange(len(t)), t, position, position_std=std, true_position=path)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_path_is_found_again_online_as_soon_as_it_costs_less(seed: int) -> None:
+    """Newton's method alone goes on from where it was, up to 2 m off, for three frames more."""
+    track = walker(seed)
+    estimate = gt.track_online(track, with_loss("separate", "cauchy", 5.0))
+    assert track.true_position is not None
+    off = np.linalg.norm(estimate.position - track.true_position, axis=1)
+    assert off[ENDS - 2] > 1.0  # it had been followed
+    assert off[ENDS + 5 :].max() < 0.25
+
+
+@pytest.mark.slow
+def test_ten_frames_at_one_place_on_motion_capture(data_dir: Path) -> None:
+    """Positions off, offline and online, by the loss; root mean squares."""
+    clips = gt.read(data_dir / "mocap" / "tracks_30hz.csv.gz")
+    held = [track for track in clips.tracks[1::2] if len(track) >= 60][::6]
+    losses = {"huber": with_loss("full", "huber", 3.0), "cauchy": gt.Model("full")}
+    for std in (0.05, 0.1):
+        for metres in (0.0, 1.0, 1.5, 3.0):
+            seen, where = [], []
+            for seed in (0, 1):
+                rng = np.random.default_rng(seed)
+                noisy = add_noise(
+                    clips.with_tracks(held), position_std=std, body_kappa=1.2, head_kappa=2.3, rng=rng
+                )
+                for track in noisy:
+                    begins, turn = rng.integers(len(track) // 4, len(track) // 2), rng.uniform(-np.pi, np.pi)
+                    ten, position = slice(begins, begins + 10), track.position.copy()
+                    assert track.true_position is not None
+                    if metres:
+                        aside = metres * np.array([np.cos(turn), np.sin(turn)])
+                        position[ten] = track.true_position[begins] + aside
+                    seen.append(replace(track, track_id=len(seen), position=position))
+                    where.append(track.true_position)
+            found = {}
+            for loss, model in losses.items():
+                scene = clips.with_tracks(seen)
+                for way, estimates in (
+                    ("offline", gt.smooth(scene, model)),
+                    ("online", gt.track_online(scene, model)),
+                ):
+                    squares = [
+                        np.mean(np.sum((one.position - true) ** 2, axis=1))
+                        for one, true in zip(estimates, where, strict=True)
+                    ]
+                    found[loss, way] = float(np.sqrt(np.mean(squares)))
+            print(std, metres, {key: round(value, 3) for key, value in found.items()})
+            # What is near, and lasts for ten frames, may be true as far as the past tells.
+            assert found["cauchy", "offline"] < (0.9 if metres else 1.02) * found["huber", "offline"]
+            assert found["cauchy", "online"] < (0.4 if metres == 3.0 else 1.02) * found["huber", "online"]
