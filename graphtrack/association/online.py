@@ -29,8 +29,11 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import GivenScene, SceneParameters, known_values
 
 TOLD = 0.45
-"""How probable it has to be that somebody who is not seen is still there, for them to be told. What makes an
+"""How probable somebody has to be, and that who is not seen is still there, to be told. What makes an
 F-measure greatest is half of it (Lipton et al. 2014, ECML PKDD), and IDF1 of made-up crowds is 0.9."""
+
+_LEAST_VALUE = float(np.log(TOLD / (1.0 - TOLD)))
+"""The same of a track's value."""
 
 REVISED_FRAMES = 8
 """Frames in which decisions may change: as many detections as say whose they are."""
@@ -167,7 +170,7 @@ class OnlineAssociation(Moves):
         chains, now = self.chains, self.updates - 1
         root, value = self.roots()
         number = self._notes.number[root]
-        believed = (number != NOBODY) & (value[root] > 0.0)
+        believed = (number != NOBODY) & (value[root] > _LEAST_VALUE)
         last = np.flatnonzero((chains.following < 0) & (chains.frame < now) & believed)
         return sorted(number[last[self._still_there(last, now) > TOLD]].tolist())
 
@@ -349,9 +352,9 @@ class OnlineAssociation(Moves):
     def _decide(self, first: int) -> Decision:
         root, value = self.roots()
         for k in np.unique(root[first:]).tolist():
-            if value[k] > 0.0 and self._notes.number[k] == NOBODY:
+            if value[k] > _LEAST_VALUE and self._notes.number[k] == NOBODY:
                 self._notes.number[k], self._next = self._next, self._next + 1
-        owner = np.where(value[root] > 0.0, self._notes.number[root], NOBODY)
+        owner = np.where(value[root] > _LEAST_VALUE, self._notes.number[root], NOBODY)
         changed = np.flatnonzero(owner[:first] != self._notes.said[:first])
         changed = changed[changed >= (self._first[0] if self._first else 0)]
         chains = self.chains
