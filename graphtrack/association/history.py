@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from graphtrack.association import duplicates, facing, learning, places
-from graphtrack.association.chains import Chains, IntArray, link_by, unlinked
+from graphtrack.association.chains import Chains, IntArray, Scene, link_by, unlinked
+from graphtrack.association.kernels import refresh
 from graphtrack.association.looks import widened
 from graphtrack.association.looks_online import Looks, of_tracks
 from graphtrack.association.notes import NOBODY, Notes
@@ -99,6 +100,7 @@ class History:
         scene = facing.learned(chains, scene, step_seconds, known)
         scene = self._with_guess(scene, known)
         shown = of_tracks(chains, identity, self.descriptor, self.score)
+        refresh(chains, 0, len(self.t), Scene(*scene.packed(step_seconds)))
         return scene, places.learned(chains, identity), shown
 
     def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:

@@ -19,6 +19,10 @@ from graphtrack.geometry.angles import FloatArray
 SPREAD = 2.0
 """Metres, standard deviation of the blur: who comes in at one place may come in so far beside it."""
 
+AHEAD = 2.0
+"""Seconds. Whether somebody has left who is not seen is judged by where they would be by then: of two people
+in one place at the border, one may just have come in."""
+
 _CELL = 0.5 * SPREAD
 _REACH = 4.0 * SPREAD
 _LARGEST = 1000
@@ -37,12 +41,14 @@ class Places:
     origin : (2,) metres, of the grid's first corner
     births, deaths, clutter : (2, nx, ny) events per square metre, as many as there were, and as there
         would be if they happened alike wherever they could
+    ways_out : the deaths, where whoever left would have been `AHEAD` seconds later
     """
 
     origin: FloatArray
     births: FloatArray
     deaths: FloatArray
     clutter: FloatArray
+    ways_out: FloatArray
 
     def at(
         self, position: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -53,22 +59,40 @@ class Places:
         ----------
         own : (n,) each, of the events, those per square metre that are not to count
         """
-        places = ((position - self.origin) / _CELL).T
-        found = []
-        for k, grids in enumerate((self.births, self.deaths, self.clutter)):
-            events, expected = (map_coordinates(grid, places, order=1, mode="nearest") for grid in grids)
-            left = events if own is None else np.maximum(events - own[k], 0.0)
-            found.append((left + _PRIOR) / (expected + _PRIOR))
-        births, deaths, clutter = found
-        return births, deaths, clutter
+        came, left, false = (0.0, 0.0, 0.0) if own is None else own
+        return (
+            _rate(self.births, came, self._in_cells(position)),
+            _rate(self.deaths, left, self._in_cells(position)),
+            _rate(self.clutter, false, self._in_cells(position)),
+        )
+
+    def leaving_for(self, goal: FloatArray) -> FloatArray:
+        """How many times the mean rate people leave who would be at (n, 2) in `AHEAD` seconds."""
+        return _rate(self.ways_out, 0.0, self._in_cells(goal))
+
+    def _in_cells(self, position: FloatArray) -> FloatArray:
+        """(2, n) of positions (n, 2), as indices of the grids' corners, with fractions."""
+        cells: FloatArray = ((position - self.origin) / _CELL).T
+        return cells
+
+
+def _rate(grids: FloatArray, own: FloatArray | float, cells: FloatArray) -> FloatArray:
+    """How many times the mean rate there is, events (n,) that are not to count aside."""
+    events, expected = (map_coordinates(grid, cells, order=1, mode="nearest") for grid in grids)
+    rate: FloatArray = (np.maximum(events - own, 0.0) + _PRIOR) / (expected + _PRIOR)
+    return rate
 
 
 def learned(chains: Chains, identity: IntArray) -> Places:
-    """From people found in a recording: ``identity`` (n,) is of each detection, from 0; −1: false."""
-    return _counted(chains.position, identity >= 0, *_events(chains, identity))
+    """From people found in a recording, their tracks filtered.
+
+    ``identity`` (n,) is of each detection, from 0; −1: false.
+    """
+    return _counted(chains, identity >= 0, *_events(chains, identity))
 
 
-def _counted(position: FloatArray, person: NDArray[np.bool_], first: IntArray, last: IntArray) -> Places:
+def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: IntArray) -> Places:
+    position, goal = chains.position, chains.position + AHEAD * chains.state[:, 2:4]
     low, high = position.min(axis=0) - _REACH, position.max(axis=0) + _REACH
     shape = np.minimum(np.ceil((high - low) / _CELL).astype(int) + 1, _LARGEST)
 
@@ -80,12 +104,13 @@ def _counted(position: FloatArray, person: NDArray[np.bool_], first: IntArray, l
 
     square = learning.area(position)
     # Who is there may leave; to come into view and to be false is possible everywhere.
-    leave = blurred(position[person], len(last) / max(int(person.sum()), 1))
+    each = len(last) / max(int(person.sum()), 1)
     return Places(
         low,
         np.stack([blurred(position[first]), np.full(shape, len(first) / square)]),
-        np.stack([blurred(position[last]), leave]),
+        np.stack([blurred(position[last]), blurred(position[person], each)]),
         np.stack([blurred(position[~person]), np.full(shape, (~person).sum() / square)]),
+        np.stack([blurred(goal[last]), blurred(goal[person], each)]),
     )
 
 
@@ -98,7 +123,7 @@ def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, Fl
     first, last = _events(chains, identity)
     came, left = (_of_own(position, identity, events) for events in (first, last))
     false = np.where(person, 0.0, _PEAK)
-    return _counted(position, person, first, last).at(position, (came, left, false))
+    return _counted(chains, person, first, last).at(position, (came, left, false))
 
 
 def _events(chains: Chains, identity: IntArray) -> tuple[IntArray, IntArray]:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import graphtrack as gt
 from graphtrack.association import places
-from graphtrack.association.chains import Chains, link_by, unlinked
+from graphtrack.association.chains import Chains, Scene, link_by, unlinked
+from graphtrack.association.kernels import refresh
+from graphtrack.association.online import TOLD, OnlineAssociation
 
 FRAMES, CROSSING = 400, 20
 
@@ -88,3 +91,42 @@ def test_own_events_are_left_out_as_if_they_had_not_been(k: int) -> None:
     expected = (peak * np.exp(-0.5 * square / places.SPREAD**2).sum() + 2 * peak) / (mean + 2 * peak)
     # The grid has corners every half spread.
     assert births[k] == pytest.approx(expected, rel=0.2)
+
+
+def test_of_two_in_one_place_the_one_who_goes_out_leaves_rather() -> None:
+    """A street of 20 m with people both ways."""
+    rows = [(16 * k + j, 0.5 * (j if k % 2 else 40 - j), k) for k in range(30) for j in range(41)]
+    frame, x, identity = np.array(sorted(rows)).T
+    nothing = np.full((len(frame), 2), np.nan)
+    chains = unlinked(0.4 * frame, frame.astype(np.int64), np.column_stack([x, 0.0 * x]), nothing)
+    link_by(chains, identity.astype(np.int64))
+    chains.variance[:] = 0.01
+    refresh(chains, 0, len(x), Scene(*gt.SceneParameters().packed(0.4)))
+    found = places.learned(chains, identity.astype(np.int64))
+    here, speed = np.array([[19.5, 0.0]]), np.array([[1.25, 0.0]])
+    out, back = (found.leaving_for(here + sign * places.AHEAD * speed) for sign in (1.0, -1.0))
+    _, by_place, _ = found.at(here)
+    assert out > 1.3 * by_place > 5.0 * back
+
+
+def test_somebody_goes_on_being_there_as_often_as_where_it_is_played() -> None:
+    """People stand still, and leave alike everywhere; who has left is never seen again."""
+    rng, scene = np.random.default_rng(0), gt.SceneParameters(death_rate=0.06, occlusion_probability=0.1)
+    found = OnlineAssociation(scene)
+    for frame in range(20):
+        found.update(0.4 * frame, np.array([[0.0, 0.0]]))
+    chance, hidden = 1.0 - scene.detection_probability, scene.occlusion_probability
+    told: list[bool] = []
+    missed, left = np.zeros(200_000, int), rng.geometric(-np.expm1(-0.4 * scene.death_rate), 200_000) - 1
+    u = rng.random(len(missed))
+    for k in range(1, 12):
+        # For so many frames at least: by chance, or hidden.
+        missed += u < chance**k + hidden * np.exp(-0.4 * k / scene.occlusion_seconds)
+    for k in range(1, 12):
+        found.update(0.4 * (19 + k), np.zeros((0, 2)))
+        unseen = missed >= np.minimum(left, k)
+        there = np.mean(left[unseen] >= k)
+        told.append(bool(found.hidden()))
+        if abs(there - TOLD) > 0.02:
+            assert told[-1] == (there > TOLD)
+    assert told[3] and not told[-1]

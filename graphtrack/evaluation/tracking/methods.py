@@ -80,7 +80,7 @@ class Online:
 
     name = "online"
     online = True
-    information = "past only; predicted while rather missed than gone"
+    information = "past only; predicted while probably there"
 
     def track(self, detections: Detections) -> TrackSet:
         """Frame by frame."""
