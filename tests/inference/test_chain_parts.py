@@ -81,7 +81,7 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
     slot, memory, records = window._slot, workspace(end + 1), window._slot.records.copy()
     for name in ("inverse", "link", "trigonometry"):
         getattr(memory, name)[:] = getattr(slot, name)[: end + 1]
-    memory.newest[:] = slot.newest
+    memory = memory._replace(message=slot.message[: end + 1].copy(), factored=slot.factored[: end + 1].copy())
     smoother.update(seen[-1])
     assert window._offsets.tolist() == [begin + 1, end + 1]
     # The records of all frames are there still.
