@@ -10,6 +10,7 @@ from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.restart import AT_START
 from graphtrack.inference.chain.result import Result
+from graphtrack.inference.chain.side_by_side import lane_memory
 from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.model import Model
@@ -39,6 +40,7 @@ def _part(name: str, model: Model) -> Part:
     function, run = {
         "start": (initialise, lambda: solve(Model("position"))),
         "descent": (program.minimise, lambda: _descend(model)),
+        "lanes": (program.minimise_lanes, lambda: _descend_together(model)),
         "grid": (program.find_other_basin, lambda: _look_around(model)),
         "modes": (renew_tracks, lambda: _renew(model)),
         "couplings": (renew_couplings, lambda: _renew_couplings(model)),
@@ -64,6 +66,14 @@ def _made_up(model: Model) -> tuple[Problem, Result, Workspace]:
 def _descend(model: Model) -> None:
     problem, result, memory = _made_up(model)
     program_of(model).minimise(problem, 0, result.states, 1, 1e-12, memory)
+
+
+def _descend_together(model: Model) -> None:
+    problem, _, _ = _made_up(model)
+    memory = lane_memory(len(TRACK), problem.records.dtype.itemsize // 8)
+    for array in memory:
+        array[:] = 0
+    program_of(model).minimise_lanes(problem, len(TRACK), 1, 1e-12, True, memory)
 
 
 def _look_around(model: Model) -> None:

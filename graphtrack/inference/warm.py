@@ -31,7 +31,7 @@ _COUPLINGS: Costs = {renew_couplings: 6.5}
 
 
 def _steps(program: ChainProgram) -> Costs:
-    return {program.solve_tracks: 11.0}
+    return {program.solve_lanes: 6.0}
 
 
 def _descent(program: ChainProgram) -> Costs:
@@ -85,12 +85,11 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     if camera is None and not steps and model.is_linear(pack([TRACK], model)):
         return start_rehearsal()
     program = program_of(model)
-    called, inlined = {**_START, **_steps(program)}, _descent(program)
+    called: Costs = {**_START, **_steps(program)}
+    inlined: Costs = {program.minimise_lanes: 10.0}
+    here, beside = "start lanes", "grid"
     if model.has_modes:
-        called, inlined = {**called, **_MODES, program.spread_tracks: 3.0}, {**inlined, **_COUPLINGS}
-        here, beside = "start descent spread", "grid modes"
-    else:
-        here, beside = "start descent", "grid"
+        called, inlined, beside = {**called, **_MODES}, {**inlined, **_COUPLINGS}, "grid modes"
     return Rehearsal(
         lambda: solve(_like(model)), called, inlined, lambda: (_parts(model, here), _parts(model, beside))
     )

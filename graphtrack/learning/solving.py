@@ -78,6 +78,5 @@ class Solver:
         packed = pack(self._tracks, model, self._camera)
         problem, result = problem_of(packed), empty_result(packed)
         result.states[:] = self._start
-        memory = workspace(self._longest)
-        solve_terms(model, problem, MAX_ITERATIONS, TOLERANCE, False, memory, result)
-        return Solved(packed, problem, result, memory, model.parameters.motion)
+        solve_terms(model, problem, MAX_ITERATIONS, TOLERANCE, False, result)
+        return Solved(packed, problem, result, workspace(self._longest), model.parameters.motion)

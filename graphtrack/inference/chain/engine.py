@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from graphtrack.geometry.angles import BoolArray
-from graphtrack.inference.chain.elimination import Workspace, workspace
+from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.modes import renew_tracks
-from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.programs import ChainProgram, program_of
 from graphtrack.inference.chain.result import NOT_FINITE, Result
+from graphtrack.inference.chain.side_by_side import lane_memory
 from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
@@ -23,6 +25,14 @@ from graphtrack.model.terms.gait import gait_of
 PASSES = 2
 """Times that the modes of the couplings, and the states with them, are found anew; a third changes
 nothing that the errors on motion capture would show."""
+
+ON_THE_WAY = 1e4
+"""By how much looser the descents before the last end: their last step is taken all the same, after which
+they are nearer than that by far."""
+
+LONGEST = 10_000
+"""Frames of a track that is solved side by side with others, which takes 10 kB a frame of the longest; longer
+ones are solved alone."""
 
 
 def is_chain(model: Model) -> bool:
@@ -61,8 +71,7 @@ def solve_packed(
     initialise(problem, seen, linear, np.empty((3, longest)), result)
     if not linear:
         guessed = never_seen(packed, seen) if model.has_modes else None
-        memory = workspace(longest)
-        solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
+        solve_terms(model, problem, max_iterations, tolerance, restart, result, guessed)
     finish(problem, model.has_body, model.has_head, result)
     return result
 
@@ -73,7 +82,6 @@ def solve_terms(
     max_iterations: int,
     tolerance: float,
     restart: bool,
-    memory: Workspace,
     result: Result,
     guessed: BoolArray | None = None,
 ) -> None:
@@ -81,24 +89,66 @@ def solve_terms(
 
     ``guessed`` (N, 2): angles that nothing holds without couplings; they stay as they are until there are.
     """
-    program = program_of(model)
-    solve_tracks = program.solve_tracks
+    program, none = program_of(model), np.zeros((0, 2))
+    descend = _descent(program, problem, max_iterations, result)
     if not model.has_modes:
-        solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+        descend(tolerance, restart, True, none)
         return
     # Without couplings first: from there both the modes and the states are found.
     for gate in program.switched:
         problem.records[gate] = 0.0
     angles = result.states[:, BODY : HEAD + 1]
     first = angles.copy()
-    solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+    descend(ON_THE_WAY * tolerance, restart, False, none)
     if guessed is not None:
         angles[guessed] = first[guessed]
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
-    for _ in range(PASSES):
+    for turn in range(PASSES):
         renew_tracks(problem, result.states, gait, result.modes, spread)
-        solve_tracks(problem, max_iterations, tolerance, False, memory, result)
-    program.spread_tracks(problem, result.states, spread, memory, result.covariance)
+        last = turn == PASSES - 1
+        descend(tolerance if last else ON_THE_WAY * tolerance, False, last, spread if last else none)
+
+
+def _descent(
+    program: ChainProgram, problem: Problem, max_iterations: int, result: Result
+) -> Callable[[float, bool, bool, FloatArray], None]:
+    """What solves all tracks from the states in the result, in place.
+
+    It is given the tolerance, whether to look for other basins, whether covariances are wanted, and what
+    modes leave open, as `lane_solver.solve_lanes`.
+    """
+    lengths = np.diff(problem.offsets)
+    order = np.argsort(-lengths, kind="stable")
+    longer = int(np.count_nonzero(lengths > LONGEST))
+    alone, together = order[:longer], order[longer:]
+    numbers = problem.records.view(float).reshape(len(problem.records), -1)
+    memory = lane_memory(int(lengths[together].max()), numbers.shape[1]) if len(together) else None
+    single = workspace(int(lengths.max())) if longer else None
+
+    def descend(tolerance: float, restart: bool, covariance: bool, spread: FloatArray) -> None:
+        if memory is not None:
+            program.solve_lanes(
+                problem,
+                numbers,
+                together,
+                max_iterations,
+                tolerance,
+                restart,
+                covariance,
+                spread,
+                memory,
+                result,
+            )
+        if single is not None:
+            program.solve_tracks(problem, alone, max_iterations, tolerance, restart, single, result)
+            if len(spread):
+                for track in alone:
+                    own = problem._replace(
+                        offsets=problem.offsets[track : track + 2], origin=problem.origin[track : track + 1]
+                    )
+                    program.spread_tracks(own, result.states, spread, single, result.covariance)
+
+    return descend
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:

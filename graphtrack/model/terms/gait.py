@@ -20,10 +20,10 @@ from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import Field
+from graphtrack.model.kernels.vector_math import exp, log
 from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import GaitParameters
 from graphtrack.model.term import Term, Variable
-from graphtrack.model.terms.pose import angle_cost
 from graphtrack.tracks import Track
 
 if TYPE_CHECKING:
@@ -80,8 +80,16 @@ def add_seen(
     # The observation as seen from the reference.
     base_cos, base_sin = math.cos(reference), math.sin(reference)
     along, across = cos * base_cos + sin * base_sin, sin * base_cos - cos * base_sin
+    cosines, sines = modes.cos, modes.sin
+    if uniform == 0.0:
+        for j in range(ROW):
+            row[j] -= weight * kappa * (1.0 - cosines[j] * along - sines[j] * across)
+        return
+    # `pose.angle_cost`, in vector instructions.
+    share = 1.0 / (1.0 + uniform)
     for j in range(ROW):
-        row[j] -= weight * angle_cost(modes.cos[j] * along + modes.sin[j] * across, kappa, uniform)
+        density = exp(kappa * (cosines[j] * along + sines[j] * across - 1.0)) + uniform
+        row[j] += weight * (log(density * share) - 2.0 * kappa)
 
 
 @compiled
@@ -104,8 +112,8 @@ def add_seen_classes(
         density = heights[n_classes]
         for c in range(n_classes):
             close = along * directions[c, 0] + across * directions[c, 1]
-            density += heights[c] * math.exp(kappa * (close - 1.0))
-        row[j] += weight * math.log(density)
+            density += heights[c] * exp(kappa * (close - 1.0))
+        row[j] += weight * log(density)
 
 
 @compiled
@@ -159,6 +167,20 @@ def switch_back(ahead: FloatArray, modes: Modes, dt: float, memory: FloatArray) 
 
 
 @compiled
+def greatest_of(row: FloatArray) -> float:
+    """The greatest of a row (ROW,); by four at a time, since one comparison waits for the one before."""
+    a = b = c = d = row[0]
+    for j in range(0, ROW - 3, 4):
+        a = row[j] if row[j] > a else a
+        b = row[j + 1] if row[j + 1] > b else b
+        c = row[j + 2] if row[j + 2] > c else c
+        d = row[j + 3] if row[j + 3] > d else d
+    for j in range(ROW - ROW % 4, ROW):
+        a = row[j] if row[j] > a else a
+    return max(max(a, b), max(c, d))
+
+
+@compiled
 def infer_modes(
     dt: FloatArray,
     log_likelihood: FloatArray,
@@ -188,29 +210,28 @@ def infer_modes(
     for k in range(n):
         if dt[k] > 0.0:
             switch(now, modes, dt[k], memory)
-        greatest, total = likelihood[k, 0], 0.0
-        for j in range(1, ROW):
-            greatest = max(greatest, likelihood[k, j])
+        row, here, total = likelihood[k], filtered[k], 0.0
+        greatest = greatest_of(row)
         for j in range(ROW):
-            likelihood[k, j] = math.exp(likelihood[k, j] - greatest)
-            now[j] *= likelihood[k, j]
+            row[j] = exp(row[j] - greatest)
+            now[j] *= row[j]
             total += now[j]
         for j in range(ROW):
             now[j] /= total
-            filtered[k, j] = now[j]
+            here[j] = now[j]
     for k in range(n - 1, -1, -1):
-        total = 0.0
+        row, here, found, total = likelihood[k], filtered[k], smoothed[k], 0.0
         for j in range(ROW):
-            smoothed[k, j] = filtered[k, j] * ahead[j]
-            total += smoothed[k, j]
+            found[j] = here[j] * ahead[j]
+            total += found[j]
         for j in range(ROW):
-            smoothed[k, j] /= total
+            found[j] /= total
         if k == 0:
             break
         # ahead: how likely all that follows is, from each mode and offset of the frame before.
         total = 0.0
         for j in range(ROW):
-            ahead[j] *= likelihood[k, j]
+            ahead[j] *= row[j]
         switch_back(ahead, modes, dt[k], memory)
         for j in range(ROW):
             total += ahead[j]

@@ -26,7 +26,9 @@ from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel, Search
+from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.layout import Field
+from graphtrack.model.kernels.vector_math import exp, log
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.term import Term, Variable
 from graphtrack.tracks import Track
@@ -65,11 +67,11 @@ def add_angle(
     close = cos * mean_cos + sin * mean_sin
     across = sin * mean_cos - cos * mean_sin
     far = kappa * (1.0 - close)
-    if uniform == 0.0:
+    if not any_of(uniform > 0.0):
         gradient[place] += kappa * across
         hessian[place, place] += kappa * close if exact else kappa
         return far
-    value = math.exp(-far)
+    value = exp(-far)
     inlier = value / (value + uniform)
     slope = kappa * across
     gradient[place] += inlier * slope
@@ -77,7 +79,8 @@ def add_angle(
         hessian[place, place] += inlier * kappa * close - inlier * (1.0 - inlier) * slope * slope
     else:
         hessian[place, place] += inlier * kappa
-    return angle_cost(close, kappa, uniform)
+    # As in `angle_cost`.
+    return choose(uniform > 0.0, 2.0 * kappa - log((value + uniform) / (1.0 + uniform)), far)
 
 
 @compiled
@@ -204,6 +207,7 @@ def _observed(name: Variable) -> tuple[Kernel, Kernel]:
             (name,),
             names=names | angle,
             search=Search(add_angle_over, add_angle_quarters),
+            lanes=True,
         ),
         Kernel(
             add_classes,
