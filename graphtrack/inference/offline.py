@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
+from graphtrack.inference.chain.statement import spreads_of, state
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.social import lacks_groups, solve_in_turn
@@ -24,9 +25,6 @@ from graphtrack.inference.solution import (
     OfflineEngine,
     Solution,
     SolverOptions,
-    estimated_track,
-    seconds_to_ends,
-    stated,
 )
 from graphtrack.inference.warm import WHOLE, solver_rehearsal
 from graphtrack.io.given import tracks_of
@@ -269,8 +267,18 @@ def _solve_chains(
     finite = np.logical_and.reduceat(np.isfinite(found.states[:, :4]).all(axis=1), begins)
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
-    ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-    covariance = stated(found.covariance, model.parameters, ends)
+    covariance, states = found.covariance, found.states
+    state(covariance, packed.offsets, packed.t, spreads_of(model.parameters))
+    # Copied for all tracks at once: one by one it would take several times as long.
+    columns: dict[str, Any] = {
+        "position": states[:, :2].copy(),
+        "velocity": states[:, 2:4].copy(),
+        "body": states[:, 4].copy() if model.has_body else None,
+        "head": states[:, 5].copy() if model.has_head else None,
+        "covariance": covariance,
+        "aligned_p": found.modes[:, 0].copy() if model.has_modes else None,
+        "gait_offset": found.modes[:, 1].copy() if model.has_modes else None,
+    }
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         a, b = packed.offsets[m], packed.offsets[m + 1]
@@ -281,7 +289,7 @@ def _solve_chains(
         else:
             answers.append(
                 Solution(
-                    estimated_track(track, found.states[a:b], covariance[a:b], found.modes[a:b]),
+                    track.with_estimates(**{n: None if c is None else c[a:b] for n, c in columns.items()}),
                     float(found.first_cost[m]),
                     float(found.cost[m]),
                     int(found.iterations[m]),

@@ -12,6 +12,7 @@ from graphtrack.inference.chain.restart import AT_START
 from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.side_by_side import lane_memory
 from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.chain.statement import spreads_of, state
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.problem import Problem
@@ -55,7 +56,9 @@ def _part(name: str, model: Model) -> Part:
 
 def solve(model: Model) -> None:
     """Smooth somebody made up."""
-    solve_packed(pack([TRACK], model), model)
+    packed = pack([TRACK], model)
+    found = solve_packed(packed, model)
+    state(found.covariance, packed.offsets, packed.t, spreads_of(model.parameters))
 
 
 def _made_up(model: Model) -> tuple[Problem, Result, Workspace]:

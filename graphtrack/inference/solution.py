@@ -100,7 +100,7 @@ def stated(covariance: FloatArray, parameters: Parameters, ends: FloatArray | fl
     variance = np.einsum("...ii->...i", covariance)[..., 4:]
     with np.errstate(invalid="ignore", divide="ignore"):
         widest = UNIFORM_STD / np.sqrt(variance)
-        shrink = np.minimum(np.interp(variance / (1.0 + variance), _SHARES, _SHRINK), widest)
+        shrink = np.minimum(np.interp(variance / (1.0 + variance), _SHARES, SHRINK), widest)
     covariance[..., 4:, :] *= shrink[..., :, None]
     covariance[..., :, 4:] *= shrink[..., None, :]
     head = variance[..., 1]
@@ -162,11 +162,12 @@ def _von_mises_shrink(variance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((density * angle**2).sum(axis=1) / density.sum(axis=1) / variance))
 
 
-_WIDEST = 1e3
-_SHARES = np.linspace(0.0, _WIDEST / (1.0 + _WIDEST), 400)
+WIDEST_SHARE = 1e3 / (1.0 + 1e3)
+_SHARES = np.linspace(0.0, WIDEST_SHARE, 400)
 """P/(1 + P) of the table of what √P is to be multiplied with."""
-_SHRINK = np.append(1.0, _von_mises_shrink(_SHARES[1:] / (1.0 - _SHARES[1:])))
-_KNOTS, _HEIGHTS, _SLOPES = _SHARES.tolist(), _SHRINK.tolist(), (np.diff(_SHRINK) / np.diff(_SHARES)).tolist()
+SHRINK = np.append(1.0, _von_mises_shrink(_SHARES[1:] / (1.0 - _SHARES[1:])))
+"""That table, evenly spaced from 0 to `WIDEST_SHARE`."""
+_KNOTS, _HEIGHTS, _SLOPES = _SHARES.tolist(), SHRINK.tolist(), (np.diff(SHRINK) / np.diff(_SHARES)).tolist()
 """The same for one angle at a time."""
 
 

@@ -12,6 +12,7 @@ from graphtrack.inference.chain.engine import finish, is_chain
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram, program_of
 from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.chain.statement import state
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.initial import pack
@@ -25,7 +26,7 @@ SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online 
 """What is compiled here, in words: both, or one of the two."""
 
 # Seconds that compiling takes on a core, about.
-_START: Costs = {initialise: 3.0, finish: 0.5}
+_START: Costs = {initialise: 3.0, finish: 0.5, state: 0.7}
 _MODES: Costs = {renew_tracks: 1.0}
 _COUPLINGS: Costs = {renew_couplings: 6.5}
 

@@ -305,6 +305,78 @@ def store(_context: Any, array: Any, index: Any, value: Any) -> Any:
     return types.void(array, types.intp, Lanes), emit
 
 
+def _masked_call(builder: Any, name: str, result: Any, *args: Any) -> Any:
+    shapes = [arg.type for arg in args]
+    function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(result, shapes), name)
+    return builder.call(function, args)
+
+
+def _within(builder: Any, begin: Any, stop: Any) -> Any:
+    """The lanes whose place, from ``begin`` on, is before ``stop``."""
+    places = ir.Constant(_WORDS, list(range(LANES)))
+    return builder.icmp_signed("<", places, _all(builder, builder.sub(stop, begin)))
+
+
+def _part(context: Any, builder: Any, array: Any, args: Any) -> tuple[Any, Any, Any]:
+    data = _array_data(context, builder, array, args[0])
+    pointer = builder.bitcast(builder.gep(data, [args[1]]), _DOUBLES.as_pointer())
+    return pointer, ir.Constant(ir.IntType(32), 8), _within(builder, args[1], args[2])
+
+
+@intrinsic
+def load_part(_context: Any, row: Any, begin: Any, stop: Any) -> Any:
+    """`LANES` numbers of one row from a place on, in vectors of their own; 0 from ``stop`` on."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        given = (*_part(context, builder, row, args), ir.Constant(_DOUBLES, [0.0] * LANES))
+        return _masked_call(builder, f"llvm.masked.load.v{LANES}f64.p0v{LANES}f64", _DOUBLES, *given)
+
+    return Lanes(row, types.intp, types.intp), emit
+
+
+@intrinsic
+def store_part(_context: Any, row: Any, begin: Any, stop: Any, value: Any) -> Any:
+    """Put them there, as far as ``stop``."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        given = (args[3], *_part(context, builder, row, args))
+        _masked_call(builder, f"llvm.masked.store.v{LANES}f64.p0v{LANES}f64", ir.VoidType(), *given)
+        return context.get_dummy_value()
+
+    return types.void(row, types.intp, types.intp, Lanes), emit
+
+
+def _folded(builder: Any, value: Any, join: Callable[[Any, Any], Any]) -> Any:
+    """One number of all lanes, joining halves."""
+    width = LANES
+    while width > 1:
+        width //= 2
+        kind = ir.VectorType(ir.IntType(32), width)
+        low, high = (ir.Constant(kind, [begin + i for i in range(width)]) for begin in (0, width))
+        value = join(builder.shuffle_vector(value, value, low), builder.shuffle_vector(value, value, high))
+    return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
+
+
+@intrinsic
+def sum_of(_context: Any, value: Any) -> Any:
+    """The sum over the lanes."""
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        return _folded(builder, args[0], lambda a, b: builder.fadd(a, b, flags=_FLAGS))
+
+    return types.float64(value), emit
+
+
+@intrinsic
+def greatest_lane(_context: Any, value: Any) -> Any:
+    """The greatest of the lanes."""
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        return _folded(builder, args[0], lambda a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b))
+
+    return types.float64(value), emit
+
+
 def _reference(kind: str, size: int) -> Any:
     @intrinsic
     def refer(_context: Any, array: Any, index: Any) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import gtsam
 import numpy as np
@@ -19,6 +19,14 @@ from scipy import special
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.lanes import (
+    LANES,
+    choose,
+    greatest_lane,
+    load_part,
+    store_part,
+    sum_of,
+)
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.kernels.vector_math import exp, log
 from graphtrack.model.observation import States, Step
@@ -80,16 +88,14 @@ def add_seen(
     # The observation as seen from the reference.
     base_cos, base_sin = math.cos(reference), math.sin(reference)
     along, across = cos * base_cos + sin * base_sin, sin * base_cos - cos * base_sin
-    cosines, sines = modes.cos, modes.sin
-    if uniform == 0.0:
-        for j in range(ROW):
-            row[j] -= weight * kappa * (1.0 - cosines[j] * along - sines[j] * across)
-        return
-    # `pose.angle_cost`, in vector instructions.
     share = 1.0 / (1.0 + uniform)
-    for j in range(ROW):
-        density = exp(kappa * (cosines[j] * along + sines[j] * across - 1.0)) + uniform
-        row[j] += weight * (log(density * share) - 2.0 * kappa)
+    for j in range(0, ROW, LANES):
+        # `pose.angle_cost`, of several offsets at a time.
+        close = load_part(modes.cos, j, ROW) * along + load_part(modes.sin, j, ROW) * across
+        says = kappa * (close - 1.0)
+        if uniform > 0.0:
+            says = log((exp(says) + uniform) * share) - 2.0 * kappa
+        store_part(row, j, ROW, load_part(row, j, ROW) + weight * says)
 
 
 @compiled
@@ -107,13 +113,14 @@ def add_seen_classes(
         return
     n_classes = len(heights) - 1
     cos, sin = math.cos(reference), math.sin(reference)
-    for j in range(ROW):
-        along, across = cos * modes.cos[j] - sin * modes.sin[j], sin * modes.cos[j] + cos * modes.sin[j]
-        density = heights[n_classes]
+    for j in range(0, ROW, LANES):
+        own_cos, own_sin = load_part(modes.cos, j, ROW), load_part(modes.sin, j, ROW)
+        along, across = cos * own_cos - sin * own_sin, sin * own_cos + cos * own_sin
+        density = 0.0 * along + heights[n_classes]
         for c in range(n_classes):
             close = along * directions[c, 0] + across * directions[c, 1]
             density += heights[c] * exp(kappa * (close - 1.0))
-        row[j] += weight * log(density)
+        store_part(row, j, ROW, load_part(row, j, ROW) + weight * log(density))
 
 
 @compiled
@@ -140,9 +147,10 @@ def switch(now: FloatArray, modes: Modes, dt: float, memory: FloatArray) -> None
     """Probabilities (ROW,) ``dt`` seconds later, in place: the offset drifts, mode and offset change."""
     drift(now, modes.drift * dt, memory)
     kept = math.exp(-modes.switching * dt)
-    total = 0.0
-    for j in range(ROW):
-        total += now[j]
+    found = 0.0 * load_part(now, 0, 0)
+    for j in range(0, ROW, LANES):
+        found += load_part(now, j, ROW)
+    total = sum_of(found)
     # What changes is drawn anew from the long run.
     anew = (1.0 - kept) * total
     for j in range(BINS):
@@ -155,9 +163,10 @@ def switch(now: FloatArray, modes: Modes, dt: float, memory: FloatArray) -> None
 def switch_back(ahead: FloatArray, modes: Modes, dt: float, memory: FloatArray) -> None:
     """The adjoint of `switch`: from what is likely after ``dt`` seconds to what is before, in place."""
     kept = math.exp(-modes.switching * dt)
-    free = near = 0.0
-    for j in range(BINS):
-        free += ahead[j] * modes.anywhere[j]
+    near, found = 0.0, 0.0 * load_part(ahead, 0, 0)
+    for j in range(0, BINS, LANES):
+        found += load_part(ahead, j, BINS) * load_part(modes.anywhere, j, BINS)
+    free = sum_of(found)
     for j in range(NEAR):
         near += ahead[BINS + j] * modes.share[j]
     anew = (1.0 - kept) * ((1.0 - modes.aligned) * free + modes.aligned * near)
@@ -167,17 +176,21 @@ def switch_back(ahead: FloatArray, modes: Modes, dt: float, memory: FloatArray) 
 
 
 @compiled
+def least(one: Any, other: float) -> Any:
+    """The lesser of two."""
+    return choose(one < other, one, other)
+
+
+@compiled
 def greatest_of(row: FloatArray) -> float:
-    """The greatest of a row (ROW,); by four at a time, since one comparison waits for the one before."""
-    a = b = c = d = row[0]
-    for j in range(0, ROW - 3, 4):
-        a = row[j] if row[j] > a else a
-        b = row[j + 1] if row[j + 1] > b else b
-        c = row[j + 2] if row[j + 2] > c else c
-        d = row[j + 3] if row[j + 3] > d else d
-    for j in range(ROW - ROW % 4, ROW):
-        a = row[j] if row[j] > a else a
-    return max(max(a, b), max(c, d))
+    """The greatest of a row (ROW,)."""
+    greatest = load_part(row, 0, ROW)
+    for j in range(1, ROW // LANES):
+        other = load_part(row, j * LANES, ROW)
+        greatest = choose(other > greatest, other, greatest)
+    # The rest with the last whole vector once more.
+    other = load_part(row, ROW - LANES, ROW)
+    return greatest_lane(choose(other > greatest, other, greatest))
 
 
 @compiled
@@ -210,33 +223,43 @@ def infer_modes(
     for k in range(n):
         if dt[k] > 0.0:
             switch(now, modes, dt[k], memory)
-        row, here, total = likelihood[k], filtered[k], 0.0
+        row, here = likelihood[k], filtered[k]
         greatest = greatest_of(row)
-        for j in range(ROW):
-            row[j] = exp(row[j] - greatest)
-            now[j] *= row[j]
-            total += now[j]
-        for j in range(ROW):
-            now[j] /= total
-            here[j] = now[j]
+        total = 0.0 * load_part(row, 0, 0)
+        for j in range(0, ROW, LANES):
+            # What is beyond the row would be more than 0 here.
+            says = exp(least(load_part(row, j, ROW) - greatest, 0.0))
+            store_part(row, j, ROW, says)
+            says *= load_part(now, j, ROW)
+            store_part(now, j, ROW, says)
+            total += says
+        share = 1.0 / sum_of(total)
+        for j in range(0, ROW, LANES):
+            says = share * load_part(now, j, ROW)
+            store_part(now, j, ROW, says)
+            store_part(here, j, ROW, says)
     for k in range(n - 1, -1, -1):
-        row, here, found, total = likelihood[k], filtered[k], smoothed[k], 0.0
-        for j in range(ROW):
-            found[j] = here[j] * ahead[j]
-            total += found[j]
-        for j in range(ROW):
-            found[j] /= total
+        row, here, found = likelihood[k], filtered[k], smoothed[k]
+        total = 0.0 * load_part(row, 0, 0)
+        for j in range(0, ROW, LANES):
+            says = load_part(here, j, ROW) * load_part(ahead, j, ROW)
+            store_part(found, j, ROW, says)
+            total += says
+        share = 1.0 / sum_of(total)
+        for j in range(0, ROW, LANES):
+            store_part(found, j, ROW, share * load_part(found, j, ROW))
         if k == 0:
             break
         # ahead: how likely all that follows is, from each mode and offset of the frame before.
-        total = 0.0
-        for j in range(ROW):
-            ahead[j] *= row[j]
+        for j in range(0, ROW, LANES):
+            store_part(ahead, j, ROW, load_part(ahead, j, ROW) * load_part(row, j, ROW))
         switch_back(ahead, modes, dt[k], memory)
-        for j in range(ROW):
-            total += ahead[j]
-        for j in range(ROW):
-            ahead[j] /= total
+        total = 0.0 * load_part(ahead, 0, 0)
+        for j in range(0, ROW, LANES):
+            total += load_part(ahead, j, ROW)
+        share = 1.0 / sum_of(total)
+        for j in range(0, ROW, LANES):
+            store_part(ahead, j, ROW, share * load_part(ahead, j, ROW))
 
 
 @compiled
@@ -244,12 +267,19 @@ def expected(
     probability: FloatArray, modes: Modes, strength: float, free_strength: float
 ) -> tuple[float, float]:
     """Resultant of the couplings of all modes and offsets: cosine and sine times the concentration."""
-    cos = sin = 0.0
-    for j in range(ROW):
-        weight = probability[j] * (free_strength if j < BINS else strength)
-        cos += weight * modes.cos[j]
-        sin += weight * modes.sin[j]
-    return cos, sin
+    cos = sin = near_cos = near_sin = 0.0 * load_part(probability, 0, 0)
+    for j in range(0, BINS, LANES):
+        weight = load_part(probability, j, BINS)
+        cos += weight * load_part(modes.cos, j, BINS)
+        sin += weight * load_part(modes.sin, j, BINS)
+    for j in range(BINS, ROW, LANES):
+        weight = load_part(probability, j, ROW)
+        near_cos += weight * load_part(modes.cos, j, ROW)
+        near_sin += weight * load_part(modes.sin, j, ROW)
+    return (
+        sum_of(free_strength * cos + strength * near_cos),
+        sum_of(free_strength * sin + strength * near_sin),
+    )
 
 
 @compiled
@@ -260,11 +290,14 @@ def deviation(
 
     Each pulls with the sine of what it is apart, times the strength of its mode.
     """
-    total = 0.0
-    for j in range(ROW):
-        pull = (free_strength if j < BINS else strength) * (modes.sin[j] * cos - modes.cos[j] * sin)
-        total += probability[j] * pull * pull
-    return math.sqrt(total)
+    total = near = 0.0 * load_part(probability, 0, 0)
+    for j in range(0, BINS, LANES):
+        pull = load_part(modes.sin, j, BINS) * cos - load_part(modes.cos, j, BINS) * sin
+        total += load_part(probability, j, BINS) * pull * pull
+    for j in range(BINS, ROW, LANES):
+        pull = load_part(modes.sin, j, ROW) * cos - load_part(modes.cos, j, ROW) * sin
+        near += load_part(probability, j, ROW) * pull * pull
+    return math.sqrt(sum_of(free_strength * free_strength * total + strength * strength * near))
 
 
 @compiled
