@@ -6,6 +6,7 @@ import numpy as np
 
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import solve_packed
+from graphtrack.inference.chain.lane_modes import mode_memory, renew_lanes
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.restart import AT_START
@@ -43,6 +44,7 @@ def _part(name: str, model: Model) -> Part:
         "descent": (program.minimise, lambda: _descend(model)),
         "lanes": (program.minimise_lanes, lambda: _descend_together(model)),
         "grid": (program.find_other_basin, lambda: _look_around(model)),
+        "lane-modes": (renew_lanes, lambda: _renew_together(model)),
         "modes": (renew_tracks, lambda: _renew(model)),
         "couplings": (renew_couplings, lambda: _renew_couplings(model)),
         "spread": (program.spread_tracks, lambda: _spread(model)),
@@ -88,6 +90,13 @@ def _renew(model: Model) -> None:
     problem, result, _ = _made_up(model)
     spread = np.zeros((len(TRACK), 2))
     renew_tracks(problem, result.states, gait_of(model.parameters.gait), result.modes, spread)
+
+
+def _renew_together(model: Model) -> None:
+    problem, result, _ = _made_up(model)
+    spread, gait = np.zeros((len(TRACK), 2)), gait_of(model.parameters.gait)
+    memory = mode_memory(len(TRACK))
+    renew_lanes(problem, np.arange(1), result.states, gait, memory, result.modes, spread)
 
 
 def _renew_couplings(model: Model) -> None:

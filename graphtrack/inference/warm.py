@@ -9,6 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import finish, is_chain
+from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram, program_of
 from graphtrack.inference.chain.start import initialise
@@ -90,7 +91,7 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     inlined: Costs = {program.minimise_lanes: 10.0}
     here, beside = "start lanes", "grid"
     if model.has_modes:
-        called, inlined, beside = {**called, **_MODES}, {**inlined, **_COUPLINGS}, "grid modes"
+        called, beside = {**called, renew_lanes: 7.0}, "grid lane-modes"
     return Rehearsal(
         lambda: solve(_like(model)), called, inlined, lambda: (_parts(model, here), _parts(model, beside))
     )

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
-from graphtrack.geometry.angles import BoolArray, FloatArray
-from graphtrack.inference.chain.elimination import workspace
-from graphtrack.inference.chain.modes import renew_tracks
-from graphtrack.inference.chain.programs import ChainProgram, program_of
+from graphtrack.geometry.angles import BoolArray
+from graphtrack.inference.chain.groups import Groups
+from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.result import NOT_FINITE, Result
-from graphtrack.inference.chain.side_by_side import lane_memory
 from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
@@ -29,10 +26,6 @@ nothing that the errors on motion capture would show."""
 ON_THE_WAY = 1e4
 """By how much looser the descents before the last end: their last step is taken all the same, after which
 they are nearer than that by far."""
-
-LONGEST = 10_000
-"""Frames of a track that is solved side by side with others, which takes 10 kB a frame of the longest; longer
-ones are solved alone."""
 
 
 def is_chain(model: Model) -> bool:
@@ -90,65 +83,23 @@ def solve_terms(
     ``guessed`` (N, 2): angles that nothing holds without couplings; they stay as they are until there are.
     """
     program, none = program_of(model), np.zeros((0, 2))
-    descend = _descent(program, problem, max_iterations, result)
+    groups = Groups(program, problem, max_iterations, result)
     if not model.has_modes:
-        descend(tolerance, restart, True, none)
+        groups.descend(tolerance, restart, True, none)
         return
     # Without couplings first: from there both the modes and the states are found.
     for gate in program.switched:
         problem.records[gate] = 0.0
     angles = result.states[:, BODY : HEAD + 1]
     first = angles.copy()
-    descend(ON_THE_WAY * tolerance, restart, False, none)
+    groups.descend(ON_THE_WAY * tolerance, restart, False, none)
     if guessed is not None:
         angles[guessed] = first[guessed]
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
     for turn in range(PASSES):
-        renew_tracks(problem, result.states, gait, result.modes, spread)
+        groups.renew(gait, spread)
         last = turn == PASSES - 1
-        descend(tolerance if last else ON_THE_WAY * tolerance, False, last, spread if last else none)
-
-
-def _descent(
-    program: ChainProgram, problem: Problem, max_iterations: int, result: Result
-) -> Callable[[float, bool, bool, FloatArray], None]:
-    """What solves all tracks from the states in the result, in place.
-
-    It is given the tolerance, whether to look for other basins, whether covariances are wanted, and what
-    modes leave open, as `lane_solver.solve_lanes`.
-    """
-    lengths = np.diff(problem.offsets)
-    order = np.argsort(-lengths, kind="stable")
-    longer = int(np.count_nonzero(lengths > LONGEST))
-    alone, together = order[:longer], order[longer:]
-    numbers = problem.records.view(float).reshape(len(problem.records), -1)
-    memory = lane_memory(int(lengths[together].max()), numbers.shape[1]) if len(together) else None
-    single = workspace(int(lengths.max())) if longer else None
-
-    def descend(tolerance: float, restart: bool, covariance: bool, spread: FloatArray) -> None:
-        if memory is not None:
-            program.solve_lanes(
-                problem,
-                numbers,
-                together,
-                max_iterations,
-                tolerance,
-                restart,
-                covariance,
-                spread,
-                memory,
-                result,
-            )
-        if single is not None:
-            program.solve_tracks(problem, alone, max_iterations, tolerance, restart, single, result)
-            if len(spread):
-                for track in alone:
-                    own = problem._replace(
-                        offsets=problem.offsets[track : track + 2], origin=problem.origin[track : track + 1]
-                    )
-                    program.spread_tracks(own, result.states, spread, single, result.covariance)
-
-    return descend
+        groups.descend(tolerance if last else ON_THE_WAY * tolerance, False, last, spread if last else none)
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:

@@ -43,7 +43,7 @@ BINS, NEAR = 36, 7
 
 ROW = BINS + NEAR
 
-_MOST_DRIFT = 100
+MOST_DRIFT = 100
 
 
 class Modes(NamedTuple):
@@ -130,7 +130,7 @@ def drift(probability: FloatArray, variance: float, memory: FloatArray) -> None:
     if not share > 0.0:
         return
     # More passes than that leave hardly anything but the uniform density.
-    passes = int(min(math.ceil(2.0 * share), _MOST_DRIFT))
+    passes = int(min(math.ceil(2.0 * share), MOST_DRIFT))
     side = min(0.5 * share / passes, 1.0 / 3.0)
     for _ in range(passes):
         for j in range(BINS):
@@ -341,6 +341,10 @@ def _modes(parameters: GaitParameters, side: str) -> Modes:
 
 def angle_information(kappa: FloatArray) -> FloatArray:
     """Fisher information κ·I₁(κ)/I₀(κ) of an angle seen with concentration κ."""
+    highest = np.max(kappa, initial=0.0)
+    if np.all((kappa == highest) | (kappa == 0.0)):
+        # As where no observation states its own: the Bessel functions take long.
+        return np.where(kappa > 0.0, highest * special.i1e(highest) / special.i0e(highest), 0.0)
     return np.asarray(kappa * special.i1e(kappa) / special.i0e(kappa))
 
 
