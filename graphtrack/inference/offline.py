@@ -130,7 +130,7 @@ def solve_tracks(
             solve_tracks, model=model, engine=engine, jobs=jobs, options=options, progress=progress
         )
         return solve_in_turn(tracks, again, model.parameters.social.correlation_time)
-    make_ready(WHOLE, solver_rehearsal(model, engine, tracks.camera))
+    make_ready(WHOLE, solver_rehearsal(model, engine, tracks.camera, [len(track) for track in tracks]))
     if engine == "chain":
         found: list[Solution | Failure] = []
         batches = list(_batches(tracks))
@@ -226,7 +226,7 @@ def smooth_track(
     """
     options = SolverOptions() if options is None else options
     solver = engine_of(model, engine)
-    make_ready(WHOLE, solver_rehearsal(model, solver, camera))
+    make_ready(WHOLE, solver_rehearsal(model, solver, camera, [len(track)]))
     if solver == "gtsam":
         return smooth_graph(track, model, camera, options)
     (result,) = _solve_chains([track], model, camera, options)
@@ -287,9 +287,10 @@ def _solve_chains(
         elif found.status[m] == NOT_FINITE or not finite[m]:
             answers.append(Failure(track.track_id, "the estimate is not finite"))
         else:
+            own: dict[str, Any] = {n: None if c is None else c[a:b] for n, c in columns.items()}
             answers.append(
                 Solution(
-                    track.with_estimates(**{n: None if c is None else c[a:b] for n, c in columns.items()}),
+                    track.with_estimates(**own),
                     float(found.first_cost[m]),
                     float(found.cost[m]),
                     int(found.iterations[m]),

@@ -6,6 +6,7 @@ import numpy as np
 
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import solve_packed
+from graphtrack.inference.chain.groups import Groups
 from graphtrack.inference.chain.lane_modes import mode_memory, renew_lanes
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import program_of
@@ -61,6 +62,17 @@ def solve(model: Model) -> None:
     packed = pack([TRACK], model)
     found = solve_packed(packed, model)
     state(found.covariance, packed.offsets, packed.t, spreads_of(model.parameters))
+
+
+def solve_alone(model: Model) -> None:
+    """Smooth somebody made up as tracks too long to be solved beside others are."""
+    problem, result, _ = _made_up(model)
+    groups, none = Groups(program_of(model), problem, 1, result, longest=0), np.zeros((0, 2))
+    groups.descend(1e-12, True, True, none)
+    if model.has_modes:
+        spread = np.zeros((len(TRACK), 2))
+        groups.renew(gait_of(model.parameters.gait), spread)
+        groups.descend(1e-12, False, True, spread)
 
 
 def _made_up(model: Model) -> tuple[Problem, Result, Workspace]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import finish, is_chain
+from graphtrack.inference.chain.groups import LONGEST
 from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram, program_of
@@ -17,11 +19,11 @@ from graphtrack.inference.chain.statement import state
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.initial import pack
-from graphtrack.inference.parts import STEP, TRACK, parts_of, solve
+from graphtrack.inference.parts import STEP, TRACK, parts_of, solve, solve_alone
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between
-from graphtrack.readiness import Costs, Part, Rehearsal, is_cold, make_ready
+from graphtrack.readiness import CompiledFunction, Costs, Part, Rehearsal, is_cold, make_ready
 
 SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
 """What is compiled here, in words: both, or one of the two."""
@@ -69,10 +71,12 @@ def warm_up(
         make_ready(SOLVER, offline_rehearsal(model), online_rehearsal(model))
 
 
-def solver_rehearsal(model: Model, engine: OfflineEngine, camera: GroundCamera | None = None) -> Rehearsal:
-    """What an engine calls for whole tracks."""
+def solver_rehearsal(
+    model: Model, engine: OfflineEngine, camera: GroundCamera | None = None, lengths: Sequence[int] = (1,)
+) -> Rehearsal:
+    """What an engine calls for whole tracks, of some ``lengths`` in frames."""
     if engine != "gtsam":
-        return offline_rehearsal(model, camera)
+        return offline_rehearsal(model, camera, lengths=lengths)
     # With terms of one's own it asks for the grid where it needs it.
     return start_rehearsal() if has_own_kernels(model) and not model.has_modes else graph_rehearsal(model)
 
@@ -82,19 +86,42 @@ def has_own_kernels(model: Model) -> bool:
     return any("kernels" in vars(kind) for kind in model.own_terms)
 
 
-def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps: bool = False) -> Rehearsal:
+def offline_rehearsal(
+    model: Model,
+    camera: GroundCamera | None = None,
+    *,
+    steps: bool = False,
+    lengths: Sequence[int] = (1,),
+) -> Rehearsal:
     """What the chain engine calls for whole tracks; Newton's ``steps`` even where the model is linear."""
     if camera is None and not steps and model.is_linear(pack([TRACK], model)):
         return start_rehearsal()
     program = program_of(model)
-    called: Costs = {**_START, **_steps(program)}
-    inlined: Costs = {program.minimise_lanes: 10.0}
-    here, beside = "start lanes", "grid"
-    if model.has_modes:
-        called, beside = {**called, renew_lanes: 7.0}, "grid lane-modes"
+    called, inlined, here, beside = {**_START}, dict[CompiledFunction, float](), "start", "grid"
+    # Tracks beside each other, and long ones alone.
+    together, alone = min(lengths, default=1) <= LONGEST, max(lengths, default=1) > LONGEST
+    if together:
+        called, inlined, here = {**called, **_steps(program)}, {program.minimise_lanes: 10.0}, f"{here} lanes"
+    if alone:
+        called, inlined = {**called, program.solve_tracks: 2.0}, {**inlined, **_descent(program)}
+        here = f"{here} descent"
+    if model.has_modes and together:
+        called, beside = {**called, renew_lanes: 7.0}, f"{beside} lane-modes"
+    if model.has_modes and alone:
+        called, inlined = {**called, **_MODES, program.spread_tracks: 3.0}, {**inlined, **_COUPLINGS}
+        beside = f"{beside} modes spread"
     return Rehearsal(
-        lambda: solve(_like(model)), called, inlined, lambda: (_parts(model, here), _parts(model, beside))
+        lambda: _solve_both(_like(model), together, alone),
+        called,
+        inlined,
+        lambda: (_parts(model, here), _parts(model, beside)),
     )
+
+
+def _solve_both(model: Model, together: bool, alone: bool) -> None:
+    solve(model if together else Model("position"))
+    if alone:
+        solve_alone(model)
 
 
 def graph_rehearsal(model: Model) -> Rehearsal:

@@ -28,14 +28,22 @@ class Groups:
     program : the engine
     problem, max_iterations : as in `engine.solve_packed`
     result : holds the states from which each descent begins, and where it ends
+    longest : frames up to which a track is solved beside others; `LONGEST` by default
     """
 
-    def __init__(self, program: ChainProgram, problem: Problem, max_iterations: int, result: Result) -> None:
+    def __init__(
+        self,
+        program: ChainProgram,
+        problem: Problem,
+        max_iterations: int,
+        result: Result,
+        longest: int | None = None,
+    ) -> None:
         self._program, self._problem, self._result = program, problem, result
         self._max_iterations = max_iterations
         lengths = np.diff(problem.offsets)
         order = np.argsort(-lengths, kind="stable")
-        longer = int(np.count_nonzero(lengths > LONGEST))
+        longer = int(np.count_nonzero(lengths > (LONGEST if longest is None else longest)))
         self._alone, self._together = order[:longer], order[longer:]
         self._longest = int(lengths[self._together].max(initial=0))
         self._numbers = problem.records.view(float).reshape(len(problem.records), -1)

@@ -298,7 +298,7 @@ def infer_lanes(n: int, modes: Modes, memory: ModeMemory) -> None:
 
 @compiled
 def couple_lanes(k: int, modes: Modes, kappa: Any, lead_cos: Any, lead_sin: Any, memory: ModeMemory) -> Any:
-    """`modes.couple` of all lanes: κ, cosine and sine of the offset, what it pulls with, those of the mean."""
+    """`modes.couple` of all lanes: κ, cosine and sine of the offset, its pull, and those of the mean."""
     free_cos = free_sin = near_cos = near_sin = free = near = 0.0 * kappa
     first, cosines, sines = k * ROW, modes.cos, modes.sin
     for j in range(BINS):
@@ -419,8 +419,8 @@ def renew_group(
         kappa, offset_cos, offset_sin, pull, mean_cos, mean_sin = couple_lanes(
             k, gait.body, load(given, at + _BODY_KAPPA), lead_cos, lead_sin, memory
         )
-        excess, weight = squared_excess(vx, vy, threshold), load(given, at + _WEIGHT)
-        loose = loosened_lanes(kappa, excess, gait.body.lead - left, weight, diffusion)
+        beyond, weight = squared_excess(vx, vy, threshold), load(given, at + _WEIGHT)
+        loose = loosened_lanes(kappa, beyond, gait.body.lead - left, weight, diffusion)
         store(memory.held, 2 * k, mean_cos)
         store(memory.held, 2 * k + 1, mean_sin)
         store(found, 0, loose)

@@ -314,7 +314,8 @@ class _PoseLikelihood(Term):
             if likelihood.outlier_probability > 0.0:
                 # The densities at the outliers and at the peak: ε/2π over (1 − ε)/(2π·I₀(κ)·e^−κ).
                 odds = likelihood.outlier_probability / (1.0 - likelihood.outlier_probability)
-                records[f"{name}_uniform"] = odds * special.i0e(kappa)
+                alike = len(kappa) > 0 and bool(np.all(kappa == kappa[0]))
+                records[f"{name}_uniform"] = odds * special.i0e(kappa[0] if alike else kappa)
         if heights is not None:
             seen = np.isfinite(heights[:, 0])
             records[f"{name}_class_kappa"][seen] = class_kappa(heights.shape[1] - 1)
