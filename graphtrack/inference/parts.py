@@ -7,7 +7,8 @@ import numpy as np
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import solve_packed
 from graphtrack.inference.chain.groups import Groups
-from graphtrack.inference.chain.lane_modes import mode_memory, renew_lanes
+from graphtrack.inference.chain.lane_mode_memory import mode_memory
+from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.restart import AT_START

@@ -13,7 +13,8 @@ from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.inference import Solution, solve
 from graphtrack.inference.chain import groups
 from graphtrack.inference.chain.engine import solve_packed
-from graphtrack.inference.chain.lane_modes import mode_memory, renew_lanes
+from graphtrack.inference.chain.lane_mode_memory import mode_memory
+from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.statement import spreads_of, state

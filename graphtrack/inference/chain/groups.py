@@ -8,7 +8,8 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import workspace
-from graphtrack.inference.chain.lane_modes import mode_memory, renew_lanes
+from graphtrack.inference.chain.lane_mode_memory import mode_memory
+from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram
 from graphtrack.inference.chain.result import Result

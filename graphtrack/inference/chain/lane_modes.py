@@ -3,122 +3,42 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.lane_mode_memory import (
+    AHEAD_BODY,
+    AHEAD_VX,
+    AHEAD_VY,
+    BODY_INFORMATION,
+    BODY_KAPPA,
+    CLASSES,
+    DT,
+    FIELDS,
+    HEAD_INFORMATION,
+    HEAD_KAPPA,
+    OF_BODY,
+    OF_HEAD,
+    OWN_BODY,
+    OWN_VX,
+    OWN_VY,
+    SEEN,
+    TURN,
+    WEIGHT,
+    ModeMemory,
+    gather_modes,
+)
 from graphtrack.inference.chain.modes import is_seen
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lanes import LANES, any_of, choose, load, store
-from graphtrack.model.kernels.layout import BODY, VX, VY
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.vector_math import cos_sin, exp, log
+from graphtrack.model.kernels.vector_math import cos_sin, direction_of, exp, log
 from graphtrack.model.terms.body_follows_motion import squared_excess
 from graphtrack.model.terms.gait import BINS, MOST_DRIFT, NEAR, ROW, Gait, Modes, add_seen_classes
 from graphtrack.model.terms.intentional_motion import steer
-
-_DT, _SEEN, _WEIGHT, _BODY_KAPPA, _HEAD_KAPPA, _BODY_INFORMATION, _HEAD_INFORMATION = range(7)
-_OF_BODY, _OF_HEAD = 7, 11  # cosine, sine, concentration and outliers of what was seen
-_VX, _VY, _BODY, _AHEAD_VX, _AHEAD_VY, _AHEAD_BODY = range(15, 21)
-_CLASSES = 21
-_FIELDS = 22
-_TURN = 2.0 * math.pi
-
-
-class ModeMemory(NamedTuple):
-    """A group of tracks of up to n frames; lanes come last."""
-
-    tracks: NDArray[np.int64]  # (LANES,) which; −1: none
-    given: FloatArray  # (n, _FIELDS, LANES)
-    row: FloatArray  # (n, ROW, LANES)
-    probability: FloatArray  # (n, ROW, LANES)
-    now: FloatArray  # (ROW, LANES)
-    before: FloatArray  # (BINS, LANES)
-    held: FloatArray  # (n, 2, LANES) cosine and sine of the offset from motion to body
-    found: FloatArray  # (6, LANES)
-
-
-def mode_memory(n: int) -> ModeMemory:
-    """Memory for tracks of up to n frames."""
-    return ModeMemory(
-        np.empty(LANES, np.int64),
-        np.empty((n, _FIELDS, LANES)),
-        np.empty((n, ROW, LANES)),
-        np.empty((n, ROW, LANES)),
-        np.empty((ROW, LANES)),
-        np.empty((BINS, LANES)),
-        np.empty((n, 2, LANES)),
-        np.empty((6, LANES)),
-    )
-
-
-@compiled
-def look_ahead(given: FloatArray, lane: int, n: int, lead: float, of_motion: bool) -> None:
-    """`modes.leading_angles` of a lane, of motion as a vector."""
-    at, since = 0, lead
-    for k in range(n):
-        if k > 0:
-            since += given[k, _DT, lane]
-        while at < n - 1 and since >= given[at + 1, _DT, lane]:
-            since -= given[at + 1, _DT, lane]
-            at += 1
-        while at > 0 and since < 0.0:
-            since += given[at, _DT, lane]
-            at -= 1
-        share = 0.0
-        if at < n - 1:
-            share = min(max(since / given[at + 1, _DT, lane], 0.0), 1.0)
-        after = min(at + 1, n - 1)
-        if of_motion:
-            for i in range(2):
-                own, other = given[at, _VX + i, lane], given[after, _VX + i, lane]
-                given[k, _AHEAD_VX + i, lane] = (1.0 - share) * own + share * other
-        else:
-            # Neighbours may be written in different turns.
-            turn = given[after, _BODY, lane] - given[at, _BODY, lane]
-            turn -= _TURN * math.floor(turn / _TURN + 0.5)
-            given[k, _AHEAD_BODY, lane] = given[at, _BODY, lane] + share * turn
-
-
-@compiled
-def gather_modes(problem: Problem, states: FloatArray, gait: Gait, memory: ModeMemory) -> int:
-    """Put what the recursions read of a group's frames side by side; returns its length."""
-    given, longest = memory.given, 0
-    for track in memory.tracks:
-        if track >= 0:
-            longest = max(longest, problem.offsets[track + 1] - problem.offsets[track])
-    given[:longest] = 0.0
-    for lane in range(LANES):
-        track = memory.tracks[lane]
-        if track < 0:
-            continue
-        a, n = problem.offsets[track], problem.offsets[track + 1] - problem.offsets[track]
-        for k in range(n):
-            frame, row = problem.records[a + k], given[k]
-            row[_DT, lane] = frame.dt
-            row[_SEEN, lane] = 1.0 if is_seen(frame) else 0.0
-            row[_WEIGHT, lane] = frame.coupling_weight
-            row[_BODY_KAPPA, lane], row[_HEAD_KAPPA, lane] = (
-                frame.body_aligned_kappa,
-                frame.head_aligned_kappa,
-            )
-            row[_BODY_INFORMATION, lane] = frame.body_information
-            row[_HEAD_INFORMATION, lane] = frame.head_information
-            row[_OF_BODY, lane], row[_OF_BODY + 1, lane] = frame.seen_body_cos, frame.seen_body_sin
-            row[_OF_BODY + 2, lane], row[_OF_BODY + 3, lane] = frame.body_kappa, frame.body_uniform
-            row[_OF_HEAD, lane], row[_OF_HEAD + 1, lane] = frame.seen_head_cos, frame.seen_head_sin
-            row[_OF_HEAD + 2, lane], row[_OF_HEAD + 3, lane] = frame.head_kappa, frame.head_uniform
-            row[_CLASSES, lane] = max(frame.body_class_kappa, frame.head_class_kappa)
-            row[_VX, lane], row[_VY, lane], row[_BODY, lane] = (
-                states[a + k, VX],
-                states[a + k, VY],
-                states[a + k, BODY],
-            )
-        look_ahead(given, lane, n, gait.body.lead, True)
-        look_ahead(given, lane, n, gait.head.lead, False)
-    return longest
 
 
 @compiled
@@ -160,7 +80,7 @@ def judge_classes(
     """The same of class likelihoods in frame k, track by track; ``cos`` (2, LANES) is the direction."""
     for lane in range(LANES):
         track = memory.tracks[lane]
-        if track < 0 or not memory.given[k, _CLASSES, lane] > 0.0 or not weights[0, lane] > 0.0:
+        if track < 0 or not memory.given[k, CLASSES, lane] > 0.0 or not weights[0, lane] > 0.0:
             continue
         place = problem.offsets[track] + k
         frame, says, angle = problem.records[place], np.zeros(ROW), math.atan2(cos[1, lane], cos[0, lane])
@@ -180,15 +100,6 @@ def judge_classes(
             add_seen_classes(says, modes, weights[0, lane], angle, heights[place], directions, kappa)
             for j in range(ROW):
                 memory.row[k, j, lane] += says[j]
-
-
-@compiled
-def direction_of(x: Any, y: Any) -> Any:
-    """Cosine and sine of the direction of a vector; of 0 where there is none."""
-    square = x * x + y * y
-    some = square > 0.0
-    size = math.sqrt(choose(some, square, 1.0))
-    return choose(some, x / size, 1.0), choose(some, y / size, 0.0)
 
 
 @compiled
@@ -213,7 +124,7 @@ def passes_of(drift: float, dt: FloatArray, found: FloatArray) -> int:
     """How many passes the lanes' drifts take, and how far each goes, (2, LANES); returns the most."""
     most = 0
     for lane in range(LANES):
-        share = drift * dt[lane] / (_TURN / BINS) ** 2
+        share = drift * dt[lane] / (TURN / BINS) ** 2
         passes = int(min(math.ceil(2.0 * share), MOST_DRIFT)) if share > 0.0 else 0
         found[0, lane] = passes
         found[1, lane] = min(0.5 * share / passes, 1.0 / 3.0) if passes > 0 else 0.0
@@ -226,15 +137,15 @@ def infer_lanes(n: int, modes: Modes, memory: ModeMemory) -> None:
     """`gait.infer_modes` of all lanes from their rows; the smoothed probabilities are put into the memory."""
     row, probability, now, before = memory.row, memory.probability, memory.now, memory.before
     anywhere, near, found = modes.anywhere, modes.share, memory.found
-    one = load(memory.given, _DT) * 0.0 + 1.0
+    one = load(memory.given, DT) * 0.0 + 1.0
     for j in range(BINS):
         store(now, j, one * (1.0 - modes.aligned) * anywhere[j])
     for j in range(NEAR):
         store(now, BINS + j, one * modes.aligned * near[j])
     for k in range(n):
         if k > 0:
-            dt = load(memory.given, k * _FIELDS + _DT)
-            passes = passes_of(modes.drift, memory.given[k, _DT], found)
+            dt = load(memory.given, k * FIELDS + DT)
+            passes = passes_of(modes.drift, memory.given[k, DT], found)
             drift_lanes(now, passes, load(found, 1), load(found, 0), before)
             # The probabilities sum to 1; what changes is drawn anew from the long run.
             kept = exp(-modes.switching * dt)
@@ -282,16 +193,16 @@ def infer_lanes(n: int, modes: Modes, memory: ModeMemory) -> None:
             says = load(now, BINS + j) * load(row, k * ROW + BINS + j)
             store(now, BINS + j, says)
             aligned += says * near[j]
-        kept = exp(-modes.switching * load(memory.given, k * _FIELDS + _DT))
+        kept = exp(-modes.switching * load(memory.given, k * FIELDS + DT))
         anew = (1.0 - kept) * ((1.0 - modes.aligned) * free + modes.aligned * aligned)
         total = 0.0 * one
         for j in range(ROW):
             says = kept * load(now, j) + anew
             store(now, j, says)
             total += says
-        passes = passes_of(modes.drift, memory.given[k, _DT], found)
+        passes = passes_of(modes.drift, memory.given[k, DT], found)
         drift_lanes(now, passes, load(found, 1), load(found, 0), before)
-        share, inside = 1.0 / total, load(memory.given, k * _FIELDS + _DT) > 0.0
+        share, inside = 1.0 / total, load(memory.given, k * FIELDS + DT) > 0.0
         for j in range(ROW):
             store(now, j, choose(inside, share * load(now, j), 1.0))
 
@@ -384,24 +295,24 @@ def renew_group(
     threshold, diffusion = shared.speed_threshold, shared.body_diffusion
     direction, weights = np.empty((2, LANES)), np.empty((1, LANES))
     for k in range(n):
-        at = k * _FIELDS
-        zero = 0.0 * load(given, at + _DT)
+        at = k * FIELDS
+        zero = 0.0 * load(given, at + DT)
         for j in range(ROW):
             store(row, k * ROW + j, zero)
-        vx, vy = load(given, at + _VX), load(given, at + _VY)
-        coupling = load(given, at + _BODY_KAPPA) * squared_excess(vx, vy, threshold)
-        active = (coupling > 0.0) & (load(given, at + _SEEN) > 0.0)
+        vx, vy = load(given, at + OWN_VX), load(given, at + OWN_VY)
+        coupling = load(given, at + BODY_KAPPA) * squared_excess(vx, vy, threshold)
+        active = (coupling > 0.0) & (load(given, at + SEEN) > 0.0)
         if not any_of(active):
             continue
         # As in `modes.judge_body`.
-        cos, sin = direction_of(load(given, at + _AHEAD_VX), load(given, at + _AHEAD_VY))
-        head, loose = load(given, at + _HEAD_INFORMATION), coupling * load(given, at + _HEAD_KAPPA)
-        apart = coupling + load(given, at + _HEAD_KAPPA)
-        share = choose(active, coupling / (coupling + load(given, at + _BODY_INFORMATION)), 0.0)
+        cos, sin = direction_of(load(given, at + AHEAD_VX), load(given, at + AHEAD_VY))
+        head, loose = load(given, at + HEAD_INFORMATION), coupling * load(given, at + HEAD_KAPPA)
+        apart = coupling + load(given, at + HEAD_KAPPA)
+        share = choose(active, coupling / (coupling + load(given, at + BODY_INFORMATION)), 0.0)
         head_share = choose(active, gait.head_evidence * loose / (loose + head * apart + 1e-300), 0.0)
-        judge(given, at + _OF_BODY, (row, k * ROW), gait.body, share, cos, sin)
-        judge(given, at + _OF_HEAD, (row, k * ROW), gait.body, head_share, cos, sin)
-        if any_of(load(given, at + _CLASSES) > 0.0):
+        judge(given, at + OF_BODY, (row, k * ROW), gait.body, share, cos, sin)
+        judge(given, at + OF_HEAD, (row, k * ROW), gait.body, head_share, cos, sin)
+        if any_of(load(given, at + CLASSES) > 0.0):
             store(direction, 0, cos)
             store(direction, 1, sin)
             store(weights, 0, share)
@@ -409,17 +320,17 @@ def renew_group(
             store(weights, 0, head_share)
             judge_classes(problem, k, weights, direction, gait.body, False, memory)
     infer_lanes(n, gait.body, memory)
-    left = 0.0 * load(given, _DT)
+    left = 0.0 * load(given, DT)
     for k in range(n - 1, -1, -1):
-        at = k * _FIELDS
-        vx, vy = load(given, at + _VX), load(given, at + _VY)
+        at = k * FIELDS
+        vx, vy = load(given, at + OWN_VX), load(given, at + OWN_VY)
         own_cos, own_sin = direction_of(vx, vy)
-        cos, sin = direction_of(load(given, at + _AHEAD_VX), load(given, at + _AHEAD_VY))
+        cos, sin = direction_of(load(given, at + AHEAD_VX), load(given, at + AHEAD_VY))
         lead_cos, lead_sin = cos * own_cos + sin * own_sin, sin * own_cos - cos * own_sin
         kappa, offset_cos, offset_sin, pull, mean_cos, mean_sin = couple_lanes(
-            k, gait.body, load(given, at + _BODY_KAPPA), lead_cos, lead_sin, memory
+            k, gait.body, load(given, at + BODY_KAPPA), lead_cos, lead_sin, memory
         )
-        beyond, weight = squared_excess(vx, vy, threshold), load(given, at + _WEIGHT)
+        beyond, weight = squared_excess(vx, vy, threshold), load(given, at + WEIGHT)
         loose = loosened_lanes(kappa, beyond, gait.body.lead - left, weight, diffusion)
         store(memory.held, 2 * k, mean_cos)
         store(memory.held, 2 * k + 1, mean_sin)
@@ -428,37 +339,37 @@ def renew_group(
         store(found, 2, offset_sin)
         store(found, 3, choose(kappa > 0.0, pull * loose / kappa, 0.0))
         put_body(problem, k, memory, modes, spread)
-        left += load(given, at + _DT)
+        left += load(given, at + DT)
     for k in range(n):
-        at = k * _FIELDS
-        zero = 0.0 * load(given, at + _DT)
+        at = k * FIELDS
+        zero = 0.0 * load(given, at + DT)
         for j in range(ROW):
             store(row, k * ROW + j, zero)
-        coupling = load(given, at + _HEAD_KAPPA)
+        coupling = load(given, at + HEAD_KAPPA)
         # As in `modes.judge_head`.
-        moves = squared_excess(load(given, at + _VX), load(given, at + _VY), threshold) > 0.0
-        known = (moves & (load(given, at + _SEEN) > 0.0)) | (load(given, at + _BODY_INFORMATION) > 0.0)
+        moves = squared_excess(load(given, at + OWN_VX), load(given, at + OWN_VY), threshold) > 0.0
+        known = (moves & (load(given, at + SEEN) > 0.0)) | (load(given, at + BODY_INFORMATION) > 0.0)
         active = (coupling > 0.0) & known
         if not any_of(active):
             continue
-        cos, sin = cos_sin(load(given, at + _AHEAD_BODY))
-        share = choose(active, coupling / (coupling + load(given, at + _HEAD_INFORMATION)), 0.0)
-        judge(given, at + _OF_HEAD, (row, k * ROW), gait.head, share, cos, sin)
-        if any_of(load(given, at + _CLASSES) > 0.0):
+        cos, sin = cos_sin(load(given, at + AHEAD_BODY))
+        share = choose(active, coupling / (coupling + load(given, at + HEAD_INFORMATION)), 0.0)
+        judge(given, at + OF_HEAD, (row, k * ROW), gait.head, share, cos, sin)
+        if any_of(load(given, at + CLASSES) > 0.0):
             store(direction, 0, cos)
             store(direction, 1, sin)
             store(weights, 0, share)
             judge_classes(problem, k, weights, direction, gait.head, False, memory)
     infer_lanes(n, gait.head, memory)
-    left = 0.0 * load(given, _DT)
+    left = 0.0 * load(given, DT)
     common = math.sqrt(gait.head_common)
     for k in range(n - 1, -1, -1):
-        at = k * _FIELDS
-        lead_cos, lead_sin = cos_sin(load(given, at + _AHEAD_BODY) - load(given, at + _BODY))
+        at = k * FIELDS
+        lead_cos, lead_sin = cos_sin(load(given, at + AHEAD_BODY) - load(given, at + OWN_BODY))
         kappa, offset_cos, offset_sin, pull, mean_cos, mean_sin = couple_lanes(
-            k, gait.head, load(given, at + _HEAD_KAPPA), lead_cos, lead_sin, memory
+            k, gait.head, load(given, at + HEAD_KAPPA), lead_cos, lead_sin, memory
         )
-        weight = load(given, at + _WEIGHT)
+        weight = load(given, at + WEIGHT)
         loose = loosened_lanes(kappa, 1.0, gait.head.lead - left, weight, diffusion)
         store(found, 0, loose)
         store(found, 1, offset_cos)
@@ -467,7 +378,7 @@ def renew_group(
         # The head steers as far as it is expected to point where the motion goes.
         store(weights, 0, load(memory.held, 2 * k) * mean_cos - load(memory.held, 2 * k + 1) * mean_sin)
         put_head(problem, k, gait.head_rate_seen, weights, memory, spread)
-        left += load(given, at + _DT)
+        left += load(given, at + DT)
 
 
 @compiled

@@ -34,6 +34,7 @@ _TURNS = tuple(f"{name}_{part}" for name in ("body", "head") for part in ("cos",
 _OWN = ("gradient", "hessian")
 _LINK = ("gradient_before", "gradient", "hessian_before", "hessian", "transition")
 _NOTED = {name: f"turns[k, {i}]" for i, name in enumerate(_TURNS)}
+_LANE_NAMES = ("any_of", "choose", "load", "masked", "matrix_of", "negate", "row_of", "store")
 _WIDTH = 110
 _TAKEN = (
     "add_own",
@@ -106,17 +107,9 @@ class Program:
         body = "\n".join([self._side_by_side(), self._others()])
         names = ", ".join(name for name in ("BODY", "HEAD") if re.search(rf"\b{name}\b", body))
         layout = f"from graphtrack.model.kernels.layout import {names}\n" if names else ""
-        source = LANE_HEADER.format(imports=self._import_lines(), layout=layout, title=title) + body
-        used = set(re.findall(r"\w+", body))
-        lines = []
-        for line in source.split("\n"):
-            if line.startswith("from graphtrack.model.kernels.lanes import"):
-                first, _, names = line.partition(" import ")
-                line = f"{first} import " + ", ".join(n for n in names.split(", ") if n in used)
-            lines.append(line)
-        return "\n".join(lines).replace(
-            "import numpy as np\n\n", "" if "np." not in body else "import numpy as np\n\n"
-        )
+        lanes = ", ".join(name for name in _LANE_NAMES if re.search(rf"\b{name}\b", body))
+        given = {"layout": layout, "lanes": lanes, "imports": self._import_lines()}
+        return LANE_HEADER.format(title=title, **given) + body
 
     def _check(self) -> None:
         """Every parameter of a kernel is known, and no two fields have one name."""

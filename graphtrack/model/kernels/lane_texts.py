@@ -11,11 +11,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.lanes import any_of, choose, load, masked, matrix_of, negate, row_of, store
+from graphtrack.model.kernels.lanes import {lanes}
 {layout}from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.vector_math import cos_sin
 {imports}

@@ -12,157 +12,50 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-import numba
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.imputils import lower_builtin, lower_cast
+from numba.core.imputils import lower_builtin
 from numba.core.typing import signature
 from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.extending import intrinsic, models, overload, register_model
+from numba.extending import intrinsic, overload
 
-LANES = 8
-"""Tracks that are solved side by side."""
+from graphtrack.model.kernels.lane_types import (
+    DOUBLES,
+    FLAGS,
+    LANES,
+    WORDS,
+    LaneMask,
+    Lanes,
+    RefType,
+    in_all,
+)
 
-_FLAGS = ("contract", "reassoc", "nsz", "arcp")
-_DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
-_WORDS = ir.VectorType(ir.IntType(64), LANES)
-_BITS = ir.VectorType(ir.IntType(1), LANES)
-
-
-class _LanesType(types.Type):
-    def can_convert_from(self, typingctx: Any, other: types.Type) -> Any:
-        return numba.core.typeconv.Conversion.safe if isinstance(other, types.Number) else None
-
-    def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
-        return self if isinstance(other, types.Number) else None
-
-
-class _RefType(types.Type):
-    """Where the numbers of all lanes stand; ``masked``: what is put there reaches some lanes alone."""
-
-    def __init__(self, kind: str, masked: bool) -> None:
-        self.kind, self.masked = kind, masked
-        super().__init__(name=f"Lane{kind}({masked})")
-
-
-Lanes = _LanesType(name="Lanes")
-LaneMask = types.Type(name="LaneMask")
-
-
-@register_model(_LanesType)
-class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: types.Type) -> None:
-        super().__init__(manager, kind, _DOUBLES)
-
-
-@register_model(type(LaneMask))
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: types.Type) -> None:
-        super().__init__(manager, kind, _BITS)
-
-
-@register_model(_RefType)
-class _RefModel(models.StructModel):
-    def __init__(self, manager: Any, kind: _RefType) -> None:
-        members = [("data", types.CPointer(types.float64))]
-        super().__init__(manager, kind, [*members, ("mask", LaneMask)] if kind.masked else members)
-
-
-# -- arithmetic --------------------------------------------------------------------------------------------
-
-
-def _all(builder: Any, value: Any) -> Any:
-    """One number in all lanes."""
-    vector = ir.VectorType(value.type, LANES)
-    first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-    return builder.shuffle_vector(first, first, zeros)
-
-
-@lower_cast(types.Number, Lanes)
-def _number_to_lanes(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
-    return _all(builder, context.cast(builder, value, given, types.float64))
-
-
-def _is_pair(args: tuple[Any, ...]) -> bool:
-    numbers = all(arg == Lanes or isinstance(arg, types.Number) for arg in args)
-    return len(args) == 2 and Lanes in args and numbers
-
-
-def _binary(operators: tuple[Callable[..., Any], ...], emit: Callable[[Any, Any, Any], Any], to: Any) -> None:
-    class Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            return signature(to, Lanes, Lanes) if _is_pair(args) else None
-
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return emit(builder, *args)
-
-    for one in operators:
-        infer_global(one)(type(f"Lanes_{one.__name__}", (Template,), {}))
-        lower_builtin(one, Lanes, Lanes)(lower)
-
-
-def _arithmetic(name: str) -> Callable[[Any, Any, Any], Any]:
-    return lambda builder, x, y: getattr(builder, name)(x, y, flags=_FLAGS)
-
-
-def _comparison(sign: str) -> Callable[[Any, Any, Any], Any]:
-    return lambda builder, x, y: builder.fcmp_ordered(sign, x, y)
-
-
-for _operators, _name in (
-    ((operator.add, operator.iadd), "fadd"),
-    ((operator.sub, operator.isub), "fsub"),
-    ((operator.mul, operator.imul), "fmul"),
-    ((operator.truediv, operator.itruediv), "fdiv"),
-):
-    _binary(_operators, _arithmetic(_name), Lanes)
-for _operator, _sign in ((operator.gt, ">"), (operator.ge, ">="), (operator.lt, "<"), (operator.le, "<=")):
-    _binary((_operator,), _comparison(_sign), LaneMask)
-
-
-@infer_global(operator.neg)
-class _Negative(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(Lanes, Lanes) if args == (Lanes,) else None
-
-
-@lower_builtin(operator.neg, Lanes)
-def _negative(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.fsub(ir.Constant(_DOUBLES, [-0.0] * LANES), args[0])
-
-
-@infer_global(operator.and_)
-@infer_global(operator.iand)
-class _And(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(LaneMask, LaneMask, LaneMask) if args == (LaneMask, LaneMask) else None
-
-
-@lower_builtin(operator.and_, LaneMask, LaneMask)
-@lower_builtin(operator.iand, LaneMask, LaneMask)
-def _and(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.and_(*args)
-
-
-@infer_global(operator.or_)
-@infer_global(operator.ior)
-class _Or(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
-        return signature(LaneMask, LaneMask, LaneMask) if args == (LaneMask, LaneMask) else None
-
-
-@lower_builtin(operator.or_, LaneMask, LaneMask)
-@lower_builtin(operator.ior, LaneMask, LaneMask)
-def _or(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    return builder.or_(*args)
+__all__ = [
+    "LANES",
+    "any_of",
+    "choose",
+    "floor",
+    "greatest_lane",
+    "load",
+    "load_part",
+    "mantissa_of",
+    "masked",
+    "matrix_of",
+    "negate",
+    "of_lanes",
+    "power_of_two",
+    "row_of",
+    "store",
+    "store_part",
+    "sum_of",
+]
 
 
 def _call(builder: Any, name: str, kind: Any, *args: Any) -> Any:
     """An LLVM intrinsic of floats or lanes."""
     suffix = f"v{LANES}f64" if kind == Lanes else "f64"
-    shape = _DOUBLES if kind == Lanes else ir.DoubleType()
+    shape = DOUBLES if kind == Lanes else ir.DoubleType()
     function = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(shape, [shape] * len(args)), f"llvm.{name}.{suffix}"
     )
@@ -203,14 +96,14 @@ def power_of_two(_context: Any, exponent: Any) -> Any:
         many = exponent == Lanes
         # By way of 32 bits, for which every processor has an instruction.
         short = ir.VectorType(ir.IntType(32), LANES) if many else ir.IntType(32)
-        words = _WORDS if many else ir.IntType(64)
+        words = WORDS if many else ir.IntType(64)
         whole = builder.sext(builder.fptosi(args[0], short), words)
 
         def constant(value: int) -> Any:
             return ir.Constant(words, [value] * LANES if many else value)
 
         bits = builder.shl(builder.add(whole, constant(1023)), constant(52))
-        return builder.bitcast(bits, _DOUBLES if many else ir.DoubleType())
+        return builder.bitcast(bits, DOUBLES if many else ir.DoubleType())
 
     return exponent(exponent), emit
 
@@ -221,7 +114,7 @@ def mantissa_of(_context: Any, x: Any) -> Any:
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         many = x == Lanes
-        words, doubles = (_WORDS, _DOUBLES) if many else (ir.IntType(64), ir.DoubleType())
+        words, doubles = (WORDS, DOUBLES) if many else (ir.IntType(64), ir.DoubleType())
 
         def constant(value: int) -> Any:
             return ir.Constant(words, [value] * LANES if many else value)
@@ -275,7 +168,7 @@ def negate(_context: Any, condition: Any) -> Any:
 
 def _lane_pointer(builder: Any, data: Any, index: Any) -> Any:
     at = builder.gep(data, [builder.mul(index, ir.Constant(index.type, LANES))])
-    return builder.bitcast(at, _DOUBLES.as_pointer())
+    return builder.bitcast(at, DOUBLES.as_pointer())
 
 
 def _array_data(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -313,13 +206,13 @@ def _masked_call(builder: Any, name: str, result: Any, *args: Any) -> Any:
 
 def _within(builder: Any, begin: Any, stop: Any) -> Any:
     """The lanes whose place, from ``begin`` on, is before ``stop``."""
-    places = ir.Constant(_WORDS, list(range(LANES)))
-    return builder.icmp_signed("<", places, _all(builder, builder.sub(stop, begin)))
+    places = ir.Constant(WORDS, list(range(LANES)))
+    return builder.icmp_signed("<", places, in_all(builder, builder.sub(stop, begin)))
 
 
 def _part(context: Any, builder: Any, array: Any, args: Any) -> tuple[Any, Any, Any]:
     data = _array_data(context, builder, array, args[0])
-    pointer = builder.bitcast(builder.gep(data, [args[1]]), _DOUBLES.as_pointer())
+    pointer = builder.bitcast(builder.gep(data, [args[1]]), DOUBLES.as_pointer())
     return pointer, ir.Constant(ir.IntType(32), 8), _within(builder, args[1], args[2])
 
 
@@ -328,8 +221,8 @@ def load_part(_context: Any, row: Any, begin: Any, stop: Any) -> Any:
     """`LANES` numbers of one row from a place on, in vectors of their own; 0 from ``stop`` on."""
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        given = (*_part(context, builder, row, args), ir.Constant(_DOUBLES, [0.0] * LANES))
-        return _masked_call(builder, f"llvm.masked.load.v{LANES}f64.p0v{LANES}f64", _DOUBLES, *given)
+        given = (*_part(context, builder, row, args), ir.Constant(DOUBLES, [0.0] * LANES))
+        return _masked_call(builder, f"llvm.masked.load.v{LANES}f64.p0v{LANES}f64", DOUBLES, *given)
 
     return Lanes(row, types.intp, types.intp), emit
 
@@ -362,7 +255,7 @@ def sum_of(_context: Any, value: Any) -> Any:
     """The sum over the lanes."""
 
     def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
-        return _folded(builder, args[0], lambda a, b: builder.fadd(a, b, flags=_FLAGS))
+        return _folded(builder, args[0], lambda a, b: builder.fadd(a, b, flags=FLAGS))
 
     return types.float64(value), emit
 
@@ -380,7 +273,7 @@ def greatest_lane(_context: Any, value: Any) -> Any:
 def _reference(kind: str, size: int) -> Any:
     @intrinsic
     def refer(_context: Any, array: Any, index: Any) -> Any:
-        to = _RefType(kind, False)
+        to = RefType(kind, False)
 
         def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             data = _array_data(context, builder, array, args[0])
@@ -400,7 +293,7 @@ row_of, matrix_of = _reference("Row", 6), _reference("Matrix", 36)
 @intrinsic
 def masked(_context: Any, reference: Any, mask: Any) -> Any:
     """The same row or matrix, but what is put there reaches the mask's lanes alone."""
-    to = _RefType(reference.kind, True)
+    to = RefType(reference.kind, True)
 
     def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         made = cgutils.create_struct_proxy(to)(context, builder)
@@ -411,7 +304,7 @@ def masked(_context: Any, reference: Any, mask: Any) -> Any:
     return to(reference, LaneMask), emit
 
 
-def _index_of(kind: _RefType, index: Any) -> Any:
+def _index_of(kind: RefType, index: Any) -> Any:
     if isinstance(index, (types.Integer, types.IntegerLiteral)):
         return types.intp
     if isinstance(index, types.BaseTuple) and len(index) == 2:
@@ -422,18 +315,18 @@ def _index_of(kind: _RefType, index: Any) -> Any:
 @infer_global(operator.getitem)
 class _Get(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
-        if not isinstance(args[0], _RefType):
+        if not isinstance(args[0], RefType):
             return None
         to = _index_of(args[0], args[1])
         if args[0].kind == "Matrix" and to == types.intp:
-            return signature(_RefType("Row", args[0].masked), args[0], to)
+            return signature(RefType("Row", args[0].masked), args[0], to)
         return signature(Lanes, args[0], to)
 
 
 @infer_global(operator.setitem)
 class _Set(AbstractTemplate):
     def generic(self, args: Any, kws: Any) -> Any:
-        if not isinstance(args[0], _RefType):
+        if not isinstance(args[0], RefType):
             return None
         return signature(types.void, args[0], _index_of(args[0], args[1]), Lanes)
 
@@ -445,8 +338,8 @@ def _place(builder: Any, index: Any, kind: Any) -> Any:
     return builder.add(builder.mul(rows, ir.Constant(rows.type, 6)), column)
 
 
-@lower_builtin(operator.getitem, _RefType, types.intp)
-@lower_builtin(operator.getitem, _RefType, types.UniTuple)
+@lower_builtin(operator.getitem, RefType, types.intp)
+@lower_builtin(operator.getitem, RefType, types.UniTuple)
 def _get(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     given = cgutils.create_struct_proxy(sig.args[0])(context, builder, value=args[0])
     if sig.return_type != Lanes:
@@ -458,8 +351,8 @@ def _get(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return builder.load(_lane_pointer(builder, given.data, _place(builder, args[1], sig.args[1])), align=8)
 
 
-@lower_builtin(operator.setitem, _RefType, types.intp, Lanes)
-@lower_builtin(operator.setitem, _RefType, types.UniTuple, Lanes)
+@lower_builtin(operator.setitem, RefType, types.intp, Lanes)
+@lower_builtin(operator.setitem, RefType, types.UniTuple, Lanes)
 def _set(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     given = cgutils.create_struct_proxy(sig.args[0])(context, builder, value=args[0])
     pointer, value = _lane_pointer(builder, given.data, _place(builder, args[1], sig.args[1])), args[2]

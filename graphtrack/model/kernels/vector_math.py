@@ -67,6 +67,15 @@ def cos_sin(x: float) -> tuple[float, float]:
 
 
 @compiled
+def direction_of(x: float, y: float) -> tuple[float, float]:
+    """Cosine and sine of the direction of a vector; of 0 where there is none."""
+    square = x * x + y * y
+    some = square > 0.0
+    size = math.sqrt(choose(some, square, 1.0))
+    return choose(some, x / size, 1.0), choose(some, y / size, 0.0)
+
+
+@compiled
 def _cos(x: float) -> float:
     return cos_sin(x)[0]
 

@@ -19,14 +19,7 @@ from scipy import special
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.lanes import (
-    LANES,
-    choose,
-    greatest_lane,
-    load_part,
-    store_part,
-    sum_of,
-)
+from graphtrack.model.kernels.lanes import LANES, choose, greatest_lane, load_part, store_part, sum_of
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.kernels.vector_math import exp, log
 from graphtrack.model.observation import States, Step
