@@ -109,7 +109,7 @@ def smooth(
     observed, chosen, said = trusted(tracks, chosen, trust or "check")
     for line in said:
         console.print(f"  note: {line}", markup=False)
-    make_ready(WHOLE, solver_rehearsal(chosen, solver, tracks.camera))
+    make_ready(WHOLE, solver_rehearsal(chosen, solver, tracks.camera, tracks))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
         found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance)

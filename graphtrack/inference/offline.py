@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
+from graphtrack.inference.chain.stating import state_tracks, stating_of
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.social import lacks_groups, solve_in_turn
@@ -24,9 +25,6 @@ from graphtrack.inference.solution import (
     OfflineEngine,
     Solution,
     SolverOptions,
-    estimated_track,
-    seconds_to_ends,
-    stated,
 )
 from graphtrack.inference.warm import WHOLE, solver_rehearsal
 from graphtrack.io.given import tracks_of
@@ -137,7 +135,7 @@ def solve_tracks(
             solve_tracks, model=model, engine=engine, jobs=jobs, options=options, progress=progress
         )
         return solve_in_turn(tracks, again, model.parameters.social.correlation_time)
-    make_ready(WHOLE, solver_rehearsal(model, engine, tracks.camera))
+    make_ready(WHOLE, solver_rehearsal(model, engine, tracks.camera, tracks))
     if engine == "chain":
         found: list[Solution | Failure] = []
         batches = list(_batches(tracks))
@@ -233,7 +231,7 @@ def smooth_track(
     """
     options = SolverOptions() if options is None else options
     solver = engine_of(model, engine)
-    make_ready(WHOLE, solver_rehearsal(model, solver, camera))
+    make_ready(WHOLE, solver_rehearsal(model, solver, camera, [track]))
     if solver == "gtsam":
         return smooth_graph(track, model, camera, options)
     (result,) = _solve_chains([track], model, camera, options)
@@ -274,8 +272,18 @@ def _solve_chains(
     finite = np.logical_and.reduceat(np.isfinite(found.states[:, :4]).all(axis=1), begins)
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
-    ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-    covariance = stated(found.covariance, found.states[:, 2:4], model.parameters, ends)
+    covariance, states = found.covariance, found.states
+    state_tracks(covariance, states, packed.offsets, packed.t, stating_of(model.parameters))
+    # Copied for all tracks at once: one by one it would take several times as long.
+    columns: dict[str, Any] = {
+        "position": states[:, :2].copy(),
+        "velocity": states[:, 2:4].copy(),
+        "body": states[:, 4].copy() if model.has_body else None,
+        "head": states[:, 5].copy() if model.has_head else None,
+        "covariance": covariance,
+        "aligned_p": found.modes[:, 0].copy() if model.has_modes else None,
+        "gait_offset": found.modes[:, 1].copy() if model.has_modes else None,
+    }
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         a, b = packed.offsets[m], packed.offsets[m + 1]
@@ -284,9 +292,10 @@ def _solve_chains(
         elif found.status[m] == NOT_FINITE or not finite[m]:
             answers.append(Failure(track.track_id, "the estimate is not finite"))
         else:
+            own: dict[str, Any] = {n: None if c is None else c[a:b] for n, c in columns.items()}
             answers.append(
                 Solution(
-                    estimated_track(track, found.states[a:b], covariance[a:b], found.modes[a:b]),
+                    track.with_estimates(**own),
                     float(found.first_cost[m]),
                     float(found.cost[m]),
                     int(found.iterations[m]),

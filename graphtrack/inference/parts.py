@@ -6,17 +6,22 @@ import numpy as np
 
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import solve_packed
+from graphtrack.inference.chain.groups import Groups
+from graphtrack.inference.chain.lane_mode_memory import mode_memory
+from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.mode_spread import spread_newest
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.restart import AT_START
 from graphtrack.inference.chain.result import Result
+from graphtrack.inference.chain.side_by_side import lane_memory
 from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.chain.stating import state_tracks, stating_of
 from graphtrack.inference.chain.window_kernels import let_go, solve_window
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import ROW, gait_of
+from graphtrack.model.terms.gait_modes import ROW, gait_of
 from graphtrack.readiness import Part
 from graphtrack.tracks import Track
 
@@ -41,7 +46,9 @@ def _part(name: str, model: Model) -> Part:
     function, run = {
         "start": (initialise, lambda: solve(Model("position"))),
         "descent": (program.minimise, lambda: _descend(model)),
+        "lanes": (program.minimise_lanes, lambda: _descend_together(model)),
         "grid": (program.find_other_basin, lambda: _look_around(model)),
+        "lane-modes": (renew_lanes, lambda: _renew_together(model)),
         "modes": (renew_tracks, lambda: _renew(model)),
         "couplings": (renew_couplings, lambda: _renew_couplings(model)),
         "spread": (program.spread_tracks, lambda: _spread(model)),
@@ -55,7 +62,20 @@ def _part(name: str, model: Model) -> Part:
 
 def solve(model: Model) -> None:
     """Smooth somebody made up."""
-    solve_packed(pack([TRACK], model), model)
+    packed = pack([TRACK], model)
+    found = solve_packed(packed, model)
+    state_tracks(found.covariance, found.states, packed.offsets, packed.t, stating_of(model.parameters))
+
+
+def solve_alone(model: Model) -> None:
+    """Smooth somebody made up as tracks too long to be solved beside others are."""
+    problem, result, _ = _made_up(model)
+    groups, none = Groups(program_of(model), problem, 1, 1e-12, result, longest=0), np.zeros((0, 2))
+    groups.descend(True, True, none)
+    if model.has_modes:
+        spread = np.zeros((len(TRACK), 2))
+        groups.renew(gait_of(model.parameters.gait), spread)
+        groups.descend(False, True, spread)
 
 
 def _made_up(model: Model) -> tuple[Problem, Result, Workspace]:
@@ -68,6 +88,14 @@ def _descend(model: Model) -> None:
     program_of(model).minimise(problem, 0, result.states, 1, 1e-12, memory)
 
 
+def _descend_together(model: Model) -> None:
+    problem, _, _ = _made_up(model)
+    memory = lane_memory(len(TRACK), problem.records.dtype.itemsize // 8)
+    for array in memory:
+        array[:] = 0
+    program_of(model).minimise_lanes(problem, len(TRACK), 1, 1e-12, True, memory)
+
+
 def _look_around(model: Model) -> None:
     problem, result, _ = _made_up(model)
     program_of(model).find_other_basin(problem, 0, result.states, AT_START, np.empty_like(result.states))
@@ -77,6 +105,13 @@ def _renew(model: Model) -> None:
     problem, result, _ = _made_up(model)
     spread = np.zeros((len(TRACK), 2))
     renew_tracks(problem, result.states, gait_of(model.parameters.gait), result.modes, spread)
+
+
+def _renew_together(model: Model) -> None:
+    problem, result, _ = _made_up(model)
+    spread, gait = np.zeros((len(TRACK), 2)), gait_of(model.parameters.gait)
+    memory = mode_memory(len(TRACK))
+    renew_lanes(problem, np.arange(1), result.states, gait, memory, result.modes, spread)
 
 
 def _renew_couplings(model: Model) -> None:

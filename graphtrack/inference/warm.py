@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
@@ -9,29 +10,33 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import finish, is_chain
+from graphtrack.inference.chain.groups import LONGEST
+from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram, program_of
 from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.chain.stating import state_tracks
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.initial import pack
-from graphtrack.inference.parts import STEP, TRACK, parts_of, solve
+from graphtrack.inference.parts import STEP, TRACK, parts_of, solve, solve_alone
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between
-from graphtrack.readiness import Costs, Part, Rehearsal, is_cold, make_ready
+from graphtrack.readiness import CompiledFunction, Costs, Part, Rehearsal, is_cold, make_ready
+from graphtrack.tracks import Track
 
 SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
 """What is compiled here, in words: both, or one of the two."""
 
 # Seconds that compiling takes on a core, about.
-_START: Costs = {initialise: 3.0, finish: 0.5}
+_START: Costs = {initialise: 3.0, finish: 0.5, state_tracks: 0.7}
 _MODES: Costs = {renew_tracks: 1.0}
 _COUPLINGS: Costs = {renew_couplings: 6.5}
 
 
 def _steps(program: ChainProgram) -> Costs:
-    return {program.solve_tracks: 11.0}
+    return {program.solve_lanes: 6.0}
 
 
 def _descent(program: ChainProgram) -> Costs:
@@ -50,7 +55,8 @@ def warm_up(
 
     Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about a
     minute for compiling. Then the log ("graphtrack") says so before and after, as a warning, which Python
-    shows where logging is not set up.
+    shows where logging is not set up. Tracks of more than 10,000 frames, and with `full` those with class
+    likelihoods, are solved one by one, by what is compiled with the first of them.
 
     Parameters
     ----------
@@ -67,10 +73,15 @@ def warm_up(
         make_ready(SOLVER, offline_rehearsal(model), online_rehearsal(model))
 
 
-def solver_rehearsal(model: Model, engine: OfflineEngine, camera: GroundCamera | None = None) -> Rehearsal:
-    """What an engine calls for whole tracks."""
+def solver_rehearsal(
+    model: Model,
+    engine: OfflineEngine,
+    camera: GroundCamera | None = None,
+    tracks: Iterable[Track] = (TRACK,),
+) -> Rehearsal:
+    """What an engine calls for whole ``tracks``."""
     if engine != "gtsam":
-        return offline_rehearsal(model, camera)
+        return offline_rehearsal(model, camera, tracks=tracks)
     # With terms of one's own it asks for the grid where it needs it.
     return start_rehearsal() if has_own_kernels(model) and not model.has_modes else graph_rehearsal(model)
 
@@ -80,20 +91,49 @@ def has_own_kernels(model: Model) -> bool:
     return any("kernels" in vars(kind) for kind in model.own_terms)
 
 
-def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps: bool = False) -> Rehearsal:
+def offline_rehearsal(
+    model: Model,
+    camera: GroundCamera | None = None,
+    *,
+    steps: bool = False,
+    tracks: Iterable[Track] = (TRACK,),
+) -> Rehearsal:
     """What the chain engine calls for whole tracks; Newton's ``steps`` even where the model is linear."""
     if camera is None and not steps and model.is_linear(pack([TRACK], model)):
         return start_rehearsal()
     program = program_of(model)
-    called, inlined = {**_START, **_steps(program)}, _descent(program)
-    if model.has_modes:
+    called, inlined, here, beside = {**_START}, dict[CompiledFunction, float](), "start", "grid"
+    # Tracks beside each other, and alone.
+    ways = {_goes_alone(track, model) for track in tracks}
+    together, alone = ways != {True}, True in ways
+    if together:
+        called, inlined, here = {**called, **_steps(program)}, {program.minimise_lanes: 10.0}, f"{here} lanes"
+    if alone:
+        called, inlined = {**called, program.solve_tracks: 2.0}, {**inlined, **_descent(program)}
+        here = f"{here} descent"
+    if model.has_modes and together:
+        called, beside = {**called, renew_lanes: 7.0}, f"{beside} lane-modes"
+    if model.has_modes and alone:
         called, inlined = {**called, **_MODES, program.spread_tracks: 3.0}, {**inlined, **_COUPLINGS}
-        here, beside = "start descent spread", "grid modes"
-    else:
-        here, beside = "start descent", "grid"
+        beside = f"{beside} modes spread"
     return Rehearsal(
-        lambda: solve(_like(model)), called, inlined, lambda: (_parts(model, here), _parts(model, beside))
+        lambda: _solve_both(_like(model), together, alone),
+        called,
+        inlined,
+        lambda: (_parts(model, here), _parts(model, beside)),
     )
+
+
+def _goes_alone(track: Track, model: Model) -> bool:
+    """Whether `Groups` solves a track by itself."""
+    has_classes = track.body_likelihood is not None or track.head_likelihood is not None
+    return len(track) > LONGEST or (model.has_modes and has_classes)
+
+
+def _solve_both(model: Model, together: bool, alone: bool) -> None:
+    solve(model if together else Model("position"))
+    if alone:
+        solve_alone(model)
 
 
 def graph_rehearsal(model: Model) -> Rehearsal:

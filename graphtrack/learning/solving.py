@@ -64,7 +64,7 @@ class Solver:
 
     def __init__(self, tracks: Sequence[Track], model: Model, camera: GroundCamera | None) -> None:
         self._tracks, self._camera = tracks, camera
-        make_ready(WHOLE, offline_rehearsal(model, steps=True))
+        make_ready(WHOLE, offline_rehearsal(model, steps=True, tracks=tracks))
         # The engine finds modes from the solution without couplings, so that is where it starts.
         start = Model("separate", model.parameters) if model.has_modes else model
         packed = pack(tracks, start, camera)
@@ -78,6 +78,5 @@ class Solver:
         packed = pack(self._tracks, model, self._camera)
         problem, result = problem_of(packed), empty_result(packed)
         result.states[:] = self._start
-        memory = workspace(self._longest)
-        solve_terms(model, problem, MAX_ITERATIONS, TOLERANCE, False, memory, result)
-        return Solved(packed, problem, result, memory, model.parameters.motion)
+        solve_terms(model, problem, MAX_ITERATIONS, TOLERANCE, False, result)
+        return Solved(packed, problem, result, workspace(self._longest), model.parameters.motion)

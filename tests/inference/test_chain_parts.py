@@ -18,7 +18,7 @@ from graphtrack.model import Model, Parameters
 from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.program import add_own, note_turns
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.gait import ROW, gait_of
+from graphtrack.model.terms.gait_modes import ROW, gait_of
 
 
 def own_cost(problem: object, state: FloatArray) -> float:

@@ -29,7 +29,7 @@ from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.program import FRAME, add_frame
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.gait import (
+from graphtrack.model.terms.gait_modes import (
     BINS,
     NEAR,
     ROW,

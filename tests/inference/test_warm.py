@@ -21,6 +21,7 @@ from graphtrack.inference import (
     track_online,
     warm_up,
 )
+from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.warm import offline_rehearsal, online_rehearsal, start_rehearsal
 from graphtrack.learning import solving
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
@@ -82,3 +83,15 @@ def test_whoever_calls_compiled_code_makes_it_ready_first(monkeypatch) -> None:
     with pytest.raises(InputError):
         OnlineSmoother("joint", lag=-1.0)
     assert len(rehearsed) == 6
+
+
+def test_only_tracks_that_are_solved_alone_need_the_scalar_engine() -> None:
+    seen, classified = walk(9), walk(9, classes=True)
+    cases = (("full", seen, False), ("full", classified, True), ("joint", classified, False))
+    for preset, track, alone in cases:
+        model = Model(preset)
+        assert (program_of(model).solve_tracks in offline_rehearsal(model, tracks=[track]).called) == alone
+        assert (program_of(model).solve_lanes in offline_rehearsal(model, tracks=[track]).called) != alone
+        both = offline_rehearsal(model, tracks=[seen, track]).called
+        assert program_of(model).solve_lanes in both
+        assert (program_of(model).solve_tracks in both) == alone

@@ -32,7 +32,7 @@ from graphtrack.model import (
     Term,
     presets,
 )
-from graphtrack.model.kernels import program
+from graphtrack.model.kernels import lane_program, program
 from graphtrack.model.kernels.generator import Program
 from graphtrack.model.kernels.layout import BODY, HEAD, PLACES
 from graphtrack.model.kernels.packing import PackedTracks
@@ -527,8 +527,9 @@ def test_every_kernel_of_every_preset_is_in_the_battery() -> None:
 
 
 def test_the_frame_program_is_the_one_of_the_terms() -> None:
-    source = Program(every_term(), "the presets' terms").source
-    assert Path(program.__file__).read_text(encoding="utf-8") == source
+    written = Program(every_term(), "the presets' terms")
+    assert Path(program.__file__).read_text(encoding="utf-8") == written.source
+    assert Path(lane_program.__file__).read_text(encoding="utf-8") == written.lane_source
 
 
 @pytest.mark.parametrize("preset", presets)

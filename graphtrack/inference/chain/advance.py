@@ -32,7 +32,7 @@ from graphtrack.inference.chain.windows import (
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import ROW, Gait
+from graphtrack.model.terms.gait_modes import ROW, Gait
 
 
 @compiled
@@ -110,7 +110,7 @@ def tell(
         hide(BODY, advanced.state[p], told)
     if not rules.has_head:
         hide(HEAD, advanced.state[p], told)
-    state_uncertainty(told, advanced.state[p, VX:BODY], rules.stating)
+    state_uncertainty(told, advanced.state[p, VX:BODY], 0.0, rules.stating)
 
 
 @compiled

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from graphtrack.geometry.angles import BoolArray
-from graphtrack.inference.chain.elimination import Workspace, workspace
-from graphtrack.inference.chain.modes import renew_tracks
+from graphtrack.inference.chain.groups import Groups, classified
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.inference.chain.start import Seen, initialise
@@ -18,7 +17,7 @@ from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.terms.gait_modes import gait_of
 from graphtrack.tracks import Track
 
 PASSES = 2
@@ -62,8 +61,7 @@ def solve_packed(
     initialise(problem, seen, linear, np.empty((3, longest)), result)
     if not linear:
         guessed = never_seen(packed, seen) if model.has_modes else None
-        memory = workspace(longest)
-        solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
+        solve_terms(model, problem, max_iterations, tolerance, restart, result, guessed)
     finish(problem, model.has_body, model.has_head, result)
     return result
 
@@ -74,7 +72,6 @@ def solve_terms(
     max_iterations: int,
     tolerance: float,
     restart: bool,
-    memory: Workspace,
     result: Result,
     guessed: BoolArray | None = None,
 ) -> None:
@@ -82,34 +79,33 @@ def solve_terms(
 
     ``guessed`` (N, 2): angles that nothing holds without couplings; they stay as they are until there are.
     """
-    program = program_of(model)
-    solve_tracks = program.solve_tracks
+    program, none = program_of(model), np.zeros((0, 2))
+    groups = Groups(
+        program,
+        problem,
+        max_iterations,
+        tolerance,
+        result,
+        apart=classified(problem) if model.has_modes else None,
+    )
     if not model.has_modes:
-        solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+        groups.descend(restart, True, none)
         return
     # Without couplings first: from there both the modes and the states are found.
     for gate in program.switched:
         problem.records[gate] = 0.0
     angles = result.states[:, BODY : HEAD + 1]
     first = angles.copy()
-    solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+    groups.descend(restart, False, none)
     if guessed is not None:
         angles[guessed] = first[guessed]
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
-    # Class likelihoods have basins that only the couplings tell apart.
-    again = restart and bool(len(problem.body_heights) + len(problem.head_heights))
-    for _ in range(PASSES):
-        renew_tracks(problem, result.states, gait, result.modes, spread)
-        solve_tracks(problem, max_iterations, tolerance, False, memory, result)
-        if again:
-            states, cost = result.states.copy(), result.cost.copy()
-            solve_tracks(problem, max_iterations, tolerance, True, memory, result)
-            if not (result.cost < cost).all():
-                # The grid does not know where the head's coupling rests: it may lead to a worse basin.
-                kept = np.repeat(~(result.cost < cost), np.diff(problem.offsets))
-                result.states[kept] = states[kept]
-                solve_tracks(problem, max_iterations, tolerance, False, memory, result)
-    program.spread_tracks(problem, result.states, spread, memory, result.covariance)
+    for turn in range(PASSES):
+        groups.renew(gait, spread)
+        if restart:
+            groups.look_again()
+        last = turn == PASSES - 1
+        groups.descend(False, last, spread if last else none)
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:

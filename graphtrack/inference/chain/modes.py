@@ -12,7 +12,7 @@ from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import BODY, VX, VY
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.body_follows_motion import squared_excess
-from graphtrack.model.terms.gait import (
+from graphtrack.model.terms.gait_modes import (
     ROW,
     Gait,
     Modes,

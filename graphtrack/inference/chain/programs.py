@@ -19,9 +19,18 @@ from types import ModuleType
 from typing import Any
 
 from graphtrack.errors import InputError
-from graphtrack.inference.chain import advance, grid, mode_spread, newton, restart, window_kernels
+from graphtrack.inference.chain import (
+    advance,
+    grid,
+    lane_solver,
+    mode_spread,
+    newton,
+    restart,
+    side_by_side,
+    window_kernels,
+)
 from graphtrack.model import Model, Term
-from graphtrack.model.kernels import program
+from graphtrack.model.kernels import lane_program, program
 from graphtrack.model.kernels.compiled import UNKEPT, cache_home
 from graphtrack.model.kernels.fingerprint import fingerprint, source_file
 from graphtrack.model.kernels.generator import Program
@@ -31,11 +40,14 @@ from graphtrack.model.model import every_term
 
 Compiled = Callable[..., Any]
 
-_PROGRAM = program.__name__
-_CALLERS = tuple(module.__name__ for module in (newton, grid, restart, window_kernels, mode_spread, advance))
+_PROGRAM, _LANES = program.__name__, lane_program.__name__
+_CALLERS = tuple(
+    module.__name__
+    for module in (newton, grid, restart, window_kernels, mode_spread, advance, side_by_side, lane_solver)
+)
 """The modules whose functions call those of the frame program, directly or not."""
 
-_PUBLIC = ("program", "newton", "restart", "mode_spread", "advance")
+_PUBLIC = ("program", "newton", "restart", "mode_spread", "advance", "side_by_side", "lane_solver")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +65,8 @@ class ChainProgram:
     switched: tuple[str, ...]
     minimise: Compiled
     sweep_forward: Compiled
+    minimise_lanes: Compiled
+    solve_lanes: Compiled
     solve_tracks: Compiled
     find_other_basin: Compiled
     spread_tracks: Compiled
@@ -62,13 +76,15 @@ class ChainProgram:
     @classmethod
     def of(cls, modules: Sequence[ModuleType]) -> ChainProgram:
         """The functions in the modules `_PUBLIC` of a program."""
-        frame, newton, restart, spread, advance = modules
+        frame, newton, restart, spread, advance, lanes, groups = modules
         return cls(
             RecordTypes(frame.FRAME, frame.SHARED),
             frame.LINKS,
             frame.SWITCHED,
             newton.minimise,
             newton.sweep_forward,
+            lanes.minimise_lanes,
+            groups.solve_lanes,
             restart.solve_tracks,
             restart.find_other_basin,
             spread.spread_tracks,
@@ -77,7 +93,7 @@ class ChainProgram:
         )
 
 
-OF_PRESETS = ChainProgram.of((program, newton, restart, mode_spread, advance))
+OF_PRESETS = ChainProgram.of((program, newton, restart, mode_spread, advance, side_by_side, lane_solver))
 
 
 def program_of(model: Model) -> ChainProgram:
@@ -93,10 +109,14 @@ def _program_of(kinds: tuple[type[Term], ...]) -> ChainProgram:
     title = ", ".join(kind.__name__ for kind in kinds)
     functions = list(_functions(kinds))
     _check(functions)
-    source = Program(kinds, title, every_term()).source
-    mark = _mark(source, functions)
+    written = Program(kinds, title, every_term())
+    mark = _mark(written.source + written.lane_source, functions)
     package = f"graphtrack_own_{mark}" if mark else f"{UNKEPT}{uuid.uuid4().hex[:16]}"
-    texts = {"__init__": f'"""The chain engine of {title}."""\n', "program": source}
+    texts = {
+        "__init__": f'"""The chain engine of {title}."""\n',
+        "program": written.source,
+        "lane_program": written.lane_source,
+    }
     for caller in _CALLERS:
         path = source_file(caller)
         assert path is not None  # a module of this package
@@ -154,7 +174,7 @@ def _passing() -> Path:
 
 def _redirected(text: str, package: str) -> str:
     """A caller's source, with the program and the other callers taken from the package."""
-    for module in (_PROGRAM, *_CALLERS):
+    for module in (_PROGRAM, _LANES, *_CALLERS):
         text = re.sub(rf"\b{re.escape(module)}\b", f"{package}.{module.rpartition('.')[2]}", text)
     return text
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, assign, marginals
@@ -62,15 +63,16 @@ def find_other_basin(
 @compiled
 def solve_tracks(
     problem: Problem,
+    order: NDArray[np.int64],
     max_iterations: int,
     tolerance: float,
     restart: bool,
     workspace: Workspace,
     result: Result,
 ) -> None:
-    """Minimise the costs of all tracks and find their covariances."""
+    """Minimise the costs of tracks one by one, and find their covariances."""
     full = as_variable(True)
-    for track in range(len(problem.offsets) - 1):
+    for track in order:
         a, b = problem.offsets[track], problem.offsets[track + 1]
         states, again = result.states[a:b], np.empty((b - a, N))
         begun_elsewhere = restart and find_other_basin(problem, track, states, AT_START, again)

@@ -14,7 +14,7 @@ from graphtrack.inference.chain.programs import ChainProgram
 from graphtrack.inference.chain.windows import Windows
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import ROW
+from graphtrack.model.terms.gait_modes import ROW
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 
 SLOTS = 32

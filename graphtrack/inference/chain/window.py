@@ -18,7 +18,7 @@ from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_v
 from graphtrack.inference.state import FAILURES, Angles, Newest, Window
 from graphtrack.model import Model, Step
 from graphtrack.model.kernels.layout import N
-from graphtrack.model.terms.gait import Gait, gait_of
+from graphtrack.model.terms.gait_modes import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry")
 """What the next observation reads of the last solution; a row for each frame."""

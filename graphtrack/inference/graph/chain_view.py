@@ -14,7 +14,7 @@ from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.graph.couplings import couplings_of
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import Model, Step
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.terms.gait_modes import gait_of
 from graphtrack.tracks import Track
 
 

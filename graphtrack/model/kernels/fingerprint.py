@@ -14,6 +14,8 @@ import numba
 
 _IMPORT = re.compile(rb"^(?:from ([\w.]+) import|import ([\w.]+))", re.MULTILINE)
 _INSTALLED = ("site-packages", "dist-packages")
+_LANES = f"{__name__.rpartition('.')[0]}.vector_math"
+"""With what it imports, the types that any kernel can be given in place of floats."""
 
 
 @cache
@@ -23,7 +25,8 @@ def fingerprint(module: str) -> str:
     Imports are followed within the module's package, or among the files beside one without a package (a
     script), and into this package.
     """
-    digest, waiting, seen = hashlib.sha256(_machine().encode()), [module], {module}
+    first = list(dict.fromkeys([module, _LANES]))
+    digest, waiting, seen = hashlib.sha256(_machine().encode()), first, set(first)
     while waiting:
         source, imported = _source(waiting.pop())
         digest.update(source)

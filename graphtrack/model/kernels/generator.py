@@ -6,12 +6,14 @@ written out. ``python -m graphtrack.model.kernels.generator`` writes `program` a
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
 from graphtrack.model.kernels.kernel import Function, Kernel, arguments_of
+from graphtrack.model.kernels.lane_texts import LANE_HEADER, OPEN_LANES, OPEN_OTHERS
 from graphtrack.model.kernels.layout import DT, Field
 from graphtrack.model.kernels.program_texts import (
     END_QUARTERS,
@@ -32,6 +34,7 @@ _TURNS = tuple(f"{name}_{part}" for name in ("body", "head") for part in ("cos",
 _OWN = ("gradient", "hessian")
 _LINK = ("gradient_before", "gradient", "hessian_before", "hessian", "transition")
 _NOTED = {name: f"turns[k, {i}]" for i, name in enumerate(_TURNS)}
+_LANE_NAMES = ("any_of", "choose", "load", "masked", "matrix_of", "negate", "row_of", "store")
 _WIDTH = 110
 _TAKEN = (
     "add_own",
@@ -89,11 +92,24 @@ class Program:
         self._functions: dict[Function, str] = {}
         self._imports: dict[str, set[str]] = {}
         self._check()
+        self.source = self._scalar(title)
+        self._functions, self._imports = {}, {}
+        self.lane_source = self._lanes(title)
+
+    def _scalar(self, title: str) -> str:
         parts = [self._types(), self._own(), self._links(), NOTE_TURNS, self._frame(), self._cut()]
         parts += [self._over(), self._quarters()]
         body = "\n".join(parts)
         layout = ", ".join(name for name in ("BODY", "HEAD", "N") if re.search(rf"\b{name}\b", body))
-        self.source = HEADER.format(imports=self._import_lines(), layout=layout, title=title) + body
+        return HEADER.format(imports=self._import_lines(), layout=layout, title=title) + body
+
+    def _lanes(self, title: str) -> str:
+        body = "\n".join([self._side_by_side(), self._others()])
+        names = ", ".join(name for name in ("BODY", "HEAD") if re.search(rf"\b{name}\b", body))
+        layout = f"from graphtrack.model.kernels.layout import {names}\n" if names else ""
+        lanes = ", ".join(name for name in _LANE_NAMES if re.search(rf"\b{name}\b", body))
+        given = {"layout": layout, "lanes": lanes, "imports": self._import_lines()}
+        return LANE_HEADER.format(title=title, **given) + body
 
     def _check(self) -> None:
         """Every parameter of a kernel is known, and no two fields have one name."""
@@ -211,6 +227,70 @@ class Program:
         lines = [*self._link_lines(local), *self._own_lines(local)]
         return "\n".join([OPEN_FRAME, *_locals(lines), *lines, "    return cost", ""])
 
+    def _field(self, name: str) -> str:
+        """A number of a frame's record, of all lanes."""
+        place = 0
+        for field in self.fields:
+            if field.name == name:
+                break
+            place += math.prod(field.shape)
+        return f"load(frames, at + {place})"
+
+    def _lane_gate(self, kernel: Kernel) -> str:
+        gate = f"{self._field(kernel.gate)} > 0.0"
+        if kernel.unless in [f.name for f in self.fields]:
+            return f"({gate}) & negate({self._field(kernel.unless)} > 0.0)"
+        return gate
+
+    def _side_by_side(self) -> str:
+        """The terms whose kernels take lanes, and a gate for the others."""
+        known = {f.name: self._field(f.name) for f in self.fields} | {
+            "origin_x": "load(origin, 0)",
+            "origin_y": "load(origin, 1)",
+            "gradient_before": "masked(row_of(gradients, there), gate)",
+            "gradient": "masked(row_of(gradients, here), gate)",
+            "hessian_before": "masked(matrix_of(hessians, there), gate)",
+            "hessian": "masked(matrix_of(hessians, here), gate)",
+            "transition": "masked(matrix_of(hessians, 2), gate)",
+        }
+        turned = [*_TURNS, *(f"{name}_before" for name in _TURNS)]
+        lines = []
+        for kernel in self._ordered(lanes=True):
+            given = self._all_given(kernel.arguments, ("state", "before", "start", "exact", *turned), known)
+            lines += [f"    gate = {self._lane_gate(kernel)}", "    if any_of(gate):"]
+            lines += [_call(8, "found = ", self._name(kernel.function), given)]
+            lines += ["        cost += choose(gate, found, 0.0)"]
+        others = list(dict.fromkeys(self._lane_gate(kernel) for kernel in self._ordered(lanes=False)))
+        lines += [
+            f"    gate = {other}" if i == 0 else f"    gate |= {other}" for i, other in enumerate(others)
+        ]
+        left = "any_of(gate)" if others else "False"
+        shared = ["    shared = problem.shared[0]"] if any("shared." in line for line in lines) else []
+        return "\n".join([OPEN_LANES, *shared, *lines, f"    return cost, {left}", ""])
+
+    def _ordered(self, *, lanes: bool) -> list[Kernel]:
+        """Links first, as in `_frame`."""
+        return [k for k in sorted(self.kernels, key=lambda k: not k.before) if k.lanes is lanes]
+
+    def _others(self) -> str:
+        known = {
+            "gradient_before": "gradients[0]",
+            "gradient": "gradients[1]",
+            "hessian_before": "hessians[0]",
+            "hessian": "hessians[1]",
+            "transition": "hessians[2]",
+        }
+        for i, name in enumerate(_TURNS):
+            known |= {f"{name}_before": f"turns[0, {i}]", name: f"turns[1, {i}]"}
+        lines = []
+        for kernel in self._ordered(lanes=False):
+            given = self._all_given(kernel.arguments, ("state", "before", "start", "exact"), known)
+            lines += [f"    {self._gate(kernel)}", _call(8, "cost += ", self._name(kernel.function), given)]
+        known = {"before": "states[0]", "state": "states[1]", **_SHARED}
+        return "\n".join(
+            [OPEN_OTHERS, *_locals(lines, known), "    cost = 0.0", *lines, "    return cost", ""]
+        )
+
     def _cut(self) -> str:
         return "\n".join([OPEN_CUT, *(f"    frame.{gate} = 0.0" for gate in self._link_gates()), ""])
 
@@ -309,7 +389,9 @@ def main() -> None:
     from graphtrack.model.model import every_term
 
     path = Path(__file__).with_name("program.py")
-    path.write_text(Program(every_term(), "the presets' terms").source, encoding="utf-8")
+    program = Program(every_term(), "the presets' terms")
+    path.write_text(program.source, encoding="utf-8")
+    path.with_name("lane_program.py").write_text(program.lane_source, encoding="utf-8")
 
 
 if __name__ == "__main__":

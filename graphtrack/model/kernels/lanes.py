@@ -1,0 +1,362 @@
+"""Numbers of several tracks side by side: types that compiled kernels can be given in place of floats.
+
+`Lanes` is a vector of `LANES` floats, which the processor adds, multiplies … at once; comparisons of them
+give a `LaneMask`. A kernel that asks `any_of` and `choose` where it would write ``if`` is compiled for floats
+and for lanes from one source. `LaneRow` and `LaneMatrix` stand for (6,) and (6, 6) numbers of every lane.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.imputils import lower_builtin
+from numba.core.typing import signature
+from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.extending import intrinsic, overload
+
+from graphtrack.model.kernels.lane_types import (
+    DOUBLES,
+    FLAGS,
+    LANES,
+    WORDS,
+    LaneMask,
+    Lanes,
+    RefType,
+    in_all,
+)
+
+__all__ = [
+    "LANES",
+    "any_of",
+    "choose",
+    "floor",
+    "greatest_lane",
+    "load",
+    "load_part",
+    "mantissa_of",
+    "masked",
+    "matrix_of",
+    "negate",
+    "of_lanes",
+    "power_of_two",
+    "row_of",
+    "store",
+    "store_part",
+    "sum_of",
+]
+
+
+def _call(builder: Any, name: str, kind: Any, *args: Any) -> Any:
+    """An LLVM intrinsic of floats or lanes."""
+    suffix = f"v{LANES}f64" if kind == Lanes else "f64"
+    shape = DOUBLES if kind == Lanes else ir.DoubleType()
+    function = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(shape, [shape] * len(args)), f"llvm.{name}.{suffix}"
+    )
+    return builder.call(function, args)
+
+
+def _unary(name: str) -> Any:
+    @intrinsic
+    def call(_context: Any, x: Any) -> Any:
+        if not (x == Lanes or isinstance(x, types.Float)):
+            return None
+        return x(x), lambda _c, builder, _s, args: _call(builder, name, x, *args)
+
+    return call
+
+
+_square_root, _whole, _size = _unary("sqrt"), _unary("floor"), _unary("fabs")
+
+
+def of_lanes(function: Callable[..., Any], own: Callable[..., Any]) -> None:
+    """Have compiled code call ``own`` where a function of Python's library is given lanes."""
+    # Without annotations, which numba compares.
+    overload(function)(lambda x: (lambda x: own(x)) if x == Lanes else None)
+
+
+for _known, _own in ((math.sqrt, _square_root), (math.floor, _whole), (abs, _size)):
+    of_lanes(_known, _own)
+
+floor = _whole
+"""The greatest whole number below, as a float: of floats, or of lanes."""
+
+
+@intrinsic
+def power_of_two(_context: Any, exponent: Any) -> Any:
+    """2ⁿ of a whole number n as a float, −1022 to 1023; of lanes too."""
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        many = exponent == Lanes
+        # By way of 32 bits, for which every processor has an instruction.
+        short = ir.VectorType(ir.IntType(32), LANES) if many else ir.IntType(32)
+        words = WORDS if many else ir.IntType(64)
+        whole = builder.sext(builder.fptosi(args[0], short), words)
+
+        def constant(value: int) -> Any:
+            return ir.Constant(words, [value] * LANES if many else value)
+
+        bits = builder.shl(builder.add(whole, constant(1023)), constant(52))
+        return builder.bitcast(bits, DOUBLES if many else ir.DoubleType())
+
+    return exponent(exponent), emit
+
+
+@intrinsic
+def mantissa_of(_context: Any, x: Any) -> Any:
+    """m in [½, 1) and n as a float of a positive x = m·2ⁿ; of lanes too."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        many = x == Lanes
+        words, doubles = (WORDS, DOUBLES) if many else (ir.IntType(64), ir.DoubleType())
+
+        def constant(value: int) -> Any:
+            return ir.Constant(words, [value] * LANES if many else value)
+
+        bits = builder.bitcast(args[0], words)
+        short = ir.VectorType(ir.IntType(32), LANES) if many else ir.IntType(32)
+        power = builder.trunc(builder.sub(builder.lshr(bits, constant(52)), constant(1022)), short)
+        part = builder.or_(builder.and_(bits, constant(0x000FFFFFFFFFFFFF)), constant(0x3FE0000000000000))
+        pair = builder.bitcast(part, doubles), builder.sitofp(power, doubles)
+        return context.make_tuple(builder, sig.return_type, pair)
+
+    return types.UniTuple(x, 2)(x), emit
+
+
+# -- in place of branches ----------------------------------------------------------------------------------
+
+
+@intrinsic
+def choose(_context: Any, condition: Any, one: Any, other: Any) -> Any:
+    """``one`` where the condition holds, else the other: of floats, or in each lane."""
+    kind = Lanes if Lanes in (one, other) or condition == LaneMask else types.float64
+    cond = LaneMask if condition == LaneMask else types.boolean
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        return builder.select(*args)
+
+    return kind(cond, kind, kind), emit
+
+
+@intrinsic
+def any_of(_context: Any, condition: Any) -> Any:
+    """Whether a condition holds, in any lane."""
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        if condition != LaneMask:
+            return args[0]
+        bits = builder.bitcast(args[0], ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+
+    return types.boolean(condition), emit
+
+
+@intrinsic
+def negate(_context: Any, condition: Any) -> Any:
+    """Where a condition does not hold."""
+    return condition(condition), lambda _c, builder, _s, args: builder.not_(args[0])
+
+
+# -- memory ------------------------------------------------------------------------------------------------
+
+
+def _lane_pointer(builder: Any, data: Any, index: Any) -> Any:
+    at = builder.gep(data, [builder.mul(index, ir.Constant(index.type, LANES))])
+    return builder.bitcast(at, DOUBLES.as_pointer())
+
+
+def _array_data(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    return context.make_array(kind)(context, builder, value).data
+
+
+@intrinsic
+def load(_context: Any, array: Any, index: Any) -> Any:
+    """The numbers of all lanes at a place of an array whose last axis is that of lanes."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = _array_data(context, builder, array, args[0])
+        return builder.load(_lane_pointer(builder, data, args[1]), align=8)
+
+    return Lanes(array, types.intp), emit
+
+
+@intrinsic
+def store(_context: Any, array: Any, index: Any, value: Any) -> Any:
+    """Put the numbers of all lanes there."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = _array_data(context, builder, array, args[0])
+        builder.store(args[2], _lane_pointer(builder, data, args[1]), align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, Lanes), emit
+
+
+def _masked_call(builder: Any, name: str, result: Any, *args: Any) -> Any:
+    shapes = [arg.type for arg in args]
+    function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(result, shapes), name)
+    return builder.call(function, args)
+
+
+def _within(builder: Any, begin: Any, stop: Any) -> Any:
+    """The lanes whose place, from ``begin`` on, is before ``stop``."""
+    places = ir.Constant(WORDS, list(range(LANES)))
+    return builder.icmp_signed("<", places, in_all(builder, builder.sub(stop, begin)))
+
+
+def _part(context: Any, builder: Any, array: Any, args: Any) -> tuple[Any, Any, Any]:
+    data = _array_data(context, builder, array, args[0])
+    pointer = builder.bitcast(builder.gep(data, [args[1]]), DOUBLES.as_pointer())
+    return pointer, ir.Constant(ir.IntType(32), 8), _within(builder, args[1], args[2])
+
+
+@intrinsic
+def load_part(_context: Any, row: Any, begin: Any, stop: Any) -> Any:
+    """`LANES` numbers of one row from a place on, in vectors of their own; 0 from ``stop`` on."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        given = (*_part(context, builder, row, args), ir.Constant(DOUBLES, [0.0] * LANES))
+        return _masked_call(builder, f"llvm.masked.load.v{LANES}f64.p0v{LANES}f64", DOUBLES, *given)
+
+    return Lanes(row, types.intp, types.intp), emit
+
+
+@intrinsic
+def store_part(_context: Any, row: Any, begin: Any, stop: Any, value: Any) -> Any:
+    """Put them there, as far as ``stop``."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        given = (args[3], *_part(context, builder, row, args))
+        _masked_call(builder, f"llvm.masked.store.v{LANES}f64.p0v{LANES}f64", ir.VoidType(), *given)
+        return context.get_dummy_value()
+
+    return types.void(row, types.intp, types.intp, Lanes), emit
+
+
+def _folded(builder: Any, value: Any, join: Callable[[Any, Any], Any]) -> Any:
+    """One number of all lanes, joining halves."""
+    width = LANES
+    while width > 1:
+        width //= 2
+        kind = ir.VectorType(ir.IntType(32), width)
+        low, high = (ir.Constant(kind, [begin + i for i in range(width)]) for begin in (0, width))
+        value = join(builder.shuffle_vector(value, value, low), builder.shuffle_vector(value, value, high))
+    return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
+
+
+@intrinsic
+def sum_of(_context: Any, value: Any) -> Any:
+    """The sum over the lanes."""
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        return _folded(builder, args[0], lambda a, b: builder.fadd(a, b, flags=FLAGS))
+
+    return types.float64(value), emit
+
+
+@intrinsic
+def greatest_lane(_context: Any, value: Any) -> Any:
+    """The greatest of the lanes."""
+
+    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
+        return _folded(builder, args[0], lambda a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b))
+
+    return types.float64(value), emit
+
+
+def _reference(kind: str, size: int) -> Any:
+    @intrinsic
+    def refer(_context: Any, array: Any, index: Any) -> Any:
+        to = RefType(kind, False)
+
+        def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            data = _array_data(context, builder, array, args[0])
+            made = cgutils.create_struct_proxy(to)(context, builder)
+            made.data = builder.gep(data, [builder.mul(args[1], ir.Constant(args[1].type, size * LANES))])
+            return made._getvalue()
+
+        return to(array, types.intp), emit
+
+    return refer
+
+
+row_of, matrix_of = _reference("Row", 6), _reference("Matrix", 36)
+"""Row k of an array (n, 6, LANES), and matrix k of one (n, 6, 6, LANES)."""
+
+
+@intrinsic
+def masked(_context: Any, reference: Any, mask: Any) -> Any:
+    """The same row or matrix, but what is put there reaches the mask's lanes alone."""
+    to = RefType(reference.kind, True)
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        made = cgutils.create_struct_proxy(to)(context, builder)
+        made.data = cgutils.create_struct_proxy(reference)(context, builder, value=args[0]).data
+        made.mask = args[1]
+        return made._getvalue()
+
+    return to(reference, LaneMask), emit
+
+
+def _index_of(kind: RefType, index: Any) -> Any:
+    if isinstance(index, (types.Integer, types.IntegerLiteral)):
+        return types.intp
+    if isinstance(index, types.BaseTuple) and len(index) == 2:
+        return types.UniTuple(types.intp, 2)
+    return None
+
+
+@infer_global(operator.getitem)
+class _Get(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        if not isinstance(args[0], RefType):
+            return None
+        to = _index_of(args[0], args[1])
+        if args[0].kind == "Matrix" and to == types.intp:
+            return signature(RefType("Row", args[0].masked), args[0], to)
+        return signature(Lanes, args[0], to)
+
+
+@infer_global(operator.setitem)
+class _Set(AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        if not isinstance(args[0], RefType):
+            return None
+        return signature(types.void, args[0], _index_of(args[0], args[1]), Lanes)
+
+
+def _place(builder: Any, index: Any, kind: Any) -> Any:
+    if kind == types.intp:
+        return index
+    rows, column = builder.extract_value(index, 0), builder.extract_value(index, 1)
+    return builder.add(builder.mul(rows, ir.Constant(rows.type, 6)), column)
+
+
+@lower_builtin(operator.getitem, RefType, types.intp)
+@lower_builtin(operator.getitem, RefType, types.UniTuple)
+def _get(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    given = cgutils.create_struct_proxy(sig.args[0])(context, builder, value=args[0])
+    if sig.return_type != Lanes:
+        made = cgutils.create_struct_proxy(sig.return_type)(context, builder)
+        made.data = builder.gep(given.data, [builder.mul(args[1], ir.Constant(args[1].type, 6 * LANES))])
+        if sig.args[0].masked:
+            made.mask = given.mask
+        return made._getvalue()
+    return builder.load(_lane_pointer(builder, given.data, _place(builder, args[1], sig.args[1])), align=8)
+
+
+@lower_builtin(operator.setitem, RefType, types.intp, Lanes)
+@lower_builtin(operator.setitem, RefType, types.UniTuple, Lanes)
+def _set(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    given = cgutils.create_struct_proxy(sig.args[0])(context, builder, value=args[0])
+    pointer, value = _lane_pointer(builder, given.data, _place(builder, args[1], sig.args[1])), args[2]
+    if sig.args[0].masked:
+        value = builder.select(given.mask, value, builder.load(pointer, align=8))
+    builder.store(value, pointer, align=8)
+    return context.get_dummy_value()
