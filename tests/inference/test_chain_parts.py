@@ -81,7 +81,9 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
     problem, n = window._slot.problem._replace(offsets=np.array([begin, end + 1])), end + 1 - begin
     filtered = np.empty((2, n, ROW))
     gait = gait_of(smoother.model.parameters.gait)
-    renew_couplings(problem, 0, states[begin:], gait, before, filtered, np.empty((n, 2)), np.empty((n, 2)))
+    renew_couplings(
+        problem, 0, states[begin:], gait, False, before, filtered, np.empty((n, 2)), np.empty((n, 2))
+    )
     np.testing.assert_allclose(window.modes_before, filtered[:, 0], rtol=1e-9, atol=1e-15)
 
 

@@ -150,9 +150,9 @@ def test_kernels_and_factors_lead_to_the_same_estimates(
 def test_kernels_and_factors_have_the_same_gradient(preset: str) -> None:
     """Anywhere, of each step's own terms and of those that link it to the one before."""
     model, rng = Model(preset), np.random.default_rng(5)
-    steering = dict(zip(COUPLED[6:], (0.3, 0.05, 20.0, -4.0, 2.0), strict=True))
+    doubt, steering = 0.3, dict(zip(COUPLED[7:], (0.3, 0.05, 20.0, -4.0, 2.0), strict=True))
     couplings = {
-        k: (1.5, *body, 0.7, *head, *steering.values())
+        k: (1.5, *body, 0.7, *head, doubt, *steering.values())
         for k, (body, head) in enumerate(unit(rng.uniform(-np.pi, np.pi, (8, 2))))
     }
     track = walk(8, seed=5, classes=True, uneven=True)

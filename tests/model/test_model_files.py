@@ -92,7 +92,7 @@ def test_a_saved_model_is_plain_toml_with_every_parameter(tmp_path: Path) -> Non
 
 
 def test_what_a_file_does_not_name_keeps_its_default(tmp_path: Path) -> None:
-    model = load(tmp_path, 'preset = "position"\n[likelihood]\nposition_std = 0.25\n')
+    model = load(tmp_path, 'preset = "separate"\n[likelihood]\nposition_std = 0.25\n')
     assert model.parameters == Parameters(likelihood=LikelihoodParameters(position_std=0.25))
 
 
