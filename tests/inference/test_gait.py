@@ -29,17 +29,8 @@ from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.program import FRAME, add_frame
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.gait_modes import (
-    BINS,
-    NEAR,
-    ROW,
-    angle_information,
-    class_information,
-    gait_of,
-    infer_modes,
-    switch,
-    switch_back,
-)
+from graphtrack.model.terms.gait import angle_information, class_information
+from graphtrack.model.terms.gait_modes import BINS, NEAR, ROW, gait_of, infer_modes, switch, switch_back
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
 from graphtrack.tracks import Track, TrackSet

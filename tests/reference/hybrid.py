@@ -228,7 +228,7 @@ def _gaussian(std: float) -> float:
 
 
 def _chains(dt: FloatArray, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
-    """The Markov chains of `terms.gait_modes.switch`; an aligned offset that is drawn anew is not told apart."""
+    """The Markov chains of `gait_modes.switch`; an aligned offset that is drawn anew is not told apart."""
     first, transitions = np.zeros((2, MODES)), np.zeros((2, len(dt), MODES, MODES))
     for side, name in enumerate(_SIDES):
         aligned = getattr(parameters.gait, f"{name}_aligned")
