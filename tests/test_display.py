@@ -18,7 +18,7 @@ from graphtrack.tracks import Track, TrackSet
 NASTY = "<script>alert('&')</script>" * 10
 CHANGED = gt.Parameters(MotionParameters(0.2, 0.3, 0.4), likelihood=LikelihoodParameters(robust="huber"))
 SAID_OF_CHANGED = (
-    "Model('joint', motion.acceleration_density=0.2, motion.initial_speed_std=0.3, motion.head_rate=0.4, "
+    "Model('separate', motion.acceleration_density=0.2, motion.initial_speed_std=0.3, motion.head_rate=0.4, "
     "likelihood.robust='huber')"
 )
 
@@ -85,7 +85,7 @@ SHORT: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "model": (lambda: gt.Model("joint"), "Model('joint')"),
     "model with a term": (lambda: gt.Model("full", terms=[Nasty]), "Model('full', Nasty)"),
-    "model with parameters": (lambda: gt.Model("joint", CHANGED), SAID_OF_CHANGED),
+    "model with parameters": (lambda: gt.Model("separate", CHANGED), SAID_OF_CHANGED),
     "nobody yet": (
         lambda: online(0),
         "OnlineSmoother(model Model('joint'), engine chain, lag 1 s, window empty)",

@@ -102,10 +102,9 @@ def solve_terms(
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
     for turn in range(PASSES):
         groups.renew(gait, spread)
-        if restart:
-            groups.look_again()
         last = turn == PASSES - 1
-        groups.descend(False, last, spread if last else none)
+        # Class likelihoods have basins that only the couplings tell apart.
+        groups.descend(False, last, spread if last else none, again=restart)
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference.chain.elimination import workspace
@@ -35,6 +36,14 @@ def classified(problem: Problem) -> BoolArray:
     return np.logical_or.reduceat(known, problem.offsets[:-1])
 
 
+def put_back(found: Result, result: Result, offsets: NDArray[np.int64], tracks: BoolArray) -> None:
+    """Have some tracks as they were found before."""
+    rows = np.repeat(tracks, np.diff(offsets))
+    for before, after in zip(found, result, strict=True):
+        which = rows if len(after) == len(rows) else tracks
+        after[which] = before[which]
+
+
 class Groups:
     """The tracks of a problem, those about as long beside each other, and memory to solve them.
 
@@ -43,7 +52,7 @@ class Groups:
     program : the engine
     problem, max_iterations, tolerance : as in `engine.solve_packed`
     result : holds the states from which each descent begins, and where it ends
-    apart : (m,) tracks that are solved alone however long they are, and that `look_again` is for
+    apart : (m,) tracks that are solved alone however long they are
     longest : frames up to which a track is solved beside others; `LONGEST` by default
     """
 
@@ -65,13 +74,13 @@ class Groups:
         apart = np.zeros(len(lengths), bool) if apart is None else apart
         alone = (apart | (lengths > (LONGEST if longest is None else longest)))[order]
         self._alone, self._together = order[alone], order[~alone]
-        self._apart = np.flatnonzero(apart)
+        self._apart = apart
         self._longest = int(lengths[self._together].max(initial=0))
         self._numbers = problem.records.view(float).reshape(len(problem.records), -1)
         self._memory = lane_memory(self._longest, self._numbers.shape[1])
         self._single = workspace(int(lengths[self._alone].max(initial=0)))
 
-    def descend(self, restart: bool, last: bool, spread: FloatArray) -> None:
+    def descend(self, restart: bool, last: bool, spread: FloatArray, *, again: bool = False) -> None:
         """Solve all tracks from the states in the result, in place.
 
         Parameters
@@ -79,6 +88,7 @@ class Groups:
         restart : as in `engine.solve_packed`
         last : whether covariances are wanted
         spread : (N, 2) what modes leave open, to be added to these; no rows: none
+        again : look for other basins of the tracks ``apart`` from where they end
         """
         problem, result = self._problem, self._result
         steps, tolerance = self._max_iterations, self._tolerance
@@ -97,22 +107,10 @@ class Groups:
             )
         if len(self._alone):
             self._program.solve_tracks(problem, self._alone, steps, tolerance, restart, self._single, result)
+            if again and self._apart.any():
+                self._look_again()
             for own in self._each_alone() if len(spread) else ():
                 self._program.spread_tracks(own, result.states, spread, self._single, result.covariance)
-
-    def look_again(self) -> None:
-        """Look for other basins of the tracks ``apart``, which only the couplings tell from each other."""
-        if not len(self._apart):
-            return
-        problem, result, steps = self._problem, self._result, self._max_iterations
-        solve = partial(self._program.solve_tracks, problem, self._apart, steps, self._tolerance)
-        solve(False, self._single, result)
-        states, cost = result.states.copy(), result.cost.copy()
-        solve(True, self._single, result)
-        # The grid does not know where the head's coupling rests: it may lead to a worse basin.
-        for track in self._apart[~(result.cost < cost)[self._apart]]:
-            rows = slice(*problem.offsets[track : track + 2])
-            result.states[rows] = states[rows]
 
     def renew(self, gait: Gait, spread: FloatArray) -> None:
         """Set the couplings by the modes that the states imply, ``spread`` (N, 2) by what they leave open."""
@@ -123,8 +121,17 @@ class Groups:
         for own in self._each_alone():
             renew_tracks(own, result.states, gait, result.modes, spread)
 
+    def _look_again(self) -> None:
+        problem, result, order = self._problem, self._result, np.flatnonzero(self._apart)
+        found = copy.deepcopy(result)
+        self._program.solve_tracks(
+            problem, order, self._max_iterations, self._tolerance, True, self._single, result
+        )
+        # The grid does not know where the head's coupling rests: it may lead to a worse basin.
+        put_back(found, result, problem.offsets, ~(result.cost < found.cost))
+
     def _each_alone(self) -> Iterator[Problem]:
-        """The problem with one of the longer tracks."""
+        """The problem with one of the tracks that are solved alone."""
         for track in self._alone:
             rows = slice(track, track + 1)
             yield self._problem._replace(
