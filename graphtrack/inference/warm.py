@@ -30,7 +30,7 @@ SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online 
 """What is compiled here, in words: both, or one of the two."""
 
 # Seconds that compiling takes on a core, about.
-_START: Costs = {initialise: 3.0, finish: 0.5, state_tracks: 0.7}
+_START: Costs = {initialise: 3.0, finish: 0.5, state_tracks: 1.5}
 _MODES: Costs = {renew_tracks: 1.0}
 _COUPLINGS: Costs = {renew_couplings: 6.5}
 
