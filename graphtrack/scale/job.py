@@ -124,6 +124,7 @@ def smooth_dataset(
         engine_of(model, engine),
         1 if cluster else jobs,
         SolverOptions() if options is None else options,
+        dataset.n_rows,
     )
     if cluster in (None, "local"):
         # Once for all processes of this machine.

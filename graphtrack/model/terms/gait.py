@@ -35,7 +35,7 @@ BINS, NEAR = 36, 7
 
 ROW = BINS + NEAR
 
-_MOST_DRIFT = 100
+MOST_DRIFT = 100
 
 
 class Modes(NamedTuple):
@@ -117,7 +117,7 @@ def drift(probability: FloatArray, variance: float, memory: FloatArray) -> None:
     if not share > 0.0:
         return
     # More passes than that leave hardly anything but the uniform density.
-    passes = int(min(math.ceil(2.0 * share), _MOST_DRIFT))
+    passes = int(min(math.ceil(2.0 * share), MOST_DRIFT))
     side = min(0.5 * share / passes, 1.0 / 3.0)
     for _ in range(passes):
         for j in range(BINS):
