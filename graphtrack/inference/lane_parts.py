@@ -10,6 +10,7 @@ from graphtrack.inference.chain.lane_mode_memory import mode_memory
 from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.lane_newton import lane_memory, minimise_lanes
 from graphtrack.inference.chain.lane_solver import solve_lanes
+from graphtrack.inference.chain.stating import state_tracks, stating_of
 from graphtrack.inference.parts import TRACK, made_up
 from graphtrack.model import Model
 from graphtrack.model.terms.gait import gait_of
@@ -17,6 +18,7 @@ from graphtrack.readiness import Costs, Part
 
 DESCENT: Costs = {minimise_lanes: 10.0}
 STEPS: Costs = {solve_lanes: 6.0}
+STATING: Costs = {state_tracks: 1.0}
 MODES: Costs = {renew_lanes: 7.0}
 """Seconds that compiling takes on a core, about."""
 
@@ -45,6 +47,12 @@ def solve_beside(model: Model) -> None:
     """Smooth somebody made up as tracks of large work are."""
     problem, result, _ = made_up(model)
     solve_in_lanes(model, problem, 1, 1e-12, True, PASSES, result)
+
+
+def state_beside(model: Model) -> None:
+    """State uncertainties of somebody made up as those of large work are."""
+    states, covariance = np.zeros((len(TRACK), 6)), np.tile(np.eye(6), (len(TRACK), 1, 1))
+    state_tracks(covariance, states, np.array([0, len(TRACK)]), TRACK.t, stating_of(model.parameters))
 
 
 def _descend(model: Model) -> None:

@@ -17,6 +17,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
 from graphtrack.inference.chain.side_by_side import those_beside
+from graphtrack.inference.chain.stating import state_tracks, stating_of
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.social import lacks_groups, solve_in_turn
@@ -40,7 +41,7 @@ from graphtrack.trust import Trust, trusted
 if TYPE_CHECKING:
     from graphtrack.io.given import Given, Scene
 
-BATCH = 20_000
+BATCH = 10_000
 """Frames that a thread of the chain engine takes at a time; it bounds the memory beside the answer."""
 
 
@@ -289,8 +290,12 @@ def _solve_chains(
     finite = np.logical_and.reduceat(np.isfinite(found.states[:, :4]).all(axis=1), begins)
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
-    ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-    covariance = stated(found.covariance, found.states[:, 2:4], model.parameters, ends)
+    covariance = found.covariance
+    if side_by_side:  # the same, compiled; that takes longer than it saves in small work
+        state_tracks(covariance, found.states, packed.offsets, packed.t, stating_of(model.parameters))
+    else:
+        ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
+        stated(covariance, found.states[:, 2:4], model.parameters, ends)
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         a, b = packed.offsets[m], packed.offsets[m + 1]

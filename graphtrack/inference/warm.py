@@ -123,16 +123,24 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
 
 def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsal:
     """What the chain engine calls for tracks side by side; see `side_by_side.those_beside`."""
-    if _is_linear(model, camera):
-        return start_rehearsal()
     # Small work does without.
-    from graphtrack.inference.lane_parts import DESCENT, MODES, STEPS, lane_parts_of, solve_beside
+    from graphtrack.inference.lane_parts import (
+        DESCENT,
+        MODES,
+        STATING,
+        STEPS,
+        lane_parts_of,
+        solve_beside,
+        state_beside,
+    )
 
     like, grid = _like(model), program_of(model).find_other_basin
-    called = {**_START, **STEPS, **(MODES if model.has_modes else {})}
+    if _is_linear(model, camera):
+        return Rehearsal(lambda: (solve(Model("position")), state_beside(like)), {**_START, **STATING})
+    called = {**_START, **STEPS, **STATING, **(MODES if model.has_modes else {})}
     modes = lane_parts_of(like.preset, "lane-modes") if model.has_modes else ()
     return Rehearsal(
-        lambda: (solve(Model("position")), solve_beside(like)),
+        lambda: (solve(Model("position")), solve_beside(like), state_beside(like)),
         called,
         {**DESCENT, grid: 5.0},
         lambda: (

@@ -20,9 +20,11 @@ from graphtrack.inference.chain.lane_mode_memory import mode_memory
 from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.side_by_side import LARGE, LONGEST, has_lanes, those_beside
+from graphtrack.inference.chain.stating import state_tracks, stating_of
 from graphtrack.inference.initial import empty_result, pack, problem_of
+from graphtrack.inference.solution import seconds_to_ends, stated
 from graphtrack.inference.warm import lane_rehearsal, offline_rehearsal, solver_rehearsals
-from graphtrack.model import GaitParameters, Model, Parameters
+from graphtrack.model import GaitParameters, Model, MotionParameters, OrientationParameters, Parameters
 from graphtrack.model.kernels.lanes import LANES
 from graphtrack.model.terms.gait import gait_of
 from graphtrack.model.terms.place import PlacePrior
@@ -172,3 +174,17 @@ def test_modes_side_by_side_are_those_of_each_track() -> None:
 
 
 _COUPLING = ("kappa", "cos", "sin")
+
+
+def test_covariances_of_many_tracks_are_stated_as_those_of_one() -> None:
+    rng, tracks = np.random.default_rng(3), [walk(9, seed=1), walk(30, seed=2, uneven=True)]
+    roots = rng.normal(size=(39, 6, 6)) * 10.0 ** rng.uniform(-3.0, 1.0, (39, 1, 1))
+    covariance, states = roots @ np.swapaxes(roots, 1, 2), rng.normal(size=(39, 6))
+    covariance[9, 4], covariance[9, :, 4], covariance[12] = np.nan, np.nan, np.nan
+    still = Parameters(MotionParameters(lasting_std=0.0), OrientationParameters(head_turn_rate=0.0))
+    packed = pack(tracks, Model("joint"))
+    for parameters in (Parameters(), still):
+        ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
+        expected, found = stated(covariance.copy(), states[:, 2:4], parameters, ends), covariance.copy()
+        state_tracks(found, states, packed.offsets, packed.t, stating_of(parameters))
+        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-15)

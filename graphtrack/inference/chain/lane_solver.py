@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import marginal
-from graphtrack.inference.chain.lane_newton import LaneMemory, gather, minimise_lanes, scatter, sweep
+from graphtrack.inference.chain.lane_newton import LaneMemory, copy, gather, minimise_lanes, scatter, sweep
 from graphtrack.inference.chain.mode_spread import pull_apart
 from graphtrack.inference.chain.newton import as_variable
 from graphtrack.inference.chain.restart import AT_END, AT_START, find_other_basin
@@ -186,12 +186,12 @@ def solve_lanes(
         some = restart and find_elsewhere(problem, AT_START, memory, result, elsewhere)
         if some:
             # Contradictions make a poor start, from which the descent is long. Its cost is stated yet.
-            again = memory.states.copy()
+            copy(n, memory.states, memory.spare)
             gather(problem, numbers, result.states, memory)
             for i in range(N):
                 store(memory.starts, i, load(memory.states, i))
             begun, _ = sweep(problem, n, memory.states, as_variable(True), memory)
-            memory.states[:] = again
+            copy(n, memory.spare, memory.states)
         factored = minimise_lanes(problem, n, max_iterations, tolerance, covariance, memory)
         if some:
             store(memory.begun, 0, begun)

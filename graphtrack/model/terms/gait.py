@@ -23,7 +23,7 @@ from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import GaitParameters
 from graphtrack.model.term import Term, Variable
-from graphtrack.model.terms.pose import angle_cost
+from graphtrack.model.terms.pose import angle_cost, of_alike
 from graphtrack.tracks import Track
 
 if TYPE_CHECKING:
@@ -377,6 +377,6 @@ class GaitOffsets(Term):
         records["body_aligned_kappa"] = records["motion_body_kappa"]
         records["head_aligned_kappa"] = records["head_body_kappa"]
         for name, heights in (("body", packed.body_heights), ("head", packed.head_heights)):
-            records[f"{name}_information"] = angle_information(records[f"{name}_kappa"])
+            records[f"{name}_information"] = of_alike(angle_information, records[f"{name}_kappa"])
             if len(heights):
                 records[f"{name}_information"] += class_information(heights)

@@ -7,7 +7,7 @@ As a density: L(θ) = ε/2π + (1 − ε)·Σ_k w_k·VM(θ; μ_k, κ). An observ
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import gtsam
@@ -212,6 +212,12 @@ def add_class_quarters(
     cost[3] -= math.log(back)
 
 
+def of_alike(function: Callable[[FloatArray], FloatArray], numbers: FloatArray) -> FloatArray:
+    """A function of numbers (n,) that often are one number, evaluated once where they are."""
+    alike = len(numbers) > 0 and bool(np.all(numbers == numbers[0]))
+    return np.broadcast_to(function(numbers[:1]), numbers.shape) if alike else function(numbers)
+
+
 def _observed(name: Variable) -> tuple[Kernel, Kernel]:
     """The kernels of an observed angle and of class likelihoods."""
     names = {"cos": f"{name}_cos", "sin": f"{name}_sin", "place": name.upper()}
@@ -337,8 +343,7 @@ class _PoseLikelihood(Term):
             if likelihood.outlier_probability > 0.0:
                 # The densities at the outliers and at the peak: ε/2π over (1 − ε)/(2π·I₀(κ)·e^−κ).
                 odds = likelihood.outlier_probability / (1.0 - likelihood.outlier_probability)
-                alike = len(kappa) > 0 and bool(np.all(kappa == kappa[0]))
-                records[f"{name}_uniform"] = odds * special.i0e(kappa[0] if alike else kappa)
+                records[f"{name}_uniform"] = odds * of_alike(special.i0e, kappa)
         if heights is not None:
             seen = np.isfinite(heights[:, 0])
             records[f"{name}_class_kappa"][seen] = class_kappa(heights.shape[1] - 1)

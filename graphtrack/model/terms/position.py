@@ -246,7 +246,7 @@ class PositionLikelihood(Term):
         """Observed positions or pixels with their information, and the robust loss."""
         likelihood, records = self.parameters.likelihood, packed.records
         std = likelihood.position_stds(packed.channel("position_std"), len(records))
-        records["x"], records["y"] = np.nan_to_num(packed.position).T
+        records["x"], records["y"] = np.where(packed.has_position, packed.position.T, 0.0)
         records["position_information"] = np.where(packed.has_position, std**-2.0, 0.0)
         packed.shared["robust"] = {"none": 0, "huber": HUBER, "cauchy": CAUCHY}[likelihood.robust]
         packed.shared["robust_threshold"] = likelihood.robust_threshold
