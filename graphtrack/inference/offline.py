@@ -146,20 +146,7 @@ def solve_tracks(
     beside = those_beside(tracks.tracks, model, n_frames)
     make_ready(WHOLE, *solver_rehearsals(model, engine, tracks.camera, beside))
     if engine == "chain":
-        found: dict[int, Solution | Failure] = {}
-        # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
-        with ThreadPoolExecutor(processors() if jobs is None else jobs) as pool:
-            batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way)]
-
-            def run(batch: tuple[list[int], bool]) -> list[Solution | Failure]:
-                given = [tracks.tracks[m] for m in batch[0]]
-                return _solve_chains(given, model, tracks.camera, options, side_by_side=batch[1])
-
-            for solved, (which, _) in zip(pool.map(run, batches), batches, strict=True):
-                found |= zip(which, solved, strict=True)
-                if progress is not None:
-                    progress(sum(len(tracks.tracks[m]) for m in which))
-        return [found[m] for m in range(len(tracks))]
+        return _solve_batches(tracks, beside, model, jobs, options, progress)
     attempt = partial(_attempt_graph, model=model, camera=tracks.camera, options=options)
     if jobs is None or jobs == 1 or len(tracks) < 2:
         return _collect(tracks, map(attempt, tracks), progress)
@@ -251,6 +238,30 @@ def smooth_track(
     if isinstance(result, Failure):
         raise SolveError(result.track_id, result.reason)
     return result
+
+
+def _solve_batches(
+    tracks: TrackSet,
+    beside: list[bool],
+    model: Model,
+    jobs: int | None,
+    options: SolverOptions,
+    progress: Callable[[int], None] | None,
+) -> list[Solution | Failure]:
+    found: dict[int, Solution | Failure] = {}
+    # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
+    with ThreadPoolExecutor(processors() if jobs is None else jobs) as pool:
+        batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way)]
+
+        def run(batch: tuple[list[int], bool]) -> list[Solution | Failure]:
+            given = [tracks.tracks[m] for m in batch[0]]
+            return _solve_chains(given, model, tracks.camera, options, side_by_side=batch[1])
+
+        for solved, (which, _) in zip(pool.map(run, batches), batches, strict=True):
+            found |= zip(which, solved, strict=True)
+            if progress is not None:
+                progress(sum(len(tracks.tracks[m]) for m in which))
+    return [found[m] for m in range(len(tracks))]
 
 
 def _batches(tracks: TrackSet, beside: list[bool], way: bool) -> Iterator[list[int]]:

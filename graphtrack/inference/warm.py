@@ -135,12 +135,21 @@ def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsa
     )
 
     like, grid = _like(model), program_of(model).find_other_basin
-    if _is_linear(model, camera):
-        return Rehearsal(lambda: (solve(Model("position")), state_beside(like)), {**_START, **STATING})
-    called = {**_START, **STEPS, **STATING, **(MODES if model.has_modes else {})}
+    linear = _is_linear(model, camera)
+
+    def run() -> None:
+        solve(Model("position"))
+        state_beside(like)
+        if not linear:
+            solve_beside(like)
+
+    called = {**_START, **STATING}
+    if linear:
+        return Rehearsal(run, called)
+    called |= {**STEPS, **(MODES if model.has_modes else {})}
     modes = lane_parts_of(like.preset, "lane-modes") if model.has_modes else ()
     return Rehearsal(
-        lambda: (solve(Model("position")), solve_beside(like), state_beside(like)),
+        run,
         called,
         {**DESCENT, grid: 5.0},
         lambda: (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.modes import is_seen
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import compiled, inner
 from graphtrack.model.kernels.lanes import LANES
 from graphtrack.model.kernels.layout import BODY, VX, VY
 from graphtrack.model.kernels.problem import Problem
@@ -78,7 +78,7 @@ def look_ahead(given: FloatArray, lane: int, n: int, lead: float, of_motion: boo
             given[k, AHEAD_BODY, lane] = given[at, OWN_BODY, lane] + share * turn
 
 
-@apart
+@inner
 def gather_modes(problem: Problem, states: FloatArray, gait: Gait, memory: ModeMemory) -> int:
     """Put what the recursions read of a group's frames side by side; returns its length."""
     given, longest = memory.given, 0

@@ -32,7 +32,7 @@ from graphtrack.inference.chain.lane_mode_memory import (
 )
 from graphtrack.inference.chain.modes import is_seen
 from graphtrack.model.kernels.branches import any_of, choose
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import apart, compiled, inner
 from graphtrack.model.kernels.lanes import LANES, load, store
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.vector_math import cos_sin, direction_of, exp, log
@@ -41,7 +41,7 @@ from graphtrack.model.terms.gait import BINS, MOST_DRIFT, NEAR, ROW, Gait, Modes
 from graphtrack.model.terms.intentional_motion import steer
 
 
-@apart
+@inner
 def judge(given: FloatArray, at: int, row: Any, modes: Modes, weight: Any, cos: Any, sin: Any) -> None:
     """`gait.add_seen` of all lanes: of what stands at ``at``, as seen from a direction, to the row there."""
     mean_cos, mean_sin, kappa, uniform = (
@@ -67,7 +67,7 @@ def judge(given: FloatArray, at: int, row: Any, modes: Modes, weight: Any, cos: 
         store(rows, first + j, load(rows, first + j) + weight * says)
 
 
-@apart
+@inner
 def drift_lanes(row: FloatArray, passes: int, side: Any, left: Any, memory: FloatArray) -> None:
     """`gait.drift` of the first `BINS` of (ROW, LANES); ``left``: passes that each lane has."""
     last = BINS - 1
@@ -97,7 +97,7 @@ def passes_of(drift: float, dt: FloatArray, found: FloatArray) -> int:
     return most
 
 
-@apart
+@inner
 def infer_lanes(n: int, modes: Modes, memory: ModeMemory) -> None:
     """`gait.infer_modes` of all lanes from their rows; the smoothed probabilities are put into the memory."""
     row, probability, now, before = memory.row, memory.probability, memory.now, memory.before
@@ -172,7 +172,7 @@ def infer_lanes(n: int, modes: Modes, memory: ModeMemory) -> None:
             store(now, j, choose(inside, share * load(now, j), 1.0))
 
 
-@apart
+@inner
 def couple_lanes(k: int, modes: Modes, kappa: Any, lead_cos: Any, lead_sin: Any, memory: ModeMemory) -> Any:
     """`modes.couple` of all lanes: κ, cosine and sine of the offset, its pull, and those of the mean."""
     free_cos = free_sin = near_cos = near_sin = free = near = 0.0 * kappa

@@ -17,7 +17,7 @@ from graphtrack.inference.chain.elimination import clear, eliminated, invert_cho
 from graphtrack.inference.chain.newton import as_variable
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
 from graphtrack.model.kernels.branches import any_of, choose
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import apart, compiled, inner
 from graphtrack.model.kernels.lane_program import add_lanes
 from graphtrack.model.kernels.lanes import (
     LANES,
@@ -80,7 +80,7 @@ def lane_memory(n: int, fields: int) -> LaneMemory:
     )
 
 
-@apart
+@inner
 def gather(problem: Problem, numbers: FloatArray, states: FloatArray, memory: LaneMemory) -> int:
     """Put the group's records, ``numbers`` (N, fields), and its states side by side; returns its length."""
     tracks, longest = memory.tracks, 0
@@ -113,7 +113,7 @@ def scatter(problem: Problem, lane: int, memory: LaneMemory, states: FloatArray)
             states[offset + k, i] = memory.states[k, i, lane]
 
 
-@apart
+@inner
 def sweep(problem: Problem, n: int, states: FloatArray, exact: bool, memory: LaneMemory) -> Any:
     """Costs of the states of all lanes, and whether their Hessians are positive definite, factored."""
     gradients, hessians, inverse, link = memory.gradients, memory.hessians, memory.inverse, memory.link
@@ -168,7 +168,7 @@ def sweep(problem: Problem, n: int, states: FloatArray, exact: bool, memory: Lan
     return cost, definite
 
 
-@apart
+@inner
 def sweep_back(n: int, memory: LaneMemory) -> Any:
     """The Newton steps from a factorisation; returns the decreases of cost that they promise."""
     decrement = 0.0 * load(memory.lengths, 0)

@@ -13,13 +13,13 @@ from graphtrack.inference.chain.newton import as_variable
 from graphtrack.inference.chain.restart import AT_END, AT_START, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.branches import choose
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import apart, compiled, inner
 from graphtrack.model.kernels.lanes import LANES, load, matrix_of, row_of, store
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
 
 
-@apart
+@inner
 def covariances(problem: Problem, n: int, wanted: FloatArray, memory: LaneMemory, result: Result) -> None:
     """Covariances of the ``wanted`` lanes (1, LANES), from the factorisation in the memory."""
     blocks = memory.covariance
@@ -42,7 +42,7 @@ def covariances(problem: Problem, n: int, wanted: FloatArray, memory: LaneMemory
                         found[i, j] = blocks[here, i, j, lane]
 
 
-@apart
+@inner
 def spread_lanes(
     problem: Problem, n: int, spread: FloatArray, wanted: FloatArray, memory: LaneMemory, result: Result
 ) -> None:
@@ -96,7 +96,7 @@ def spread_lanes(
                             found[i, j] += steps[k, i, lane] * steps[k, j, lane]
 
 
-@apart
+@inner
 def state_uncertainty(
     problem: Problem, n: int, factored: bool, spread: FloatArray, memory: LaneMemory, result: Result
 ) -> None:

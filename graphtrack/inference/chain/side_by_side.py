@@ -13,7 +13,7 @@ from graphtrack.model import Model
 from graphtrack.model.terms.pose import add_classes
 from graphtrack.tracks import Track
 
-LARGE = 60_000
+LARGE = 100_000
 """Person-frames from which work is large."""
 
 LONGEST = 5_000

@@ -18,7 +18,7 @@ from typing import Any
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.branches import any_of, choose
-from graphtrack.model.kernels.compiled import apart
+from graphtrack.model.kernels.compiled import inner
 from graphtrack.model.kernels.lanes import load, masked, matrix_of, negate, row_of, store
 from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.problem import Problem
@@ -28,7 +28,7 @@ from graphtrack.model.kernels.vector_math import cos_sin
 '''
 
 OPEN_LANES = '''
-@apart
+@inner
 def add_lanes(
     problem: Problem,
     frames: FloatArray,
