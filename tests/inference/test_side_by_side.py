@@ -52,8 +52,8 @@ def relative(covariance: FloatArray, other: FloatArray) -> float:
 
 
 def test_the_size_of_the_work_decides_and_what_a_track_is_like() -> None:
-    model, track = Model("full"), walk(30)
-    few, many = [track] * (LARGE // 30 - 1), [track] * (LARGE // 30)
+    model, track = Model("full"), walk(25)
+    few, many = [track] * (LARGE // 25 - 1), [track] * (LARGE // 25)
     assert not any(those_beside(few, model))
     assert all(those_beside(many, model))
     # A part of the work goes the way of the whole.
