@@ -1,8 +1,8 @@
 """Writes the frame program: what the chain engine does at a frame, spelled out from a list of terms.
 
 Functions that looped over kernels could not be inlined, nor their machine code be kept: so every call is
-written out. ``python -m graphtrack.model.kernels.generator`` writes `program` anew, and `lane_program`; a
-test compares.
+written out. ``python -m graphtrack.model.kernels.generator`` writes `program` anew; a test compares.
+`lane_generator` does the same for tracks side by side.
 """
 
 from __future__ import annotations
@@ -310,13 +310,15 @@ def written_call(indent: int, begin: str, function: str, given: Sequence[str]) -
 
 
 def main() -> None:
-    """Write `program` and `lane_program` anew, for the terms of all presets."""
-    from graphtrack.model.kernels.lane_generator import LaneProgram
+    """Write `program` anew, for the terms of all presets."""
+    write(Program, Path(__file__).with_name("program.py"))
+
+
+def write(kind: type[Program], path: Path) -> None:
+    """Write a program for the terms of all presets."""
     from graphtrack.model.model import every_term
 
-    for kind, name in ((Program, "program.py"), (LaneProgram, "lane_program.py")):
-        source = kind(every_term(), "the presets' terms").source
-        Path(__file__).with_name(name).write_text(source, encoding="utf-8")
+    path.write_text(kind(every_term(), "the presets' terms").source, encoding="utf-8")
 
 
 if __name__ == "__main__":

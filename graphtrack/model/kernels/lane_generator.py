@@ -1,15 +1,19 @@
-"""Writes the frame program for several tracks side by side: the terms whose kernels take `lanes`."""
+"""Writes the frame program for several tracks side by side: the terms whose kernels take `lanes`.
+
+``python -m graphtrack.model.kernels.lane_generator`` writes `lane_program` anew; a test compares.
+"""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
-from graphtrack.model.kernels.generator import TURNS, Program, written_call
+from graphtrack.model.kernels.generator import TURNS, Program, write, written_call
 from graphtrack.model.kernels.kernel import Kernel
 
 HEADER = '''"""The frame program of {title}, for several tracks side by side.
 
-Written by `graphtrack.model.kernels.generator`; not to be edited.
+Written by `graphtrack.model.kernels.lane_generator`; not to be edited.
 """
 
 from __future__ import annotations
@@ -105,3 +109,7 @@ class LaneProgram(Program):
         if kernel.unless in [f.name for f in self.fields]:
             return f"({gate}) & negate({self._field(kernel.unless)} > 0.0)"
         return gate
+
+
+if __name__ == "__main__":
+    write(LaneProgram, Path(__file__).with_name("lane_program.py"))

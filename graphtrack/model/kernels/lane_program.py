@@ -1,6 +1,6 @@
 """The frame program of the presets' terms, for several tracks side by side.
 
-Written by `graphtrack.model.kernels.generator`; not to be edited.
+Written by `graphtrack.model.kernels.lane_generator`; not to be edited.
 """
 
 from __future__ import annotations

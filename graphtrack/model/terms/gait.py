@@ -18,12 +18,13 @@ from scipy import special
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.kernels.bessel import of_alike
 from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import GaitParameters
 from graphtrack.model.term import Term, Variable
-from graphtrack.model.terms.pose import angle_cost, of_alike
+from graphtrack.model.terms.pose import angle_cost
 from graphtrack.tracks import Track
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ As a density: L(θ) = ε/2π + (1 − ε)·Σ_k w_k·VM(θ; μ_k, κ). An observ
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 import gtsam
@@ -24,7 +24,7 @@ from graphtrack.geometry.angles import (
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.factors.native import von_mises_prior
-from graphtrack.model.kernels.bessel import log_i0e
+from graphtrack.model.kernels.bessel import log_i0e, of_alike
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel, Search
@@ -210,12 +210,6 @@ def add_class_quarters(
     cost[1] -= math.log(onward)
     cost[2] -= math.log(opposite)
     cost[3] -= math.log(back)
-
-
-def of_alike(function: Callable[[FloatArray], FloatArray], numbers: FloatArray) -> FloatArray:
-    """A function of numbers (n,) that often are one number, evaluated once where they are."""
-    alike = len(numbers) > 0 and bool(np.all(numbers == numbers[0]))
-    return np.broadcast_to(function(numbers[:1]), numbers.shape) if alike else function(numbers)
 
 
 def _observed(name: Variable) -> tuple[Kernel, Kernel]:
