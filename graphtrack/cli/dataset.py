@@ -61,7 +61,8 @@ def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) 
 
 def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
     """Smooth a data set, and print what became of it; ends with status 2 if a track failed."""
-    from graphtrack.inference.warm import WHOLE, solver_rehearsal
+    from graphtrack.inference.chain.side_by_side import is_large
+    from graphtrack.inference.warm import WHOLE, solver_rehearsals
     from graphtrack.readiness import make_ready
     from graphtrack.scale import open_dataset, smooth_dataset
 
@@ -69,7 +70,8 @@ def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
     files = "" if len(dataset.files) == 1 else f" in {len(dataset.files)} files"
     console.print(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed", markup=False)
     if options["cluster"] in (None, "local"):
-        make_ready(WHOLE, solver_rehearsal(options["model"], options["engine"]))
+        beside = (is_large(options["model"], dataset.n_rows),)
+        make_ready(WHOLE, *solver_rehearsals(options["model"], options["engine"], beside=beside))
     start = time.perf_counter()
     with progress_bar(dataset.n_rows) as advance:
         outcome = smooth_dataset(dataset, output, progress=advance, **options)

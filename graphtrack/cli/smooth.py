@@ -71,9 +71,10 @@ def smooth(
     ] = None,
 ) -> None:
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
+    from graphtrack.inference.chain.side_by_side import those_beside
     from graphtrack.inference.offline import engine_of, solve_tracks
     from graphtrack.inference.solution import Failure, Solution
-    from graphtrack.inference.warm import WHOLE, solver_rehearsal
+    from graphtrack.inference.warm import WHOLE, solver_rehearsals
     from graphtrack.io import write
     from graphtrack.model import Model
     from graphtrack.readiness import make_ready
@@ -111,7 +112,8 @@ def smooth(
     observed, chosen, said = trusted(tracks, chosen, trust or "check")
     for line in said:
         console.print(f"  note: {line}", markup=False)
-    make_ready(WHOLE, solver_rehearsal(chosen, solver, tracks.camera))
+    beside = those_beside(observed.tracks, chosen)
+    make_ready(WHOLE, *solver_rehearsals(chosen, solver, tracks.camera, beside))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
         found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance)

@@ -16,6 +16,8 @@ from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
+from graphtrack.inference.chain.side_by_side import those_beside
+from graphtrack.inference.chain.stating import state_tracks, stating_of
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.social import lacks_groups, solve_in_turn
@@ -28,7 +30,7 @@ from graphtrack.inference.solution import (
     seconds_to_ends,
     stated,
 )
-from graphtrack.inference.warm import WHOLE, solver_rehearsal
+from graphtrack.inference.warm import WHOLE, solver_rehearsal, solver_rehearsals
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.beside import processors
@@ -39,7 +41,7 @@ from graphtrack.trust import Trust, trusted
 if TYPE_CHECKING:
     from graphtrack.io.given import Given, Scene
 
-BATCH = 20_000
+BATCH = 10_000
 """Frames that a thread of the chain engine takes at a time; it bounds the memory beside the answer."""
 
 
@@ -129,26 +131,22 @@ def solve_tracks(
     jobs: int | None = None,
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
+    n_frames: int | None = None,
 ) -> list[Solution | Failure]:
-    """`solve`, where the engine is the one that `engine_of` has chosen for the model."""
+    """`solve`, where the engine is the one that `engine_of` has chosen for the model.
+
+    ``n_frames``: person-frames of all the work that the tracks are a part of, if there are others.
+    """
     options = SolverOptions() if options is None else options
     if model.has_groups and lacks_groups(tracks):
         again = partial(
             solve_tracks, model=model, engine=engine, jobs=jobs, options=options, progress=progress
         )
         return solve_in_turn(tracks, again, model.parameters.social.correlation_time)
-    make_ready(WHOLE, solver_rehearsal(model, engine, tracks.camera))
+    beside = those_beside(tracks.tracks, model, n_frames)
+    make_ready(WHOLE, *solver_rehearsals(model, engine, tracks.camera, beside))
     if engine == "chain":
-        found: list[Solution | Failure] = []
-        batches = list(_batches(tracks))
-        # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
-        with ThreadPoolExecutor(processors() if jobs is None else jobs) as pool:
-            run = partial(_solve_chains, model=model, camera=tracks.camera, options=options)
-            for solved, batch in zip(pool.map(run, batches), batches, strict=True):
-                found += solved
-                if progress is not None:
-                    progress(sum(map(len, batch)))
-        return found
+        return _solve_batches(tracks, beside, model, jobs, options, progress)
     attempt = partial(_attempt_graph, model=model, camera=tracks.camera, options=options)
     if jobs is None or jobs == 1 or len(tracks) < 2:
         return _collect(tracks, map(attempt, tracks), progress)
@@ -242,11 +240,38 @@ def smooth_track(
     return result
 
 
-def _batches(tracks: TrackSet) -> Iterator[list[Track]]:
-    batch: list[Track] = []
+def _solve_batches(
+    tracks: TrackSet,
+    beside: list[bool],
+    model: Model,
+    jobs: int | None,
+    options: SolverOptions,
+    progress: Callable[[int], None] | None,
+) -> list[Solution | Failure]:
+    found: dict[int, Solution | Failure] = {}
+    # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
+    with ThreadPoolExecutor(processors() if jobs is None else jobs) as pool:
+        batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way)]
+
+        def run(batch: tuple[list[int], bool]) -> list[Solution | Failure]:
+            given = [tracks.tracks[m] for m in batch[0]]
+            return _solve_chains(given, model, tracks.camera, options, side_by_side=batch[1])
+
+        for solved, (which, _) in zip(pool.map(run, batches), batches, strict=True):
+            found |= zip(which, solved, strict=True)
+            if progress is not None:
+                progress(sum(len(tracks.tracks[m]) for m in which))
+    return [found[m] for m in range(len(tracks))]
+
+
+def _batches(tracks: TrackSet, beside: list[bool], way: bool) -> Iterator[list[int]]:
+    """The tracks that are solved one way, by their places, as many at a time as a thread takes."""
+    batch: list[int] = []
     size = 0
-    for track in tracks:
-        batch.append(track)
+    for m, track in enumerate(tracks):
+        if beside[m] is not way:
+            continue
+        batch.append(m)
         size += len(track)
         if size >= BATCH:
             yield batch
@@ -260,6 +285,7 @@ def _solve_chains(
     model: Model,
     camera: GroundCamera | None,
     options: SolverOptions,
+    side_by_side: bool = False,
 ) -> list[Solution | Failure]:
     packed = pack(tracks, model, camera)
     found = solve_packed(
@@ -268,14 +294,19 @@ def _solve_chains(
         max_iterations=options.max_iterations,
         tolerance=1e-3 * options.relative_tolerance,
         restart=options.restart,
+        side_by_side=side_by_side,
     )
     begins = packed.offsets[:-1]
     positioned = np.logical_or.reduceat(packed.has_position, begins)
     finite = np.logical_and.reduceat(np.isfinite(found.states[:, :4]).all(axis=1), begins)
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
-    ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-    covariance = stated(found.covariance, found.states[:, 2:4], model.parameters, ends)
+    covariance = found.covariance
+    if side_by_side:  # the same, compiled; that takes longer than it saves in small work
+        state_tracks(covariance, found.states, packed.offsets, packed.t, stating_of(model.parameters))
+    else:
+        ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
+        stated(covariance, found.states[:, 2:4], model.parameters, ends)
     answers: list[Solution | Failure] = []
     for m, track in enumerate(tracks):
         a, b = packed.offsets[m], packed.offsets[m + 1]

@@ -60,56 +60,57 @@ def solve(model: Model) -> None:
     solve_packed(pack([TRACK], model), model)
 
 
-def _made_up(model: Model) -> tuple[Problem, Result, Workspace]:
+def made_up(model: Model) -> tuple[Problem, Result, Workspace]:
+    """Somebody made up, packed, and memory for what is found of them."""
     packed = pack([TRACK], model)
     return problem_of(packed), empty_result(packed), workspace(len(TRACK))
 
 
 def _descend(model: Model) -> None:
-    problem, result, memory = _made_up(model)
+    problem, result, memory = made_up(model)
     program_of(model).minimise(problem, 0, result.states, 1, 1e-12, memory)
 
 
 def _look_around(model: Model) -> None:
-    problem, result, _ = _made_up(model)
+    problem, result, _ = made_up(model)
     program_of(model).find_other_basin(problem, 0, result.states, AT_START, np.empty_like(result.states))
 
 
 def _renew(model: Model) -> None:
-    problem, result, _ = _made_up(model)
+    problem, result, _ = made_up(model)
     spread = np.zeros((len(TRACK), 2))
     renew_tracks(problem, result.states, gait_of(model.parameters.gait), result.modes, spread)
 
 
 def _renew_couplings(model: Model) -> None:
-    problem, result, _ = _made_up(model)
+    problem, result, _ = made_up(model)
     filtered, spread = np.empty((2, len(TRACK), ROW)), np.zeros((len(TRACK), 2))
     gait, before = gait_of(model.parameters.gait), np.zeros((2, ROW))
     renew_couplings(problem, 0, result.states, gait, False, before, filtered, result.modes, spread)
 
 
 def _spread(model: Model) -> None:
-    problem, result, memory = _made_up(model)
+    problem, result, memory = made_up(model)
     spread = np.zeros((len(TRACK), 2))
     program_of(model).spread_tracks(problem, result.states, spread, memory, result.covariance)
 
 
 def _solve_window(model: Model) -> None:
-    problem, result, memory = _made_up(model)
+    problem, result, memory = made_up(model)
     problem, covariance = problem._replace(prior=np.zeros((8, 6))), np.empty((6, 6))
     solve_window(problem, result.states, False, False, False, 1, 1e-8, memory, covariance)
 
 
 def _let_go(model: Model) -> None:
-    problem, result, memory = _made_up(model)
+    problem, result, memory = made_up(model)
     let_go(problem._replace(prior=np.zeros((8, 6))), result.states, memory)
 
 
 def _spread_newest(model: Model) -> None:
-    problem, result, memory = _made_up(model)
+    problem, result, memory = made_up(model)
     spread = np.zeros((len(TRACK), 2))
     spread_newest(problem, result.states, spread, memory, np.zeros((6, 6)))
 
 
 def _state_uncertainty(model: Model) -> None:
-    state_uncertainty(np.eye(6), np.zeros(2), stating_of(model.parameters))
+    state_uncertainty(np.eye(6), np.zeros(2), 0.0, stating_of(model.parameters))

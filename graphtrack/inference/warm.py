@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +12,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import finish, is_chain
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram, program_of
+from graphtrack.inference.chain.side_by_side import has_lanes
 from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
@@ -47,6 +49,7 @@ def warm_up(
     engine: Literal["auto", "chain", "gtsam", "fixed-lag", "isam2"] = "auto",
     *,
     behaviour: bool = False,
+    large: bool = False,
 ) -> None:
     """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
 
@@ -58,6 +61,8 @@ def warm_up(
     ----------
     model, engine : as in `solve` and `OnlineSmoother`
     behaviour : whether what groups, attention and forecasts call is wanted, too
+    large : whether what solves many tracks side by side is wanted, too, where the model has it: work of
+        `side_by_side.LARGE` person-frames and more calls that
     """
     if behaviour:
         from graphtrack.behaviour import warm as told  # most do not need it
@@ -71,11 +76,24 @@ def warm_up(
     elif engine in ("fixed-lag", "isam2"):
         make_ready(ONLINE, online_rehearsal(model))
     else:
-        make_ready(SOLVER, offline_rehearsal(model), online_rehearsal(model))
+        whole = solver_rehearsals(model, "chain", beside=(False, large and has_lanes(model)))
+        make_ready(SOLVER, *whole, online_rehearsal(model))
+
+
+def solver_rehearsals(
+    model: Model,
+    engine: OfflineEngine,
+    camera: GroundCamera | None = None,
+    beside: Collection[bool] = (False,),
+) -> list[Rehearsal]:
+    """What an engine calls for whole tracks; ``beside``: which of them the chain solves side by side."""
+    some = engine == "chain" and any(beside)
+    one_by_one = [solver_rehearsal(model, engine, camera)] if not some or not all(beside) else []
+    return [*one_by_one, lane_rehearsal(model, camera)] if some else one_by_one
 
 
 def solver_rehearsal(model: Model, engine: OfflineEngine, camera: GroundCamera | None = None) -> Rehearsal:
-    """What an engine calls for whole tracks."""
+    """What an engine calls for whole tracks, one by one."""
     if engine != "gtsam":
         return offline_rehearsal(model, camera)
     # With terms of one's own it asks for the grid where it needs it.
@@ -89,7 +107,7 @@ def has_own_kernels(model: Model) -> bool:
 
 def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps: bool = False) -> Rehearsal:
     """What the chain engine calls for whole tracks; Newton's ``steps`` even where the model is linear."""
-    if camera is None and not steps and model.is_linear(pack([TRACK], model)):
+    if not steps and _is_linear(model, camera):
         return start_rehearsal()
     program = program_of(model)
     called, inlined = {**_START, **_steps(program)}, _descent(program)
@@ -101,6 +119,48 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     return Rehearsal(
         lambda: solve(_like(model)), called, inlined, lambda: (_parts(model, here), _parts(model, beside))
     )
+
+
+def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsal:
+    """What the chain engine calls for tracks side by side; see `side_by_side.those_beside`."""
+    # Small work does without.
+    from graphtrack.inference.lane_parts import (
+        DESCENT,
+        MODES,
+        STATING,
+        STEPS,
+        lane_parts_of,
+        solve_beside,
+        state_beside,
+    )
+
+    like, grid = _like(model), program_of(model).find_other_basin
+    linear = _is_linear(model, camera)
+
+    def run() -> None:
+        solve(Model("position"))
+        state_beside(like)
+        if not linear:
+            solve_beside(like)
+
+    called = {**_START, **STATING}
+    if linear:
+        return Rehearsal(run, called)
+    called |= {**STEPS, **(MODES if model.has_modes else {})}
+    modes = lane_parts_of(like.preset, "lane-modes") if model.has_modes else ()
+    return Rehearsal(
+        run,
+        called,
+        {**DESCENT, grid: 5.0},
+        lambda: (
+            (*_parts(model, "start"), *lane_parts_of(like.preset, "lanes")),
+            (*_parts(model, "grid"), *modes),
+        ),
+    )
+
+
+def _is_linear(model: Model, camera: GroundCamera | None) -> bool:
+    return camera is None and model.is_linear(pack([TRACK], model))
 
 
 def graph_rehearsal(model: Model) -> Rehearsal:

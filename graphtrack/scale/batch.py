@@ -34,6 +34,7 @@ class Work:
     read_options : frame rate and camera
     select : patterns of the tracks to smooth; empty: all
     model, engine, jobs, options : as in `graphtrack.solve`
+    n_frames : person-frames of all batches
     version : of this package, where the job was started
     """
 
@@ -45,6 +46,7 @@ class Work:
     engine: OfflineEngine
     jobs: int | None
     options: SolverOptions
+    n_frames: int
     version: str = version("graphtrack")
 
 
@@ -118,7 +120,9 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
     speeds = Speeds.of(tracks)
     if work.select:
         tracks = tracks.select(*work.select)
-    found = solve_tracks(tracks, work.model, work.engine, jobs=work.jobs, options=work.options)
+    found = solve_tracks(
+        tracks, work.model, work.engine, jobs=work.jobs, options=work.options, n_frames=work.n_frames
+    )
     good = [result for result in found if isinstance(result, Solution)]
     return Shard(
         to_columns(replace(tracks, tracks=tuple(result.track for result in good))),

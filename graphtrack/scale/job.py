@@ -13,9 +13,10 @@ from graphtrack.bounds import INPUT
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
+from graphtrack.inference.chain.side_by_side import is_large
 from graphtrack.inference.offline import BATCH, engine_of
 from graphtrack.inference.solution import OfflineEngine
-from graphtrack.inference.warm import WHOLE, solver_rehearsal
+from graphtrack.inference.warm import WHOLE, solver_rehearsals
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions
@@ -124,10 +125,12 @@ def smooth_dataset(
         engine_of(model, engine),
         1 if cluster else jobs,
         SolverOptions() if options is None else options,
+        dataset.n_rows,
     )
     if cluster in (None, "local"):
         # Once for all processes of this machine.
-        make_ready(WHOLE, solver_rehearsal(work.model, work.engine, read_options.camera))
+        beside = (is_large(work.model, work.n_frames),)
+        make_ready(WHOLE, *solver_rehearsals(work.model, work.engine, read_options.camera, beside))
     index = index_tracks(dataset)
 
     def labelled(scratch: Path) -> Iterator[Batch]:

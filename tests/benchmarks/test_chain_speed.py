@@ -207,7 +207,7 @@ def test_against_a_graph_of_python_factors(record: Record) -> None:
 
 
 def test_modes_cost_a_few_times_the_joint_model(record: Record) -> None:
-    tracks, full, joint = walks(300), Model("full"), Model("joint")
+    tracks, full, joint = walks(600), Model("full"), Model("joint")  # large work
     with_modes, without = seconds(lambda: ours(tracks, full), lambda: ours(tracks, joint), rounds=3)[:, 1]
     print(f"\nfull / joint: {with_modes / without:.2f} times the processor time")
     record("full / joint, processor time", with_modes / without)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import apart, compiled, inner
 
 # `leaf` is called by `middle` by its symbol, `middle` likewise; `top` has another linked into it.
 SOURCE = """
@@ -128,3 +128,17 @@ def test_functions_of_a_cell_are_called_as_they_are_now() -> None:
 
     twice, thrice = of(2.0), of(3.0)
     assert (twice(5.0), thrice(5.0), twice(5.0), twice(5)) == (11.0, 16.0, 11.0, 11.0)
+
+
+def test_what_is_for_compiled_code_alone_is_called_by_it_and_by_nobody_else() -> None:
+    @inner
+    def halved(x: float) -> float:
+        return 0.5 * x
+
+    @apart
+    def quarter(x: float) -> float:
+        return halved(halved(x))
+
+    assert quarter(8.0) == 2.0
+    with pytest.raises(TypeError, match="halved is for compiled code alone"):
+        halved(8.0)

@@ -32,8 +32,9 @@ from graphtrack.model import (
     Term,
     presets,
 )
-from graphtrack.model.kernels import program
+from graphtrack.model.kernels import lane_program, program
 from graphtrack.model.kernels.generator import Program
+from graphtrack.model.kernels.lane_generator import LaneProgram
 from graphtrack.model.kernels.layout import BODY, HEAD, PLACES
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.model import every_term
@@ -527,8 +528,9 @@ def test_every_kernel_of_every_preset_is_in_the_battery() -> None:
 
 
 def test_the_frame_program_is_the_one_of_the_terms() -> None:
-    source = Program(every_term(), "the presets' terms").source
-    assert Path(program.__file__).read_text(encoding="utf-8") == source
+    for kind, written in ((Program, program), (LaneProgram, lane_program)):
+        source = kind(every_term(), "the presets' terms").source
+        assert Path(written.__file__).read_text(encoding="utf-8") == source
 
 
 @pytest.mark.parametrize("preset", presets)

@@ -96,8 +96,8 @@ MUTANTS = (
     ),
     Mutant(
         "huber-factor",
-        "robust_threshold * (distance - 0.5 * robust_threshold), weight",
-        "robust_threshold * (distance - robust_threshold), weight",
+        "robust_threshold * (distance - 0.5 * robust_threshold), cost",
+        "robust_threshold * (distance - robust_threshold), cost",
     ),
     Mutant(
         "drift-circle-off-by-one",

@@ -20,6 +20,7 @@ from walks import walk, without
 
 import graphtrack as gt
 from graphtrack.errors import InputError
+from graphtrack.inference.chain import side_by_side
 from graphtrack.io.readers import native_parquet
 from graphtrack.scale import open_dataset, smooth_dataset, writer
 from graphtrack.scale.grouping import Index, batches, index_tracks
@@ -86,6 +87,19 @@ def test_the_bytes_of_the_in_memory_result(table, layout, batch_frames, model, t
         "in.parquet",
         "out.parquet",
     ]
+
+
+def test_a_part_of_large_work_is_solved_as_the_whole_is(table, tmp_path, monkeypatch):
+    path = tmp_path / "in.parquet"
+    table.to_parquet(path, index=False)
+    monkeypatch.setattr(side_by_side, "LARGE", len(table))
+    expected = in_memory(path, tmp_path / "expected.parquet", "joint")
+    smooth_dataset(path, tmp_path / "out.parquet", "joint", batch_frames=50)
+    assert (tmp_path / "out.parquet").read_bytes() == expected.read_bytes()
+    # The rest: not all of them have classes.
+    monkeypatch.setattr(side_by_side, "LARGE", len(table) + 1)
+    other = in_memory(path, tmp_path / "other.parquet", "joint")
+    assert other.read_bytes() != expected.read_bytes()
 
 
 def gt_notes(path: Path) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ import graphtrack as gt
 def solver() -> None:
     """What smooths and tracks."""
     for preset in ("joint", "full"):
-        gt.warm_up(preset)
+        gt.warm_up(preset, large=preset == "full")
 
 
 def others() -> None:

@@ -61,12 +61,12 @@ _SMALLEST_PIVOT = 1e-13  # relative to the diagonal
 def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> bool:
     """The inverse of the Cholesky factor of a symmetric matrix, of which the lower half is read.
 
-    Returns whether the matrix is positive definite. Only the lower half of ``inverse`` is written.
+    Returns whether the matrix is positive definite; if not, what is written is of no use. Only the lower half
+    of ``inverse`` is written. For floats, and for the matrices of all lanes at once.
     """
     # Written out, so that it stays in registers: loops that run to a changing end take twice as long.
     pivot = matrix[0, 0]
-    if not pivot > _SMALLEST_PIVOT * abs(matrix[0, 0]):
-        return False
+    sound0 = pivot > _SMALLEST_PIVOT * abs(matrix[0, 0])
     m00 = 1.0 / math.sqrt(pivot)
     l10 = (matrix[1, 0]) * m00
     l20 = (matrix[2, 0]) * m00
@@ -74,34 +74,29 @@ def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> bool:
     l40 = (matrix[4, 0]) * m00
     l50 = (matrix[5, 0]) * m00
     pivot = matrix[1, 1] - l10 * l10
-    if not pivot > _SMALLEST_PIVOT * abs(matrix[1, 1]):
-        return False
+    sound1 = pivot > _SMALLEST_PIVOT * abs(matrix[1, 1])
     m11 = 1.0 / math.sqrt(pivot)
     l21 = (matrix[2, 1] - l20 * l10) * m11
     l31 = (matrix[3, 1] - l30 * l10) * m11
     l41 = (matrix[4, 1] - l40 * l10) * m11
     l51 = (matrix[5, 1] - l50 * l10) * m11
     pivot = matrix[2, 2] - l20 * l20 - l21 * l21
-    if not pivot > _SMALLEST_PIVOT * abs(matrix[2, 2]):
-        return False
+    sound2 = pivot > _SMALLEST_PIVOT * abs(matrix[2, 2])
     m22 = 1.0 / math.sqrt(pivot)
     l32 = (matrix[3, 2] - l30 * l20 - l31 * l21) * m22
     l42 = (matrix[4, 2] - l40 * l20 - l41 * l21) * m22
     l52 = (matrix[5, 2] - l50 * l20 - l51 * l21) * m22
     pivot = matrix[3, 3] - l30 * l30 - l31 * l31 - l32 * l32
-    if not pivot > _SMALLEST_PIVOT * abs(matrix[3, 3]):
-        return False
+    sound3 = pivot > _SMALLEST_PIVOT * abs(matrix[3, 3])
     m33 = 1.0 / math.sqrt(pivot)
     l43 = (matrix[4, 3] - l40 * l30 - l41 * l31 - l42 * l32) * m33
     l53 = (matrix[5, 3] - l50 * l30 - l51 * l31 - l52 * l32) * m33
     pivot = matrix[4, 4] - l40 * l40 - l41 * l41 - l42 * l42 - l43 * l43
-    if not pivot > _SMALLEST_PIVOT * abs(matrix[4, 4]):
-        return False
+    sound4 = pivot > _SMALLEST_PIVOT * abs(matrix[4, 4])
     m44 = 1.0 / math.sqrt(pivot)
     l54 = (matrix[5, 4] - l50 * l40 - l51 * l41 - l52 * l42 - l53 * l43) * m44
     pivot = matrix[5, 5] - l50 * l50 - l51 * l51 - l52 * l52 - l53 * l53 - l54 * l54
-    if not pivot > _SMALLEST_PIVOT * abs(matrix[5, 5]):
-        return False
+    sound5 = pivot > _SMALLEST_PIVOT * abs(matrix[5, 5])
     m55 = 1.0 / math.sqrt(pivot)
     m10 = -m11 * (l10 * m00)
     m20 = -m22 * (l20 * m00 + l21 * m10)
@@ -139,11 +134,11 @@ def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> bool:
     inverse[5, 3] = m53
     inverse[5, 4] = m54
     inverse[5, 5] = m55
-    return True
+    return sound0 & sound1 & sound2 & sound3 & sound4 & sound5
 
 
-@apart
-def eliminate(
+@compiled
+def eliminated(
     hessian: FloatArray,
     right: FloatArray,
     transition: FloatArray,
@@ -153,9 +148,11 @@ def eliminate(
     link: FloatArray,
     solution: FloatArray,
 ) -> bool:
-    """Eliminate a frame: its Schur complement goes to the next one; keeps what the sweep back needs."""
-    if not invert_cholesky(hessian, inverse):
-        return False
+    """Eliminate a frame: its Schur complement goes to the next one; keeps what the sweep back needs.
+
+    For floats, and for lanes.
+    """
+    definite = invert_cholesky(hessian, inverse)
     # Six sums side by side are one vector operation; as an inner loop they are not (three times the time).
     for i in range(N):
         a = b = c = d = e = f = total = 0.0
@@ -191,7 +188,22 @@ def eliminate(
         row[3] -= d
         row[4] -= e
         row[5] -= f
-    return True
+    return definite
+
+
+@apart
+def eliminate(
+    hessian: FloatArray,
+    right: FloatArray,
+    transition: FloatArray,
+    hessian_next: FloatArray,
+    right_next: FloatArray,
+    inverse: FloatArray,
+    link: FloatArray,
+    solution: FloatArray,
+) -> bool:
+    """`eliminated` of floats, compiled once for all that call it."""
+    return eliminated(hessian, right, transition, hessian_next, right_next, inverse, link, solution)
 
 
 @compiled
@@ -249,11 +261,27 @@ def marginals(workspace: Workspace, covariance: FloatArray) -> None:
     n, inverse, link = len(covariance), workspace.inverse, workspace.link
     full, product = workspace.scratch[0], workspace.scratch[1]
     for k in range(n - 1, -1, -1):
-        # P = L⁻ᵀ·(I + W·P'·Wᵀ)·L⁻¹, with P' of the frame after: G = L⁻ᵀ·W, then G·P'·Gᵀ + L⁻ᵀ·L⁻¹.
+        after = covariance[min(k + 1, n - 1)]
+        marginal(inverse[k], link[k], k < n - 1, after, full, product, covariance[k])
+
+
+@compiled
+def marginal(
+    inverse: FloatArray,
+    link: FloatArray,
+    linked: bool,
+    after: FloatArray,
+    full: FloatArray,
+    product: FloatArray,
+    covariance: FloatArray,
+) -> None:
+    """Covariance of a frame's state from that of the frame ``after`` it, if ``linked``; for lanes too."""
+    # P = L⁻ᵀ·(I + W·P'·Wᵀ)·L⁻¹, with P' of the frame after: G = L⁻ᵀ·W, then G·P'·Gᵀ + L⁻ᵀ·L⁻¹.
+    if linked:
         for i in range(N):
             a = b = c = d = e = f = 0.0
             for m in range(i, N):
-                weight, row = inverse[k, m, i], link[k, m]
+                weight, row = inverse[m, i], link[m]
                 a += weight * row[0]
                 b += weight * row[1]
                 c += weight * row[2]
@@ -262,33 +290,32 @@ def marginals(workspace: Workspace, covariance: FloatArray) -> None:
                 f += weight * row[5]
             row = full[i]
             row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
-        if k < n - 1:
-            for i in range(N):
-                a = b = c = d = e = f = 0.0
-                for m in range(N):
-                    weight, row = full[i, m], covariance[k + 1, m]
-                    a += weight * row[0]
-                    b += weight * row[1]
-                    c += weight * row[2]
-                    d += weight * row[3]
-                    e += weight * row[4]
-                    f += weight * row[5]
-                row = product[i]
-                row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
         for i in range(N):
-            for j in range(i + 1):
-                total = 0.0
-                for m in range(i, N):
-                    total += inverse[k, m, i] * inverse[k, m, j]
-                if k < n - 1:
-                    row, other = product[i], full[j]
-                    total += (
-                        row[0] * other[0]
-                        + row[1] * other[1]
-                        + row[2] * other[2]
-                        + row[3] * other[3]
-                        + row[4] * other[4]
-                        + row[5] * other[5]
-                    )
-                covariance[k, i, j] = total
-                covariance[k, j, i] = total
+            a = b = c = d = e = f = 0.0
+            for m in range(N):
+                weight, row = full[i, m], after[m]
+                a += weight * row[0]
+                b += weight * row[1]
+                c += weight * row[2]
+                d += weight * row[3]
+                e += weight * row[4]
+                f += weight * row[5]
+            row = product[i]
+            row[0], row[1], row[2], row[3], row[4], row[5] = a, b, c, d, e, f
+    for i in range(N):
+        for j in range(i + 1):
+            total = 0.0
+            for m in range(i, N):
+                total += inverse[m, i] * inverse[m, j]
+            if linked:
+                row, other = product[i], full[j]
+                total += (
+                    row[0] * other[0]
+                    + row[1] * other[1]
+                    + row[2] * other[2]
+                    + row[3] * other[3]
+                    + row[4] * other[4]
+                    + row[5] * other[5]
+                )
+            covariance[i, j] = total
+            covariance[j, i] = total

@@ -39,6 +39,7 @@ def solve_packed(
     max_iterations: int = 100,
     tolerance: float = 1e-12,
     restart: bool = True,
+    side_by_side: bool = False,
 ) -> Result:
     """Maximum a posteriori states and their covariances.
 
@@ -48,6 +49,7 @@ def solve_packed(
     max_iterations : Newton steps a track
     tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
     restart : search a grid of orientations for a better basin where there may be one
+    side_by_side : several tracks at a time, of those that `side_by_side.those_beside` has found
 
     Returns
     -------
@@ -63,8 +65,13 @@ def solve_packed(
     initialise(problem, seen, linear, np.empty((3, longest)), result)
     if not linear:
         guessed = never_seen(packed, seen) if model.has_modes else None
-        memory = workspace(longest)
-        solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
+        if side_by_side:
+            from graphtrack.inference.chain.lane_engine import solve_in_lanes  # small work does without
+
+            solve_in_lanes(model, problem, max_iterations, tolerance, restart, PASSES, result, guessed)
+        else:
+            memory = workspace(longest)
+            solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
     finish(problem, model.has_body, model.has_head, result)
     return result
 

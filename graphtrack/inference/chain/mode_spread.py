@@ -14,6 +14,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace
 from graphtrack.inference.chain.modes import BODY_MODE, HEAD_MODE
 from graphtrack.inference.chain.newton import as_variable, sweep_forward
+from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N
 from graphtrack.model.kernels.problem import Problem
@@ -24,17 +25,16 @@ from graphtrack.model.terms.body_follows_motion import squared_excess
 def pull_apart(
     state: FloatArray, coupling: int, spread: FloatArray, threshold: float, right: FloatArray
 ) -> None:
-    """The gradient's standard deviation (6,) in a frame, by the modes of one of the two couplings."""
+    """The gradient's standard deviation (6,) in a frame, by the modes of one coupling; of lanes too."""
     for i in range(N):
         right[i] = 0.0
     if coupling == HEAD_MODE:
         right[HEAD], right[BODY] = spread[HEAD_MODE], -spread[HEAD_MODE]
         return
     vx, vy = state[VX], state[VY]
-    size = spread[BODY_MODE] * squared_excess(vx, vy, threshold)
-    if size > 0.0:
-        square = vx * vx + vy * vy
-        right[BODY], right[VX], right[VY] = size, size * vy / square, -size * vx / square
+    size, square = spread[BODY_MODE] * squared_excess(vx, vy, threshold), vx * vx + vy * vy
+    square = choose(size > 0.0, square, 1.0)
+    right[BODY], right[VX], right[VY] = size, size * vy / square, -size * vx / square
 
 
 @compiled

@@ -1,16 +1,18 @@
-"""The stated uncertainty of a newest frame, compiled: what `inference.solution.stated` says of it."""
+"""Stated uncertainty, compiled: what `inference.solution.stated` says, of a frame or of whole tracks."""
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
 from graphtrack.inference.solution import SHARES, SHRINK
 from graphtrack.model.kernels.compiled import apart, compiled
-from graphtrack.model.kernels.layout import BODY, HEAD, N
+from graphtrack.model.kernels.layout import BODY, HEAD, VX, N
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.sway import kept_shares, sway_variances
 
@@ -51,10 +53,15 @@ def stating_of(parameters: Parameters) -> Stating:
 
 
 @compiled
-def newest_lag(seconds: float, lasting: Lasting) -> float:
-    """Variance of what the estimate of a newest frame lags: from the past alone."""
-    lasts = lasting.lasts
-    return lasting.rate**2 * seconds * lasts * (seconds / (seconds + lasts))
+def lags(seconds: float, lasting: Lasting, end: float) -> tuple[float, float]:
+    """Variance of what an estimate lags from the past, as far as it does, and altogether; see `sway`."""
+    lasts, rate, around = lasting.lasts, lasting.rate, 2.0 * seconds
+    past = rate * rate * seconds * lasts * (seconds / (seconds + lasts))
+    if end == 0.0:
+        return past, past
+    share, late = around / (around + lasts), math.exp(-end / max(around, 1e-9))
+    past *= late
+    return past, past + (1.0 - late) * 0.5 * rate * rate * around * lasts * share * share
 
 
 @compiled
@@ -94,22 +101,23 @@ def shrink_of(variance: float, stating: Stating) -> float:
 
 
 @apart
-def state_uncertainty(covariance: FloatArray, velocity: FloatArray, stating: Stating) -> None:
-    """The covariance (6, 6) of a newest frame as it is stated, in place; NaN where there is no such state.
+def state_uncertainty(covariance: FloatArray, velocity: FloatArray, end: float, stating: Stating) -> None:
+    """The covariance (6, 6) of a frame as it is stated, in place; NaN where there is no such state.
 
-    ``velocity`` (2,) is the frame's, in m/s.
+    ``velocity`` (2,) is the frame's, in m/s, and ``end`` the seconds to the nearer end of its track, 0 of a
+    newest frame.
     """
     body_behind = angle_behind(covariance[BODY], velocity, stating)
     head_behind = angle_behind(covariance[HEAD], velocity, stating)
     if stating.accelerations.rate != 0.0:
         own = 0.5 * (covariance[2, 2] + covariance[3, 3])
         seconds = 0.5 * (covariance[0, 2] + covariance[1, 3]) / own
-        lag = newest_lag(own / stating.accelerations.diffusion, stating.accelerations)
+        newest, speed = lags(own / stating.accelerations.diffusion, stating.accelerations, end)
         for axis in range(2):
-            covariance[axis, axis] += lag * seconds**2
-            covariance[axis, 2 + axis] += lag * seconds
-            covariance[2 + axis, axis] += lag * seconds
-            covariance[2 + axis, 2 + axis] += lag
+            covariance[axis, axis] += newest * seconds**2
+            covariance[axis, 2 + axis] += newest * seconds
+            covariance[2 + axis, axis] += newest * seconds
+            covariance[2 + axis, 2 + axis] += speed
     for place in range(4):
         covariance[place, place] += stating.sway[place]
     body = stating.kept[0] * shrink_of(covariance[BODY, BODY], stating)
@@ -120,8 +128,8 @@ def state_uncertainty(covariance: FloatArray, velocity: FloatArray, stating: Sta
     for i in range(N):
         covariance[i, BODY] *= body
         covariance[i, HEAD] *= head
-    add_turns(covariance, BODY, newest_lag(body_behind, stating.body_turns))
-    add_turns(covariance, HEAD, newest_lag(head_behind, stating.head_turns))
+    add_turns(covariance, BODY, lags(body_behind, stating.body_turns, end)[1])
+    add_turns(covariance, HEAD, lags(head_behind, stating.head_turns, end)[1])
 
 
 @compiled
@@ -129,3 +137,15 @@ def add_turns(covariance: FloatArray, place: int, lag: float) -> None:
     """What an angle lags behind turns that last; no angle is less sure than one that may be any."""
     variance = covariance[place, place] + lag
     covariance[place, place] = UNIFORM_STD**2 if variance > UNIFORM_STD**2 else variance
+
+
+@apart
+def state_tracks(
+    covariance: FloatArray, states: FloatArray, offsets: NDArray[np.int64], t: FloatArray, stating: Stating
+) -> None:
+    """Covariances (n, 6, 6) of all frames of tracks from ``offsets`` (m + 1,) on, at the times ``t`` (n,)."""
+    for track in range(len(offsets) - 1):
+        first, last = offsets[track], offsets[track + 1] - 1
+        for k in range(first, last + 1):
+            end = min(t[k] - t[first], t[last] - t[k])
+            state_uncertainty(covariance[k], states[k, VX:BODY], end, stating)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import compiled
 
 
@@ -18,3 +22,9 @@ def log_i0e(x: float) -> float:
     series = 0.00916281 + y * (-0.02057706 + y * (0.02635537 + y * (-0.01647633 + y * 0.00392377)))
     series = 0.39894228 + y * (0.01328592 + y * (0.00225319 + y * (-0.00157565 + y * series)))
     return math.log(series) - 0.5 * math.log(x)
+
+
+def of_alike(function: Callable[[FloatArray], FloatArray], numbers: FloatArray) -> FloatArray:
+    """A function of numbers (n,) that often are one number, evaluated once where they are."""
+    alike = len(numbers) > 0 and bool(np.all(numbers == numbers[0]))
+    return np.broadcast_to(function(numbers[:1]), numbers.shape) if alike else function(numbers)

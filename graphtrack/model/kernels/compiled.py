@@ -10,7 +10,7 @@ from typing import Literal, TypeVar, cast
 
 import numba
 
-from graphtrack.model.kernels.dispatch import Apart, Linked
+from graphtrack.model.kernels.dispatch import Apart, Inner, Linked
 from graphtrack.model.kernels.fingerprint import fingerprint, source_file
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -40,6 +40,11 @@ def apart(function: Function) -> Function:
     So it is compiled once, and where several are needed two processes can share them.
     """
     return _dispatched(function, Apart)
+
+
+def inner(function: Function) -> Function:
+    """As `apart`, for what Python never calls: what lets it do so takes a sixth of the time to compile."""
+    return _dispatched(function, Inner)
 
 
 def inlined(function: Function) -> Function:

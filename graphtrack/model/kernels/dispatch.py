@@ -136,6 +136,18 @@ class Apart(_Function):
         return symbol
 
 
+class Inner(Apart):
+    """The same of a function that compiled code alone calls: it has nothing for the interpreter."""
+
+    def __init__(self, py_func: Callable[..., object], *given: Any, **options: Any) -> None:
+        super().__init__(py_func, *given, **options)
+        self.targetoptions["no_cpython_wrapper"] = True
+
+    def __call__(self, *arguments: object, **named: object) -> object:
+        """Raise TypeError: there is nothing that Python could call."""
+        raise TypeError(f"{self.py_func.__name__} is for compiled code alone")
+
+
 class _Entry(_Function):
     """What Python calls for a function that is linked elsewhere."""
 

@@ -2,6 +2,7 @@
 
 Functions that looped over kernels could not be inlined, nor their machine code be kept: so every call is
 written out. ``python -m graphtrack.model.kernels.generator`` writes `program` anew; a test compares.
+`lane_generator` does the same for tracks side by side.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ from graphtrack.model.kernels.program_texts import (
     QUARTERS_FRAMES,
 )
 
-_TURNS = tuple(f"{name}_{part}" for name in ("body", "head") for part in ("cos", "sin"))
+TURNS = tuple(f"{name}_{part}" for name in ("body", "head") for part in ("cos", "sin"))
 _OWN = ("gradient", "hessian")
 _LINK = ("gradient_before", "gradient", "hessian_before", "hessian", "transition")
-_NOTED = {name: f"turns[k, {i}]" for i, name in enumerate(_TURNS)}
+_NOTED = {name: f"turns[k, {i}]" for i, name in enumerate(TURNS)}
 _WIDTH = 110
 _TAKEN = (
     "add_own",
@@ -90,11 +91,14 @@ class Program:
         self._functions: dict[Function, str] = {}
         self._imports: dict[str, set[str]] = {}
         self._check()
+        self.source = self._source(title)
+
+    def _source(self, title: str) -> str:
         parts = [self._types(), self._own(), self._links(), NOTE_TURNS, self._frame(), self._cut()]
         parts += [self._over(), self._quarters()]
         body = "\n".join(parts)
         layout = ", ".join(name for name in ("BODY", "HEAD", "N") if re.search(rf"\b{name}\b", body))
-        self.source = HEADER.format(imports=self._import_lines(), layout=layout, title=title) + body
+        return HEADER.format(imports=self._import_lines(), layout=layout, title=title) + body
 
     def _check(self) -> None:
         """Every parameter of a kernel is known, and no two fields have one name."""
@@ -186,7 +190,7 @@ class Program:
 
     def _link_lines(self, turned: Mapping[str, str]) -> list[str]:
         """The terms between a frame and the one before."""
-        here = {f"{name}_before": f"turns[k - 1, {i}]" for i, name in enumerate(_TURNS)}
+        here = {f"{name}_before": f"turns[k - 1, {i}]" for i, name in enumerate(TURNS)}
         return self._lines(before=True, local=("before", "state", "exact", *_LINK), here={**here, **turned})
 
     def _lines(self, *, before: bool, local: Sequence[str], here: Mapping[str, str]) -> list[str]:
@@ -194,7 +198,7 @@ class Program:
         for kernel in self.kernels:
             if bool(kernel.before) is before:
                 given = self._all_given(kernel.arguments, local, here)
-                call = _call(8, "cost += ", self._name(kernel.function), given)
+                call = written_call(8, "cost += ", self._name(kernel.function), given)
                 lines += [f"    {self._gate(kernel)}", call]
         return lines
 
@@ -208,7 +212,7 @@ class Program:
 
     def _frame(self) -> str:
         """Both, spelled out once more: a problem handed on at every frame costs as much as a term."""
-        local = {name: name for name in _TURNS}
+        local = {name: name for name in TURNS}
         lines = [*self._link_lines(local), *self._own_lines(local)]
         return "\n".join([OPEN_FRAME, *_locals(lines), *lines, "    return cost", ""])
 
@@ -231,16 +235,16 @@ class Program:
             if search is None:
                 turned = {f"{name}_cos": "cos[i]", f"{name}_sin": "sin[i]"}
                 given = self._all_given(kernel.arguments, ("state", "exact", *_OWN), turned)
-                call = _call(16, f"{name}[g, i] += ", self._name(kernel.function), given)
+                call = written_call(16, f"{name}[g, i] += ", self._name(kernel.function), given)
                 loop += [gate, "            for i in range(len(cos)):", call]
                 continue
             here = {"cost": f"{name}[g]"}
             if search.prepare is not None:
                 here["prepared"] = f"of_{kernel.gate}"
                 given = self._all_given(_unturned(search.prepare, kernel), ("cos", "sin"), {})
-                before.append(_call(4, f"of_{kernel.gate} = ", self._name(search.prepare), given))
+                before.append(written_call(4, f"of_{kernel.gate} = ", self._name(search.prepare), given))
             given = self._all_given(_unturned(search.add_over, kernel), ("state", "cos", "sin"), here)
-            loop += [gate, _call(12, "", self._name(search.add_over), given)]
+            loop += [gate, written_call(12, "", self._name(search.add_over), given)]
         return "\n".join([OPEN_OVER, *_locals(loop, _MEMORY), *before, OVER_FRAMES, *loop, ""])
 
     def _quarters(self) -> str:
@@ -251,7 +255,7 @@ class Program:
             if search is None:
                 turned = {f"{name}_cos": f"turns[{row}, i]", f"{name}_sin": f"turns[{row + 1}, i]"}
                 given = self._all_given(kernel.arguments, ("state", "exact", *_OWN), turned)
-                call = _call(16, f"{name}[i] += ", self._name(kernel.function), given)
+                call = written_call(16, f"{name}[i] += ", self._name(kernel.function), given)
                 lines += ["            for i in range(4):", call]
                 continue
             function = search.add_quarters or search.add_over
@@ -259,7 +263,7 @@ class Program:
             if search.add_quarters is not None:
                 here |= {"cos": f"{name}_cos", "sin": f"{name}_sin"}
             given = self._all_given(_unturned(function, kernel), ("state",), here)
-            lines.append(_call(12, "", self._name(function), given))
+            lines.append(written_call(12, "", self._name(function), given))
         turns = [QUARTERS] if any("turns[" in line for line in lines) else []
         memory = _locals([*turns, *lines], _MEMORY)
         return "\n".join([OPEN_QUARTERS, *memory, QUARTERS_FRAMES, *turns, *lines, END_QUARTERS])
@@ -292,7 +296,7 @@ def _unturned(function: Function, kernel: Kernel) -> tuple[str, ...]:
     return arguments_of(function, names)
 
 
-def _call(indent: int, begin: str, function: str, given: Sequence[str]) -> str:
+def written_call(indent: int, begin: str, function: str, given: Sequence[str]) -> str:
     """A call, broken as the formatter breaks it."""
     space = " " * indent
     line = f"{space}{begin}{function}({', '.join(given)})"
@@ -307,10 +311,14 @@ def _call(indent: int, begin: str, function: str, given: Sequence[str]) -> str:
 
 def main() -> None:
     """Write `program` anew, for the terms of all presets."""
+    write(Program, Path(__file__).with_name("program.py"))
+
+
+def write(kind: type[Program], path: Path) -> None:
+    """Write a program for the terms of all presets."""
     from graphtrack.model.model import every_term
 
-    path = Path(__file__).with_name("program.py")
-    path.write_text(Program(every_term(), "the presets' terms").source, encoding="utf-8")
+    path.write_text(kind(every_term(), "the presets' terms").source, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel, Search
 from graphtrack.model.kernels.layout import BODY, VX, VY, Field
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 def squared_excess(vx: float, vy: float, threshold: float) -> float:
     """max(0, ‖v‖ − τ)² in (m/s)²; times κ₁ it is κ(v)."""
     excess = math.sqrt(vx * vx + vy * vy) - threshold
-    return excess * excess if excess > 0.0 else 0.0
+    return choose(excess > 0.0, excess * excess, 0.0)
 
 
 @compiled
@@ -44,12 +45,13 @@ def add_body_follows_motion(
 
     ``motion_body_cos`` and ``motion_body_sin`` are those of the offset δ.
     """
-    kappa = motion_body_kappa
     vx, vy = state[VX], state[VY]
     speed = math.sqrt(vx * vx + vy * vy)
     excess = speed - speed_threshold
-    if excess <= 0.0 or speed < 1e-12:
-        return 0.0
+    moves = (excess > 0.0) & (speed >= 1e-12)
+    if not any_of(moves):
+        return 0.0 * vx
+    kappa, speed = choose(moves, motion_body_kappa, 0.0), choose(moves, speed, 1.0)
     # A body turned back by the offset is what follows the motion.
     cos = body_cos * motion_body_cos + body_sin * motion_body_sin
     sin = body_sin * motion_body_cos - body_cos * motion_body_sin
@@ -139,6 +141,7 @@ ADD_BODY_FOLLOWS_MOTION = Kernel(
     variables=("velocity", "body"),
     switched=True,
     search=Search(add_motion_over, add_motion_quarters),
+    lanes=True,
 )
 
 

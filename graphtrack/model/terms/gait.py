@@ -18,6 +18,7 @@ from scipy import special
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.kernels.bessel import of_alike
 from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import States, Step
@@ -35,7 +36,7 @@ BINS, NEAR = 36, 7
 
 ROW = BINS + NEAR
 
-_MOST_DRIFT = 100
+MOST_DRIFT = 100
 
 
 class Modes(NamedTuple):
@@ -117,7 +118,7 @@ def drift(probability: FloatArray, variance: float, memory: FloatArray) -> None:
     if not share > 0.0:
         return
     # More passes than that leave hardly anything but the uniform density.
-    passes = int(min(math.ceil(2.0 * share), _MOST_DRIFT))
+    passes = int(min(math.ceil(2.0 * share), MOST_DRIFT))
     side = min(0.5 * share / passes, 1.0 / 3.0)
     for _ in range(passes):
         for j in range(BINS):
@@ -377,6 +378,6 @@ class GaitOffsets(Term):
         records["body_aligned_kappa"] = records["motion_body_kappa"]
         records["head_aligned_kappa"] = records["head_body_kappa"]
         for name, heights in (("body", packed.body_heights), ("head", packed.head_heights)):
-            records[f"{name}_information"] = angle_information(records[f"{name}_kappa"])
+            records[f"{name}_information"] = of_alike(angle_information, records[f"{name}_kappa"])
             if len(heights):
                 records[f"{name}_information"] += class_information(heights)

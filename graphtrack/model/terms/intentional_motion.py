@@ -200,6 +200,7 @@ ADD_STEERED_MOTION = Kernel(
     variables=("position", "velocity"),
     before=("position", "velocity", "head"),
     switched=True,
+    lanes=True,
 )
 
 

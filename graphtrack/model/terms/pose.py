@@ -24,7 +24,8 @@ from graphtrack.geometry.angles import (
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.factors.native import von_mises_prior
-from graphtrack.model.kernels.bessel import log_i0e
+from graphtrack.model.kernels.bessel import log_i0e, of_alike
+from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel, Search
 from graphtrack.model.kernels.layout import Field
@@ -66,7 +67,7 @@ def add_angle(
     close = cos * mean_cos + sin * mean_sin
     across = sin * mean_cos - cos * mean_sin
     far = kappa * (1.0 - close)
-    if uniform == 0.0:
+    if not any_of(uniform > 0.0):
         gradient[place] += kappa * across
         hessian[place, place] += kappa * close if exact else kappa
         return far
@@ -78,7 +79,8 @@ def add_angle(
         hessian[place, place] += inlier * kappa * close - inlier * (1.0 - inlier) * slope * slope
     else:
         hessian[place, place] += inlier * kappa
-    return angle_cost(close, kappa, uniform)
+    # As in `angle_cost`.
+    return choose(uniform > 0.0, 2.0 * kappa - math.log((value + uniform) / (1.0 + uniform)), far)
 
 
 @compiled
@@ -224,6 +226,7 @@ def _observed(name: Variable) -> tuple[Kernel, Kernel]:
             (name,),
             names=names | angle,
             search=Search(add_angle_over, add_angle_quarters),
+            lanes=True,
         ),
         Kernel(
             add_classes,
@@ -244,6 +247,11 @@ def _fields(name: Variable) -> tuple[Field, ...]:
         Field(f"{name}_class_kappa", "concentration of the classes; 0: no class likelihoods"),
         Field(f"{name}_doubt", "probability that they say nothing, by the modes of the couplings"),
     )
+
+
+def _reads(name: Variable) -> tuple[str, ...]:
+    own = f"likelihood.{name}_kappa", f"likelihood.{name}_scale"
+    return (*own, "likelihood.outlier_probability", "likelihood.class_outlier_probability")
 
 
 class _PoseLikelihood(Term):
@@ -283,10 +291,8 @@ class _PoseLikelihood(Term):
             highest = np.where(scores.any(axis=1), highest_log_density(kappa, uniform), -np.log(2.0 * np.pi))
             total += float((highest + 2.0 * kappa).sum())
         if angle is not None:
-            kappas, uniform = (
-                self._kappas(getattr(track, f"{self.name}_kappa"), n),
-                likelihood.outlier_probability,
-            )
+            kappas = self._kappas(getattr(track, f"{self.name}_kappa"), n)
+            uniform = likelihood.outlier_probability
             seen = np.isfinite(angle) & ~by_class & (kappas > 0.0)
             kappas, mean, at = kappas[seen], angle[seen], estimate[seen]
             if uniform == 0.0:
@@ -331,7 +337,7 @@ class _PoseLikelihood(Term):
             if likelihood.outlier_probability > 0.0:
                 # The densities at the outliers and at the peak: ε/2π over (1 − ε)/(2π·I₀(κ)·e^−κ).
                 odds = likelihood.outlier_probability / (1.0 - likelihood.outlier_probability)
-                records[f"{name}_uniform"] = odds * special.i0e(kappa)
+                records[f"{name}_uniform"] = odds * of_alike(special.i0e, kappa)
         if heights is not None:
             seen = np.isfinite(heights[:, 0])
             records[f"{name}_class_kappa"][seen] = class_kappa(heights.shape[1] - 1)
@@ -358,12 +364,7 @@ class BodyLikelihood(_PoseLikelihood):
     name: ClassVar[Variable] = "body"
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
     repeats = True
-    reads = (
-        "likelihood.body_kappa",
-        "likelihood.body_scale",
-        "likelihood.outlier_probability",
-        "likelihood.class_outlier_probability",
-    )
+    reads = _reads("body")
     fields = _fields("body")
     kernels = _observed("body")
 
@@ -382,12 +383,7 @@ class HeadLikelihood(_PoseLikelihood):
     name: ClassVar[Variable] = "head"
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
     repeats = True
-    reads = (
-        "likelihood.head_kappa",
-        "likelihood.head_scale",
-        "likelihood.outlier_probability",
-        "likelihood.class_outlier_probability",
-    )
+    reads = _reads("head")
     fields = _fields("head")
     kernels = _observed("head")
 

@@ -14,6 +14,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.homography import apply_homography
 from graphtrack.model.factors.derived import derived_factors
+from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import Field, X, Y
@@ -69,15 +70,18 @@ def robust_weight(square: float, robust: float, robust_threshold: float) -> tupl
 
     The doubling makes ρ' the weight of iteratively reweighted least squares: 1 without a robust loss.
     """
-    if robust == HUBER and square > robust_threshold * robust_threshold:
-        distance = math.sqrt(square)
+    cost, weight, slope = 0.5 * square, 1.0, 0.0
+    scale = robust_threshold * robust_threshold
+    if robust == HUBER:
+        outside = square > scale
+        distance = math.sqrt(choose(outside, square, scale))
         weight = robust_threshold / distance
-        return robust_threshold * (distance - 0.5 * robust_threshold), weight, -0.5 * weight / square
+        cost = choose(outside, robust_threshold * (distance - 0.5 * robust_threshold), cost)
+        slope = choose(outside, -0.5 * weight / square, 0.0)
     if robust == CAUCHY:
-        scale = robust_threshold * robust_threshold
         weight = scale / (scale + square)
-        return 0.5 * scale * math.log1p(square / scale), weight, -weight * weight / scale
-    return 0.5 * square, 1.0, 0.0
+        cost, slope = 0.5 * scale * math.log1p(square / scale), -weight * weight / scale
+    return cost, weight, slope
 
 
 @compiled
@@ -153,9 +157,13 @@ def add_pixel(
 
 
 ADD_POSITION = Kernel(
-    add_position, gate="position_information", variables=("position",), unless="pixel_information"
+    add_position,
+    gate="position_information",
+    variables=("position",),
+    unless="pixel_information",
+    lanes=True,
 )
-ADD_PIXEL = Kernel(add_pixel, gate="pixel_information", variables=("position",))
+ADD_PIXEL = Kernel(add_pixel, gate="pixel_information", variables=("position",), lanes=True)
 
 
 class PositionLikelihood(Term):
@@ -238,7 +246,7 @@ class PositionLikelihood(Term):
         """Observed positions or pixels with their information, and the robust loss."""
         likelihood, records = self.parameters.likelihood, packed.records
         std = likelihood.position_stds(packed.channel("position_std"), len(records))
-        records["x"], records["y"] = np.nan_to_num(packed.position).T
+        records["x"], records["y"] = np.where(packed.has_position, packed.position.T, 0.0)
         records["position_information"] = np.where(packed.has_position, std**-2.0, 0.0)
         packed.shared["robust"] = {"none": 0, "huber": HUBER, "cauchy": CAUCHY}[likelihood.robust]
         packed.shared["robust_threshold"] = likelihood.robust_threshold

@@ -64,7 +64,8 @@ def _turning(name: Variable) -> Kernel:
     names = {"place": name.upper(), "turn_kappa": f"{name}_turn_kappa"}
     for part in ("cos", "sin"):
         names |= {part: f"{name}_{part}", f"{part}_before": f"{name}_{part}_before"}
-    return Kernel(add_turn, gate=f"{name}_turn_kappa", variables=(name,), before=(name,), names=names)
+    gate = f"{name}_turn_kappa"
+    return Kernel(add_turn, gate=gate, variables=(name,), before=(name,), names=names, lanes=True)
 
 
 _READ = ("diffusion", "white_share", "turn_rate", "turn_time")
