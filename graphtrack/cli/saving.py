@@ -73,7 +73,7 @@ class Saving:
     ) -> None:
         self._file, self._people, self._settings = file, people, settings
         self._every, self._clock = every, clock
-        self._last = clock() - (every or 0.0) * zlib.crc32(str(file.path).encode()) / 2**32
+        self._due = clock() + (every or 0.0) * zlib.crc32(str(file.path).encode()) / 2**32
         self._changed: set[Any] = set()
         self._sealed: dict[Any, bytes] = {}
         self._left: dict[Any, Callable[[], Any] | None] | None = None
@@ -140,7 +140,8 @@ class Saving:
                 self._seal(next(iter(self._left)))
             else:
                 self._hand_over()
-        elif self._is_due() and not self._file.is_replacing:
+        elif self._every is not None and self._clock() >= self._due and not self._file.is_replacing:
+            self._due = self._clock() + self._every
             self._begin()
 
     def finish(self) -> None:
@@ -169,12 +170,8 @@ class Saving:
             found = f"a damaged state ({error!r})"
             raise InputError(found, "what 'graphtrack track -' wrote", path=self._file.path) from error
 
-    def _is_due(self) -> bool:
-        return self._every is not None and self._clock() - self._last >= self._every
-
     def _begin(self) -> None:
         people = self._people
-        self._last = self._clock()
         due = self._changed | set(self._left or ()) | (set(people.members) - set(self._sealed))
         self._left = {track_id: None for track_id in people.members if track_id in due}
         self._changed.clear()
