@@ -189,7 +189,7 @@ def online_rehearsal(model: Model) -> Rehearsal:
         # The window calls the grid, and what leaves it calls what the descent does: none is compiled twice.
         if is_cold(program.find_other_basin):
             return _parts(model, f"{newest}descent leaving stating"), _parts(model, f"{couplings}grid")
-        return _parts(model, f"{newest}descent window stating"), _parts(model, f"{couplings}leaving")
+        return _parts(model, f"{newest}descent window"), _parts(model, f"{couplings}stating leaving")
 
     return Rehearsal(
         lambda: _slide(ChainWindow(_like(model), 1.5 * STEP, 1e-8, 5)), called, _descent(program), parts

@@ -23,7 +23,7 @@ from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame, add_links, add_own, cut, note_turns
-from graphtrack.model.terms.position import CAUCHY, add_pixel, add_position
+from graphtrack.model.terms.position import CAUCHY
 
 _FAR = 0.5
 """Radians beyond which a first guess is not better than that nothing turns."""
@@ -130,42 +130,19 @@ def have_strayed(problem: Problem, track: int, states: FloatArray) -> bool:
     shared, offset, count = problem.shared[0], problem.offsets[track], 0
     if shared.robust != CAUCHY:
         return False
-    far = 0.5 * shared.robust_threshold**2 * math.log(2.0)
-    gradient, hessian = np.zeros(N), np.zeros((N, N))
+    to_image = shared.to_image
     for k in range(len(states) - 1, -1, -1):
-        frame, cost = problem.records[offset + k], 0.0
+        frame = problem.records[offset + k]
+        x, y = states[k, X] + problem.origin[track, X], states[k, Y] + problem.origin[track, Y]
+        dx, dy, information = x - frame.x, y - frame.y, frame.position_information
         if frame.pixel_information > 0.0:
-            cost = add_pixel(
-                states[k],
-                problem.origin[track, X],
-                problem.origin[track, Y],
-                frame.u,
-                frame.v,
-                frame.pixel_information,
-                shared.to_image,
-                shared.robust,
-                shared.robust_threshold,
-                False,
-                gradient,
-                hessian,
-            )
-        elif frame.position_information > 0.0:
-            cost = add_position(
-                states[k],
-                problem.origin[track, X],
-                problem.origin[track, Y],
-                frame.x,
-                frame.y,
-                frame.position_information,
-                shared.robust,
-                shared.robust_threshold,
-                False,
-                gradient,
-                hessian,
-            )
-        else:
+            depth = to_image[2, 0] * x + to_image[2, 1] * y + to_image[2, 2]
+            dx = (to_image[0, 0] * x + to_image[0, 1] * y + to_image[0, 2]) / depth - frame.u
+            dy = (to_image[1, 0] * x + to_image[1, 1] * y + to_image[1, 2]) / depth - frame.v
+            information = frame.pixel_information
+        if not information > 0.0:
             continue
-        if not cost > far or count == _LONGEST_RUN + 1:
+        if not information * (dx * dx + dy * dy) > shared.robust_threshold**2 or count == _LONGEST_RUN + 1:
             break
         count += 1
     return _RUN <= count <= _LONGEST_RUN
