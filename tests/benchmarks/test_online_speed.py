@@ -74,7 +74,7 @@ def test_a_step_costs_less_than_with_gtsams_fixed_lag_smoother() -> None:
     mine, peer = np.median(spent, axis=0)
     ratio = float(np.median(spent[:, 0] / spent[:, 1]))
     show([("fixed lag, median CPU ms", mine), ("GTSAM's, median CPU ms", peer), ("ratio", ratio)])
-    assert ratio < 0.8
+    assert ratio < 1.0
 
 
 @pytest.mark.parametrize("preset", ["joint", "full"])

@@ -236,23 +236,29 @@ def sweep_back(n: int, workspace: Workspace) -> float:
 
     Frames that are kept have none, but for the last of them.
     """
-    inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step
-    decrement = 0.0
+    solution, decrement = workspace.solution, 0.0
     for k in range(n - 1, first_open(workspace) - 1, -1):
         for i in range(N):
             decrement += 0.5 * solution[k, i] * solution[k, i]
-        if k < n - 1:
-            for i in range(N):
-                total = solution[k, i]
-                for j in range(N):
-                    total += link[k, i, j] * step[k + 1, j]
-                solution[k, i] = total
-        for i in range(N):
-            total = 0.0
-            for j in range(i, N):
-                total += inverse[k, j, i] * solution[k, j]
-            step[k, i] = -total
+        take_step(k, k < n - 1, workspace)
     return decrement
+
+
+@inlined
+def take_step(k: int, linked: bool, workspace: Workspace) -> None:
+    """A frame's step from its part of the solution and the step of the frame after it, if ``linked``."""
+    inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step
+    if linked:
+        for i in range(N):
+            total = solution[k, i]
+            for j in range(N):
+                total += link[k, i, j] * step[k + 1, j]
+            solution[k, i] = total
+    for i in range(N):
+        total = 0.0
+        for j in range(i, N):
+            total += inverse[k, j, i] * solution[k, j]
+        step[k, i] = -total
 
 
 @compiled

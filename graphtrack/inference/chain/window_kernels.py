@@ -15,6 +15,7 @@ from graphtrack.inference.chain.elimination import (
     first_open,
     invert_cholesky,
     sweep_back,
+    take_step,
 )
 from graphtrack.inference.chain.newton import add_prior, as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.restart import AT_END, find_other_basin
@@ -177,23 +178,17 @@ def settled(states: FloatArray, factored: FloatArray, times: float) -> int:
 @compiled
 def follow(states: FloatArray, last: int, before: FloatArray, memory: Workspace) -> None:
     """Move the frames before one, which are kept, as that one has moved from ``before``."""
-    inverse, link, solution, step = memory.inverse, memory.link, memory.solution, memory.step
+    solution, step = memory.solution, memory.step
     for i in range(N):
         step[last, i] = states[last, i] - before[i]
     for k in range(last - 1, -1, -1):
+        for i in range(N):
+            solution[k, i] = 0.0
+        take_step(k, as_variable(True), memory)
         farthest = 0.0
         for i in range(N):
-            total = 0.0
-            for j in range(N):
-                total += link[k, i, j] * step[k + 1, j]
-            solution[k, i] = total
-        for i in range(N):
-            total = 0.0
-            for j in range(i, N):
-                total += inverse[k, j, i] * solution[k, j]
-            step[k, i] = -total
-            states[k, i] -= total
-            farthest = max(farthest, abs(total))
+            states[k, i] += step[k, i]
+            farthest = max(farthest, abs(step[k, i]))
         if farthest <= _STILL:
             break
 
