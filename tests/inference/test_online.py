@@ -515,7 +515,8 @@ def test_isam2_goes_on_from_any_step_within_its_threshold(preset: str, lag: floa
         for step in range(k, min(k + 4, len(seen))):
             found = resumed.update(seen[step])
             assert found.status == expected[step].status
-            assert_same(found, expected[step], REBUILT["isam2"])
+            # Steps with class likelihoods are linearised anew beyond a tenth of the threshold, 0.01 rad.
+            assert_same(found, expected[step], 0.01)
 
 
 @pytest.mark.parametrize("first, second", [("fixed-lag", "chain"), ("chain", "fixed-lag")])
