@@ -17,7 +17,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
 from graphtrack.inference.chain.side_by_side import those_beside
-from graphtrack.inference.chain.stating import state_tracks, stating_of
+from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.social import lacks_groups, solve_in_turn
@@ -26,7 +26,7 @@ from graphtrack.inference.solution import (
     OfflineEngine,
     Solution,
     SolverOptions,
-    estimated_track,
+    estimated_tracks,
     seconds_to_ends,
     stated,
 )
@@ -303,13 +303,15 @@ def _solve_chains(
         found.states[:, 4:] = wrap(found.states[:, 4:])
     covariance = found.covariance
     if side_by_side:  # the same, compiled; that takes longer than it saves in small work
+        from graphtrack.inference.chain.lane_stating import state_tracks
+
         state_tracks(covariance, found.states, packed.offsets, packed.t, stating_of(model.parameters))
     else:
         ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
         stated(covariance, found.states[:, 2:4], model.parameters, ends)
     answers: list[Solution | Failure] = []
+    estimates = estimated_tracks(tracks, packed.offsets, found.states, covariance, found.modes)
     for m, track in enumerate(tracks):
-        a, b = packed.offsets[m], packed.offsets[m + 1]
         if not positioned[m]:
             answers.append(Failure(track.track_id, NO_POSITION))
         elif found.status[m] == NOT_FINITE or not finite[m]:
@@ -317,7 +319,7 @@ def _solve_chains(
         else:
             answers.append(
                 Solution(
-                    estimated_track(track, found.states[a:b], covariance[a:b], found.modes[a:b]),
+                    estimates[m],
                     float(found.first_cost[m]),
                     float(found.cost[m]),
                     int(found.iterations[m]),

@@ -12,7 +12,6 @@ from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import inner
 from graphtrack.model.kernels.lanes import load, masked, matrix_of, negate, row_of, store
 from graphtrack.model.kernels.layout import BODY, HEAD
-from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.vector_math import cos_sin
 from graphtrack.model.terms.anchor import add_anchor
 from graphtrack.model.terms.body_follows_motion import add_body_follows_motion
@@ -26,7 +25,7 @@ from graphtrack.model.terms.turning import add_turn
 
 @inner
 def add_lanes(
-    problem: Problem,
+    shared: Any,
     frames: FloatArray,
     origin: FloatArray,
     starts: FloatArray,
@@ -41,6 +40,7 @@ def add_lanes(
 
     Parameters
     ----------
+    shared : the record of what all frames share
     frames : (n, fields of a record, LANES)
     origin, starts : (2, LANES) metres; (1, 6, LANES)
     states : (n, 6, LANES)
@@ -59,7 +59,6 @@ def add_lanes(
     store(turns, 4 * here + 1, body_sin)
     store(turns, 4 * here + 2, head_cos)
     store(turns, 4 * here + 3, head_sin)
-    shared = problem.shared[0]
     cost = 0.0 * state[0]
     gate = (load(frames, at + 1) > 0.0) & negate(load(frames, at + 29) > 0.0)
     if any_of(gate):
