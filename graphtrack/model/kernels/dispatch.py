@@ -21,6 +21,8 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.compiler import CompileResult, Flags
 from numba.core.registry import CPUDispatcher
 
+from graphtrack.model.kernels.borrowing import BorrowingCompiler
+
 Types = tuple[Any, ...]
 """Of a function's arguments, as numba has them."""
 
@@ -95,7 +97,7 @@ class _Function(CPUDispatcher):
     _cache_of: type[FunctionCache] = _Cache
 
     def __init__(self, py_func: Callable[..., object], *given: Any, **options: Any) -> None:
-        super().__init__(py_func, *given, **options)
+        super().__init__(py_func, *given, pipeline_class=BorrowingCompiler, **options)
         self._compiler._customize_flags = _Flags
         self._folder = ""
 
