@@ -78,6 +78,17 @@ def picks(values):
         some = values[1:]
     return some[0, 0]
 
+@apart
+def put_in(values, total):
+    total[:] = values[1]
+    total[1:] = total[:-1]
+
+@apart
+def is_put_in(values):
+    total = np.zeros(3)
+    put_in(values, total)
+    return total[0] + total[2]
+
 @compiled
 def writes(values):
     own = values.copy()
@@ -94,6 +105,7 @@ FUNCTIONS = [
     "walks",
     "picks",
     "writes",
+    "is_put_in",
     "hands_back",
     "hands_back_both",
 ]

@@ -10,6 +10,7 @@ says which properties are needed of them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from numba.core import ir, types
@@ -71,7 +72,15 @@ def _needs_counts(state: Any) -> bool:
                 continue
             if made.value.op not in _LENT or _gathers(made.value, state.typemap):
                 return True
+        # What is put into several places is copied first where it may be one of them.
+        if any(counted(state.typemap[put.value.name]) for put in _assigned(block)):
+            return True
     return False
+
+
+def _assigned(block: Any) -> Iterator[Any]:
+    for kind in (ir.SetItem, ir.StaticSetItem):
+        yield from block.find_insts(kind)
 
 
 def _gathers(expression: Any, typemap: Any) -> bool:
