@@ -33,9 +33,10 @@ from graphtrack.inference.chain.lane_mode_memory import (
 from graphtrack.inference.chain.modes import is_seen
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import apart, compiled, inner
+from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.lanes import LANES, load, store
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.vector_math import cos_sin, direction_of, exp, log
+from graphtrack.model.kernels.vector_math import cos_sin, direction_of
 from graphtrack.model.terms.body_follows_motion import squared_excess
 from graphtrack.model.terms.gait import BINS, MOST_DRIFT, NEAR, ROW, Gait, Modes
 from graphtrack.model.terms.intentional_motion import steer

@@ -1,9 +1,7 @@
 """Elementary functions of `lanes`, as polynomials: those of the C library know no vectors.
 
-Compiled code that asks for `math.exp`, `log`, `log1p`, `cos` or `sin` has these where it is given lanes.
-Errors:
-10⁻¹⁴ of the result (`exp`), 3·10⁻¹⁶ of the greater of 1 and the result (`log`), and 3·10⁻¹⁶ of the greater of
-1 and the angle (`cos_sin`).
+Compiled code that asks for `math.exp`, `log`, `log1p`, `cos` or `sin` has these, or those of `elementary`,
+where it is given lanes. The error of `cos_sin` is 3·10⁻¹⁶ of the greater of 1 and the angle.
 """
 
 from __future__ import annotations
@@ -13,42 +11,11 @@ from typing import Any
 
 from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.lanes import mantissa_of, of_lanes, power_of_two
+from graphtrack.model.kernels.elementary import exp, log
+from graphtrack.model.kernels.lanes import of_lanes
 
-_LOG2E = 1.4426950408889634
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-_LEAST = -700.0
-_ROOT = 0.7071067811865476
 _QUARTER = 2.0 / math.pi
 _PI_HIGH, _PI_LOW = 1.5707963267341256, 6.077100506506192e-11
-
-
-@compiled
-def exp(x: Any) -> Any:
-    """eˣ for −700 ≤ x ≤ 700, and e⁻⁷⁰⁰ for less."""
-    x = choose(x > _LEAST, x, _LEAST)
-    whole = math.floor(x * _LOG2E + 0.5)
-    r = x - whole * _LN2_HIGH - whole * _LN2_LOW
-    # Taylor's series, to a twelfth power of which the next is 2e-16 where r is greatest, ½·ln 2.
-    y = 1.0 / 3628800.0 + r * (1.0 / 39916800.0 + r * (1.0 / 479001600.0))
-    y = 1.0 / 5040.0 + r * (1.0 / 40320.0 + r * (1.0 / 362880.0 + r * y))
-    y = 1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * y))
-    y = 1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * y)))
-    return y * power_of_two(whole)
-
-
-@compiled
-def log(x: Any) -> Any:
-    """The logarithm of a number that is positive, finite and not denormal."""
-    part, power = mantissa_of(x)
-    low = part < _ROOT
-    part, power = choose(low, part + part, part), choose(low, power - 1.0, power)
-    s = (part - 1.0) / (part + 1.0)
-    z = s * s
-    y = 1.0 / 13.0 + z * (1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0)))
-    y = 1.0 / 7.0 + z * (1.0 / 9.0 + z * (1.0 / 11.0 + z * y))
-    y = 1.0 + z * (1.0 / 3.0 + z * (1.0 / 5.0 + z * y))
-    return 2.0 * s * y + power * (_LN2_HIGH + _LN2_LOW)
 
 
 @compiled

@@ -27,6 +27,7 @@ from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.kernels.bessel import log_i0e, of_alike
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.kernel import Kernel, Search
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import Observation, States, Step
@@ -38,13 +39,22 @@ if TYPE_CHECKING:
 
 
 @compiled
+def peaked_cost(close: float, kappa: float) -> float:
+    """What an observed angle costs without outliers, at a deviation whose cosine is ``close``."""
+    return kappa * (1.0 - close)
+
+
+@compiled
+def softened_cost(close: float, kappa: float, uniform: float) -> float:
+    """The same with outliers."""
+    # As the factor has it: never negative, since the resultant is at most κ.
+    return 2.0 * kappa - log((exp(-kappa * (1.0 - close)) + uniform) / (1.0 + uniform))
+
+
+@compiled
 def angle_cost(close: float, kappa: float, uniform: float) -> float:
     """What `add_angle` costs at a deviation whose cosine is ``close``."""
-    far = kappa * (1.0 - close)
-    if uniform == 0.0:
-        return far
-    # As the factor has it: never negative, since the resultant is at most κ.
-    return 2.0 * kappa - math.log((math.exp(-far) + uniform) / (1.0 + uniform))
+    return peaked_cost(close, kappa) if uniform == 0.0 else softened_cost(close, kappa, uniform)
 
 
 @compiled
