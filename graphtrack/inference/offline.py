@@ -41,8 +41,8 @@ from graphtrack.trust import Trust, trusted
 if TYPE_CHECKING:
     from graphtrack.io.given import Given, Scene
 
-BATCH = 10_000
-"""Frames that a thread of the chain engine takes at a time; it bounds the memory beside the answer."""
+FEWEST, MOST = 5_000, 20_000
+"""Frames that a thread of the chain engine takes at a time: few are dear, many take memory besides."""
 
 
 def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
@@ -250,8 +250,11 @@ def _solve_batches(
 ) -> list[Solution | Failure]:
     found: dict[int, Solution | Failure] = {}
     # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
-    with ThreadPoolExecutor(processors() if jobs is None else jobs) as pool:
-        batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way)]
+    workers = processors() if jobs is None else jobs
+    with ThreadPoolExecutor(workers) as pool:
+        # Several turns for each thread, so that all end at about the same time.
+        size = min(max(tracks.n_frames // (4 * workers), FEWEST), MOST)
+        batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way, size)]
 
         def run(batch: tuple[list[int], bool]) -> list[Solution | Failure]:
             given = [tracks.tracks[m] for m in batch[0]]
@@ -264,18 +267,18 @@ def _solve_batches(
     return [found[m] for m in range(len(tracks))]
 
 
-def _batches(tracks: TrackSet, beside: list[bool], way: bool) -> Iterator[list[int]]:
-    """The tracks that are solved one way, by their places, as many at a time as a thread takes."""
+def _batches(tracks: TrackSet, beside: list[bool], way: bool, size: int) -> Iterator[list[int]]:
+    """The tracks that are solved one way, by their places, ``size`` frames or little more at a time."""
     batch: list[int] = []
-    size = 0
+    frames = 0
     for m, track in enumerate(tracks):
         if beside[m] is not way:
             continue
         batch.append(m)
-        size += len(track)
-        if size >= BATCH:
+        frames += len(track)
+        if frames >= size:
             yield batch
-            batch, size = [], 0
+            batch, frames = [], 0
     if batch:
         yield batch
 
