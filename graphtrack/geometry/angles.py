@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from graphtrack.later import special
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
@@ -68,8 +70,6 @@ def von_mises_log_density(angle: ArrayLike, mean: ArrayLike, concentration: Arra
 
     Stable for any concentration ≥ 0 (``i0e`` is the exponentially scaled Bessel function).
     """
-    from scipy import special  # here, for importing it takes longer than all that reading a file needs
-
     concentration = np.asarray(concentration, dtype=float)
     deviation = np.asarray(angle, dtype=float) - np.asarray(mean, dtype=float)
     return concentration * (np.cos(deviation) - 1.0) - np.log(2.0 * np.pi * special.i0e(concentration))
@@ -88,8 +88,6 @@ def mixture_log_density(
     kappa : κ of every component, of each angle (n,) or of all
     uniform : ε, the probability of an outlier
     """
-    from scipy import special
-
     total = weights.sum(axis=1, keepdims=True)
     share = np.divide((1.0 - uniform) * weights, total, out=np.zeros_like(weights), where=total > 0.0)
     outliers = np.where(total > 0.0, uniform, 1.0) / (2.0 * np.pi)
@@ -101,15 +99,11 @@ def mixture_log_density(
 
 def highest_log_density(kappa: FloatArray | float, uniform: float) -> FloatArray:
     """log of ε/2π + (1 − ε)·VM(0; 0, κ): no mixture of such components is denser anywhere."""
-    from scipy import special
-
     return np.log((uniform + (1.0 - uniform) / special.i0e(kappa)) / (2.0 * np.pi))
 
 
 def mean_resultant_length(concentration: ArrayLike) -> FloatArray:
     """I₁(κ)/I₀(κ), the mean of cos(deviation) under a von Mises of concentration κ."""
-    from scipy import special
-
     concentration = np.asarray(concentration, dtype=float)
     return special.i1e(concentration) / special.i0e(concentration)
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.custom import variable_dimension
 from graphtrack.model.kernels.layout import BODY, HEAD, PLACES, N

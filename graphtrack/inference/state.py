@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-import gtsam
 import numpy as np
 
 from graphtrack.display import html_pairs
@@ -15,6 +14,7 @@ from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.prior import MarginalPrior
+from graphtrack.later import gtsam
 from graphtrack.model import Model, Observation, Step
 from graphtrack.saved import DAMAGES, damaged, from_text, to_text
 

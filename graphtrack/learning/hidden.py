@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
+from graphtrack.later import special
 from graphtrack.model import Model
 from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.packing import PackedTracks

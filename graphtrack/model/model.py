@@ -8,13 +8,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import gtsam
 import tomli_w
 
 from graphtrack.display import html_table, listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
+from graphtrack.later import gtsam
 from graphtrack.model.factors.derived import COUPLED, Couplings, derived_factors
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.observation import States, Step

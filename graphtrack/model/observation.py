@@ -9,10 +9,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from gtsam.symbol_shorthand import B, H, V, X
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.later import gtsam
 from graphtrack.tracks import Track
 
 
@@ -106,22 +106,22 @@ class Step:
     @property
     def position_key(self) -> int:
         """GTSAM key of the position."""
-        return X(self.index)
+        return gtsam.symbol_shorthand.X(self.index)
 
     @property
     def velocity_key(self) -> int:
         """GTSAM key of the velocity."""
-        return V(self.index)
+        return gtsam.symbol_shorthand.V(self.index)
 
     @property
     def body_key(self) -> int:
         """GTSAM key of the body orientation."""
-        return B(self.index)
+        return gtsam.symbol_shorthand.B(self.index)
 
     @property
     def head_key(self) -> int:
         """GTSAM key of the head pan."""
-        return H(self.index)
+        return gtsam.symbol_shorthand.H(self.index)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,8 @@ from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import ClassVar, Literal
 
-import gtsam
-
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.later import gtsam
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import DT, Field, record_type

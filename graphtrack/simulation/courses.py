@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import special
 
 from graphtrack.geometry.angles import FloatArray, wrap
+from graphtrack.later import special
 
 FEWEST_BINS, MOST_BINS = 240, 3840
 _FEWEST_CELLS = 240

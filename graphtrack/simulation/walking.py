@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import special
 
 from graphtrack.geometry.angles import FloatArray, direction, unit
+from graphtrack.later import special
 from graphtrack.model import CouplingParameters, Parameters
 from graphtrack.model.terms.intentional_motion import smooth_speed
 from graphtrack.simulation.motion import first_velocity, next_velocity

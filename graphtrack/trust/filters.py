@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import special
 
 from graphtrack.geometry.angles import FloatArray, concentration_from_resultant, mean_resultant_length
+from graphtrack.later import special
 from graphtrack.trust.pieces import Pieces
 
 WIDER = 10.0

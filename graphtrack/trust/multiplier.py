@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.later import special
 from graphtrack.trust.pieces import Pieces
 
 Density = Callable[[Pieces, FloatArray, FloatArray, FloatArray], FloatArray]

@@ -26,7 +26,7 @@ class Pair(NamedTuple):
 @apart
 def leaf(values, k):
     if k < 0:
-        raise ValueError("a negative place")
+        raise ValueError("a negative place", k)
     return values[k] * {factor}
 
 @compiled
@@ -36,7 +36,7 @@ def shifted(values, k):
 @apart
 def middle(pair):
     total = 0.0
-    for k in range(len(pair.values)):
+    for k in range(len(np.zeros_like(pair.values))):
         total += shifted(pair.values, k) * pair.scale
     return total
 
@@ -49,7 +49,7 @@ def falls(values):
     return leaf(values, -1)
 """
 ASKED = """
-import numpy as np, called
+import sys, numpy as np, called
 values = np.arange(1.0, 4.0)
 print(called.top(values), called.middle(called.Pair(values, 1.0)))
 for function in (called.leaf, called.shifted, called.middle, called.top):
@@ -60,6 +60,7 @@ except ValueError as error:
     print(error)
 (made,) = called.middle.overloads.values()
 print(*sorted(one.name for one in made.library._final_module.functions if "leaf" in one.name))
+print(*(name for name in ("numba.np.arrayobj", "numba.np.linalg", "scipy.linalg") if name in sys.modules))
 """
 
 
@@ -96,12 +97,15 @@ def test_what_is_called_by_its_symbol_is_found_again_on_disk(said) -> None:
     assert again[0] == first[0]
     assert changed[0] == f"{2.0 * np.sum(4.0 * values + 0.5) + 4.0} {np.sum(4.0 * values + 0.5)}"
     # Raised two calls down, through a symbol.
-    assert first[5] == again[5] == "a negative place"
+    assert first[5] == again[5] == "('a negative place', -1)"
     # Its caller has the symbol alone, and not its code.
     assert first[6].startswith("graphtrack.leaf.") and " " not in first[6]
     misses = [[int(line.split()[1]) for line in lines[1:5]] for lines in (first, again, changed)]
     assert all(misses[0]) and misses[2] == misses[0]
     assert misses[1] == [0, 0, 0, 0]
+    # What numba compiles with comes to where something is compiled, alone.
+    assert first[7].split() == changed[7].split() == ["numba.np.arrayobj", "numba.np.linalg", "scipy.linalg"]
+    assert again[7] == ""
 
 
 def test_a_caller_on_disk_has_what_it_calls_compiled_anew_where_that_is_gone(said, tmp_path: Path) -> None:

@@ -7,12 +7,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from graphtrack.baselines.kalman import position_std
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.later import special
 from graphtrack.model import Model
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody

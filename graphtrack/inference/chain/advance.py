@@ -31,7 +31,7 @@ from graphtrack.inference.chain.windows import (
     Rules,
     Windows,
 )
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import apart, compiled, inner
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import ROW, Gait
@@ -101,7 +101,7 @@ def foretell(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None
     state[HEAD] = before[HEAD] if math.isnan(guess[1]) else guess[1]
 
 
-@apart
+@inner
 def tell(
     windows: Windows, slot: int, rules: Rules, covariance: FloatArray, p: int, advanced: Advanced
 ) -> None:
@@ -174,7 +174,7 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
     return int(end - begin)
 
 
-@apart
+@inner
 def solve_or_restore(
     problem: Problem,
     states: FloatArray,

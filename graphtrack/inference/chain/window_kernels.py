@@ -20,7 +20,7 @@ from graphtrack.inference.chain.elimination import (
 from graphtrack.inference.chain.newton import add_prior, as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.restart import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import apart, compiled, inner
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame, add_links, add_own, cut, note_turns
@@ -121,7 +121,7 @@ def solve_window(
     return finite
 
 
-@apart
+@inner
 def have_strayed(problem: Problem, track: int, states: FloatArray) -> bool:
     """Whether some of the newest positions that were seen are all farther from the states than k.
 
@@ -149,7 +149,7 @@ def have_strayed(problem: Problem, track: int, states: FloatArray) -> bool:
     return _RUN <= count <= _LONGEST_RUN
 
 
-@apart
+@inner
 def find_by_squares(
     problem: Problem,
     track: int,

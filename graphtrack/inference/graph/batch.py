@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-import gtsam
 import numpy as np
 
 from graphtrack.errors import SolveError
@@ -17,6 +16,7 @@ from graphtrack.inference.graph.chain_view import ChainView, is_ambiguous
 from graphtrack.inference.initial import initial_states
 from graphtrack.inference.solution import Solution, SolverOptions, estimated_tracks, seconds_to_ends, stated
 from graphtrack.inference.warm import WHOLE, graph_rehearsal, has_own_kernels
+from graphtrack.later import gtsam
 from graphtrack.model import Model, States, Step
 from graphtrack.model.factors.derived import Couplings
 from graphtrack.model.factors.native import von_mises_prior

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import gtsam
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.graph.batch import anchors, variable_keys
 from graphtrack.inference.prior import marginal_prior
 from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, present, read_step
+from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
 
@@ -50,7 +50,7 @@ class _Chain:
     """
 
     links: tuple[_Link, ...] = ()
-    values: gtsam.Values = field(default_factory=gtsam.Values)
+    values: gtsam.Values = field(default_factory=lambda: gtsam.Values())
     marginal: gtsam.LinearContainerFactor | None = None
     marginal_point: gtsam.Values | None = None
     anchor: Angles | None = None

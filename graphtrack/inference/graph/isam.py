@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import gtsam
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, wrap
@@ -22,6 +21,7 @@ from graphtrack.inference.graph.links import Link, is_recoupled
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.state import Angles, Newest, Window, finite, present
 from graphtrack.inference.warm import has_own_kernels
+from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
 from graphtrack.model.kernels.layout import BODY, HEAD

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import gtsam
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
@@ -16,6 +15,7 @@ from graphtrack.inference.chain.gaussians import linearise
 from graphtrack.inference.graph.batch import anchors, variable_keys
 from graphtrack.inference.graph.links import Link
 from graphtrack.inference.state import present
+from graphtrack.later import gtsam
 from graphtrack.model import Model
 from graphtrack.model.factors.derived import COUPLED, Couplings
 from graphtrack.model.kernels.layout import PLACES, N

@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import gtsam
-
 from graphtrack.inference.graph.chain_view import is_ambiguous
+from graphtrack.later import gtsam
 from graphtrack.model import Step
 
 _OF_CLASSES = 10.0

@@ -10,14 +10,14 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
-import gtsam
 import numpy as np
 
 from graphtrack.errors import GraphtrackError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.later import gtsam
 
-Residual = Callable[[gtsam.Values], FloatArray]
-Linearised = Callable[[gtsam.Values], tuple[FloatArray, Sequence[FloatArray]]]
+Residual = Callable[["gtsam.Values"], FloatArray]
+Linearised = Callable[["gtsam.Values"], tuple[FloatArray, Sequence[FloatArray]]]
 
 _DIMENSION = {"x": 2, "v": 2, "b": 1, "h": 1}
 

@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, class_centres, unit
+from graphtrack.later import gtsam
 from graphtrack.model.factors.custom import unit_noise
 from graphtrack.model.kernels.compiled import apart
 from graphtrack.model.kernels.kernel import Kernel

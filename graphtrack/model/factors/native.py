@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import gtsam
 import numpy as np
+
+from graphtrack.later import gtsam
 
 
 def von_mises_noise(kappa: float) -> gtsam.noiseModel.Base:

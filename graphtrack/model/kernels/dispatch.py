@@ -19,7 +19,9 @@ import llvmlite.binding
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.compiler import CompileResult, Flags
+from numba.core.cpu import CPUContext
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys
 
 from graphtrack.model.kernels.borrowing import BorrowingCompiler
 
@@ -61,7 +63,10 @@ class _Stored(CompileResultCacheImpl):
         return all(symbol in _PLACES for symbol in _called(cres)) and bool(super().check_cachable(cres))
 
     def reduce(self, cres: CompileResult) -> tuple[list[Place], Any]:
-        return [_PLACES[symbol] for symbol in _called(cres)], super().reduce(cres)
+        *result, environments = super().reduce(cres)
+        # Those that hold nothing are never read, and each would import a part of numba that compiles.
+        read = tuple(one for one in environments if one.consts)
+        return [_PLACES[symbol] for symbol in _called(cres)], (*result, read)
 
     def rebuild(self, target_context: Any, payload: tuple[list[Place], Any]) -> CompileResult:
         called, result = payload
@@ -86,8 +91,18 @@ def _called(cres: CompileResult) -> list[str]:
 class _Cache(FunctionCache):
     _impl_class = _Stored
 
+    def load_overload(self, sig: Types, target_context: CPUContext) -> CompileResult | None:
+        """Machine code from disk, or None.
 
-class _EntryCache(FunctionCache):
+        Before each, numba would import all that it can compile and look for what is new there: a third of a
+        second. What has been compiled needs the run time alone, and whatever is compiled later sees to it.
+        """
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+
+class _EntryCache(_Cache):
     _impl_class = _StoredEntry
 
 

@@ -12,12 +12,11 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-import gtsam
 import numpy as np
-from scipy import special
 
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.later import gtsam, special
 from graphtrack.model.kernels.bessel import of_alike
 from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.elementary import exp, log

@@ -10,9 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
-import gtsam
 import numpy as np
-from scipy import special
 
 from graphtrack.geometry.angles import (
     FloatArray,
@@ -22,6 +20,7 @@ from graphtrack.geometry.angles import (
     mixture_log_density,
 )
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.later import gtsam, special
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.kernels.bessel import of_alike

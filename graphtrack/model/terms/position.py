@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.homography import apply_homography
+from graphtrack.later import gtsam
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import compiled
