@@ -66,3 +66,14 @@ def test_gtsam_is_loaded_where_a_graph_is_built_alone():
 def test_importing_every_part_of_the_way_to_a_solution_loads_nothing_heavy():
     code = "import graphtrack.inference, graphtrack.simulation, graphtrack.trust, graphtrack.cli.main"
     assert modules_after(code) == ["scipy"]
+
+
+@pytest.mark.parametrize("module", ["json", "duckdb"])
+def test_a_command_ends_without_looking_for_garbage_where_nobody_minds(module):
+    pytest.importorskip(module)
+    code = f"import atexit, gc, sys, {module}\nfrom graphtrack.cli import main\n"
+    code += "atexit.register(lambda: print(gc.get_freeze_count() > 0))\n"
+    code += "sys.argv[1:] = ['--version']\nmain()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.stdout.split()[-1] == str(module != "duckdb")
+    assert done.stderr == ""  # nanobind, with which duckdb is bound, would speak of leaks

@@ -91,6 +91,13 @@ def fail_usage(error: Any) -> None:
     fail(f"{message}; see '{command} --help'")
 
 
+def leave_garbage() -> None:
+    """Let what is there when the process ends go with it: to look for garbage takes a third of a second."""
+    # What nanobind has bound would complain of what nobody took away.
+    if not {"_duckdb", "onnx"} & sys.modules.keys():
+        gc.freeze()
+
+
 def main() -> None:
     """Entry point of the command line."""
     run(app, "graphtrack")
@@ -98,8 +105,7 @@ def main() -> None:
 
 def run(program: typer.Typer, name: str) -> None:
     """Run a program's command line: wrong use and bad input end with one line and exit status 2."""
-    # What is there when the process ends goes with it: looking for garbage then takes a third of a second.
-    atexit.register(gc.freeze)
+    atexit.register(leave_garbage)
     try:
         with printed_log(), collecting_rarely():
             code = program(prog_name=name, standalone_mode=False)
