@@ -65,5 +65,8 @@ def _descend(model: Model) -> None:
 
 def _renew(model: Model) -> None:
     problem, result, _ = made_up(model)
-    spread, gait = np.zeros((len(TRACK), 2)), gait_of(model.parameters.gait)
-    renew_lanes(problem, np.arange(1), result.states, gait, mode_memory(len(TRACK)), result.modes, spread)
+    n, gait = len(TRACK), gait_of(model.parameters.gait)
+    memory = lane_memory(n, problem.records.dtype.itemsize // 8)
+    for array in memory:
+        array[:] = 0
+    renew_lanes(problem, n, gait, True, memory, mode_memory(n), result)

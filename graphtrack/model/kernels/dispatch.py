@@ -115,6 +115,11 @@ class Apart(_Function):
     Whatever calls it has to be of this module's kinds if it is kept on disk.
     """
 
+    def __init__(self, py_func: Callable[..., object], *given: Any, **options: Any) -> None:
+        super().__init__(py_func, *given, **options)
+        # Else the first of its callers to be compiled would decide.
+        self.targetoptions["_nrt"] = True
+
     def add_overload(self, cres: CompileResult) -> None:
         """Have callers declare the symbol, where numba would have them link the library."""
         declared = copy.copy(cres.fndesc)
@@ -137,11 +142,16 @@ class Apart(_Function):
 
 
 class Inner(Apart):
-    """The same of a function that compiled code alone calls: it has nothing for the interpreter."""
+    """The same of a function that compiled code alone calls: it has nothing for the interpreter.
+
+    Nor may it make arrays: it does not count who holds those that it is given, which numba does anew for
+    each part of one (a sixth of the time of `lane_newton`'s sweeps). What it calls may.
+    """
 
     def __init__(self, py_func: Callable[..., object], *given: Any, **options: Any) -> None:
         super().__init__(py_func, *given, **options)
         self.targetoptions["no_cpython_wrapper"] = True
+        self.targetoptions["_nrt"] = False
 
     def __call__(self, *arguments: object, **named: object) -> object:
         """Raise TypeError: there is nothing that Python could call."""
