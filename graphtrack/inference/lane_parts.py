@@ -46,7 +46,7 @@ def _part(name: str, preset: str) -> Part:
 def solve_beside(model: Model) -> None:
     """Smooth somebody made up as tracks of large work are."""
     problem, result, _ = made_up(model)
-    solve_in_lanes(model, problem, 1, 1e-12, True, PASSES, result)
+    solve_in_lanes(model, problem, 1, (1e-12, 1e-12), True, PASSES, result)
 
 
 def state_beside(model: Model) -> None:

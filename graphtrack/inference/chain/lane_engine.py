@@ -16,16 +16,12 @@ from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import gait_of
 
-ON_THE_WAY = 1e2
-"""By how much looser the descents before the last end: their last step is taken all the same, after which
-they are nearer than that by far."""
-
 
 def solve_in_lanes(
     model: Model,
     problem: Problem,
     max_iterations: int,
-    tolerance: float,
+    tolerances: tuple[float, float],
     restart: bool,
     passes: int,
     result: Result,
@@ -33,14 +29,15 @@ def solve_in_lanes(
 ) -> None:
     """Solve tracks without class likelihoods from the states in ``result``, in place.
 
-    ``passes`` of the modes of couplings alternate with states; ``guessed`` as in `engine.solve_terms`.
+    ``tolerances`` of descents on the way and of the last; ``passes`` of the modes of couplings alternate with
+    states; ``guessed`` as in `engine.solve_terms`.
     """
     lengths = np.diff(problem.offsets)
     order, longest = np.argsort(-lengths, kind="stable"), int(lengths.max())
     numbers = problem.records.view(float).reshape(len(problem.records), -1)
     memory = lane_memory(longest, numbers.shape[1])
     if not model.has_modes:
-        solve_lanes(problem, numbers, order, max_iterations, tolerance, restart, memory, result)
+        solve_lanes(problem, numbers, order, max_iterations, tolerances[1], restart, memory, result)
         return
     for gate in OF_PRESETS.switched:
         problem.records[gate] = 0.0
@@ -50,7 +47,7 @@ def solve_in_lanes(
         numbers,
         order,
         max_iterations,
-        (ON_THE_WAY * tolerance, tolerance),
+        tolerances,
         restart,
         passes,
         gait_of(model.parameters.gait),

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import marginal
+from graphtrack.inference.chain.lane_grid import find_elsewhere
 from graphtrack.inference.chain.lane_newton import (
     LaneMemory,
     copy,
@@ -18,7 +19,7 @@ from graphtrack.inference.chain.lane_newton import (
 )
 from graphtrack.inference.chain.mode_spread import pull_apart
 from graphtrack.inference.chain.newton import as_variable
-from graphtrack.inference.chain.restart import AT_END, AT_START, find_other_basin
+from graphtrack.inference.chain.restart import AT_END, AT_START
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import apart, compiled, inner
@@ -144,24 +145,6 @@ def note(memory: LaneMemory, lane: int, result: Result) -> None:
     result.status[track] = int(memory.ended[3, lane])
 
 
-@apart
-def find_elsewhere(problem: Problem, near: float, memory: LaneMemory, result: Result) -> bool:
-    """Put a better basin's states in place of those of the lanes where there is one: ``memory.elsewhere``."""
-    some, found = False, memory.elsewhere
-    for lane in range(LANES):
-        track, found[lane] = memory.tracks[lane], False
-        if track < 0 or result.status[track] == NOT_FINITE:
-            continue
-        a, b = problem.offsets[track], problem.offsets[track + 1]
-        again = np.empty((b - a, N))
-        if find_other_basin(problem, track, result.states[a:b], near, again):
-            found[lane] = some = True
-            for k in range(b - a):
-                for i in range(N):
-                    memory.states[k, i, lane] = again[k, i]
-    return some
-
-
 @inner
 def take_group(
     problem: Problem,
@@ -196,7 +179,7 @@ def settle(
     The states are put into the result where covariances are wanted, too, or a ``restart`` is.
     """
     begun, elsewhere = 0.0 * load(memory.lengths, 0), memory.elsewhere
-    some = restart and find_elsewhere(problem, AT_START, memory, result)
+    some = restart and find_elsewhere(problem, n, AT_START, memory, result)
     if some:
         # Contradictions make a poor start, from which the descent is long. Its cost is stated yet.
         copy(n, memory.states, memory.spare)
@@ -216,7 +199,7 @@ def settle(
             if restart or covariance:
                 scatter(problem, lane, memory, result.states)
             note(memory, lane, result)
-    if restart and find_elsewhere(problem, AT_END, memory, result):
+    if restart and find_elsewhere(problem, n, AT_END, memory, result):
         for i in range(N):
             store(memory.begins, i, load(memory.starts, i))
         minimise_lanes(problem, n, max_iterations, tolerance, covariance, memory)

@@ -41,10 +41,11 @@ if TYPE_CHECKING:
 def angle_cost(close: float, kappa: float, uniform: float) -> float:
     """What `add_angle` costs at a deviation whose cosine is ``close``."""
     far = kappa * (1.0 - close)
-    if uniform == 0.0:
+    if not any_of(uniform > 0.0):
         return far
     # As the factor has it: never negative, since the resultant is at most κ.
-    return 2.0 * kappa - math.log((math.exp(-far) + uniform) / (1.0 + uniform))
+    softened = 2.0 * kappa - math.log((math.exp(-far) + uniform) / (1.0 + uniform))
+    return choose(uniform > 0.0, softened, far)
 
 
 @compiled
