@@ -34,7 +34,12 @@ def greatest_gains(problem: Problem, n: int, memory: LaneMemory) -> Any:
             gain[way, q] = nothing
     for k in range(n):
         set_lane_quarters(problem, frames, k, memory.states, turns, quarters)
-        body_cos, body_sin, head_cos, head_sin = load(turns, 0), load(turns, 1), load(turns, 2), load(turns, 3)
+        body_cos, body_sin, head_cos, head_sin = (
+            load(turns, 0),
+            load(turns, 1),
+            load(turns, 2),
+            load(turns, 3),
+        )
         close = body_cos * head_cos + body_sin * head_sin
         across = head_sin * body_cos - head_cos * body_sin
         kappa = load(frames, k * frames.shape[1] + HEAD_BODY_KAPPA)

@@ -46,7 +46,7 @@ class ModeMemory(NamedTuple):
     """A group of tracks of up to n frames; lanes come last."""
 
     ahead: FloatArray  # (n, AHEAD, LANES) velocity and body, by the leads later
-    row: FloatArray  # (n, ROW, LANES) log likelihoods, then likelihoods
+    row: FloatArray  # (n, ROW, LANES) log₂ likelihoods, then likelihoods
     filtered: FloatArray  # (n + 1, ROW, LANES) not normalised, and memory for one more
     after: FloatArray  # (2, ROW, LANES) what a frame and all that follow say, of two frames
     weight: FloatArray  # (ROW, LANES) smoothed, not normalised

@@ -37,10 +37,12 @@ from graphtrack.model.kernels.compiled import apart, compiled, inner
 from graphtrack.model.kernels.lanes import LANES, load, row_of, store
 from graphtrack.model.kernels.layout import BODY, VX, VY
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.vector_math import cos_sin, direction_of, exp, expm1, log
+from graphtrack.model.kernels.vector_math import cos_sin, direction_of, expm1, log, softplus2
 from graphtrack.model.terms.body_follows_motion import squared_excess
 from graphtrack.model.terms.gait import BINS, ROW, Gait, Modes
 from graphtrack.model.terms.intentional_motion import SMALL_TURN
+
+LOG2E = 1.0 / math.log(2.0)
 
 
 @inner
@@ -49,22 +51,24 @@ def judge(
 ) -> None:
     """`gait.add_seen` of all lanes: of what stands at ``at``, as seen from a direction, to a row.
 
-    But for a constant, which probabilities do not have.
+    In bits, and but for a constant, which probabilities do not have.
     """
     kappa = load(frames, at + 2)
     known = weight * kappa > 0.0
     if not any_of(known):
         return
     mean_cos, mean_sin, uniform = load(frames, at), load(frames, at + 1), load(frames, at + 3)
-    weight, kappa = choose(known, weight, 0.0), choose(known, kappa, 0.0)
     # What was not seen stands there as NaN.
+    weight, kappa = choose(known, weight, 0.0), choose(known, kappa * LOG2E, 0.0)
     along = choose(known, kappa * (mean_cos * cos + mean_sin * sin), 0.0)
     across = choose(known, kappa * (mean_sin * cos - mean_cos * sin), 0.0)
     softened, cosines, sines = uniform > 0.0, modes.cos, modes.sin
     if any_of(softened):
+        # log(eˢ + ε) = log ε + log(1 + eˢ/ε).
+        beyond = kappa + choose(softened, LOG2E * log(choose(softened, uniform, 1.0)), 0.0)
         for j in range(ROW):
-            says = cosines[j] * along + sines[j] * across - kappa
-            says = choose(softened, log(exp(says) + uniform), says)
+            says = cosines[j] * along + sines[j] * across - beyond
+            says = choose(softened, softplus2(says), says)
             store(row, first + j, load(row, first + j) + weight * says)
         return
     for j in range(ROW):

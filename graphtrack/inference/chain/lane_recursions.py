@@ -13,8 +13,8 @@ from graphtrack.inference.chain.lane_mode_memory import DT, TURN, ModeMemory
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import compiled, inner
 from graphtrack.model.kernels.lanes import load, store
-from graphtrack.model.kernels.vector_math import exp
-from graphtrack.model.terms.gait import BINS, MOST_DRIFT, NEAR, ROW, Modes
+from graphtrack.model.kernels.vector_math import exp, exp2
+from graphtrack.model.terms.gait import BINS, MOST_DRIFT, ROW, Modes
 
 LAST = BINS - 1
 
@@ -59,13 +59,13 @@ def filter_lanes(n: int, modes: Modes, frames: FloatArray, memory: ModeMemory) -
             greatest = choose(other > greatest, other, greatest)
         if k == 0:
             for j in range(BINS):
-                says = exp(load(row, j) - greatest)
+                says = exp2(load(row, j) - greatest)
                 store(row, j, says)
                 now = says * ((1.0 - modes.aligned) * anywhere[j])
                 store(filtered, j, now)
                 total += now
             for j in range(BINS, ROW):
-                says = exp(load(row, j) - greatest)
+                says = exp2(load(row, j) - greatest)
                 store(row, j, says)
                 now = says * (modes.aligned * near[j - BINS])
                 store(filtered, j, now)
@@ -88,14 +88,14 @@ def filter_lanes(n: int, modes: Modes, frames: FloatArray, memory: ModeMemory) -
         for j in range(BINS):
             beyond = load(filtered, found + (j + 1 if j < LAST else 0))
             moved = own + side * (behind + beyond - 2.0 * own)
-            says = exp(load(row, at + j) - greatest)
+            says = exp2(load(row, at + j) - greatest)
             store(row, at + j, says)
             now = says * (kept * moved + free * anywhere[j])
             store(filtered, at + j, now)
             total += now
             behind, own = own, beyond
         for j in range(BINS, ROW):
-            says = exp(load(row, at + j) - greatest)
+            says = exp2(load(row, at + j) - greatest)
             store(row, at + j, says)
             now = says * (kept * load(filtered, at - ROW + j) + aligned * near[j - BINS])
             store(filtered, at + j, now)

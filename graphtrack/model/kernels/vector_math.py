@@ -2,20 +2,26 @@
 
 Compiled code that asks for `math.exp`, `log`, `log1p`, `cos` or `sin` has these where it is given lanes.
 Errors:
-10⁻¹⁴ of the result (`exp`), 3·10⁻¹⁶ of the greater of 1 and the result (`log`), and 3·10⁻¹⁶ of the greater of
+10⁻¹⁴ of the result (`exp`, `exp2`, `expm1`), 10⁻¹¹ (`softplus2`), 3·10⁻¹⁶ of the greater of 1 and the result (`log`), and 3·10⁻¹⁶ of the greater of
 1 and the angle (`cos_sin`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
+
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lanes import mantissa_of, of_lanes, power_of_two
 
 _LOG2E = 1.4426950408889634
+_LN2 = math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _LEAST = -700.0
 _ROOT = 0.7071067811865476
@@ -23,18 +29,27 @@ _QUARTER = 2.0 / math.pi
 _PI_HIGH, _PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 
 
-@compiled
-def _slope(r: Any) -> Any:
-    """(eʳ − 1)/r for |r| ≤ ½·ln 2: Taylor's series, to an eleventh power of which the next is 2e-16.
+def _polynomial(function: Callable[[FloatArray], FloatArray], degree: int, half: float) -> tuple[float, ...]:
+    """Coefficients of the polynomial that is a function's at Chebyshev's nodes between −half and half."""
+    found = Chebyshev.interpolate(function, degree, domain=[-half, half]).convert(kind=Polynomial)
+    return tuple(map(float, found.coef))
 
-    Its even and its odd powers are two sums side by side: half as long to wait for.
+
+_POWER = _polynomial(np.exp2, 10, 0.5)
+_LOG2 = _polynomial(lambda t: np.log2(1.5 + 0.5 * t), 14, 1.0)
+"""Of 2ʳ, and of log₂ of (3 + t)/2."""
+
+
+@compiled
+def _raised(r: Any) -> Any:
+    """2ʳ for |r| ≤ ½.
+
+    Even and odd powers are two sums side by side, here and below: half as long to wait for.
     """
     z = r * r
-    even = 1.0 / 5040.0 + z * (1.0 / 362880.0 + z * (1.0 / 39916800.0))
-    odd = 1.0 / 40320.0 + z * (1.0 / 3628800.0 + z * (1.0 / 479001600.0))
-    even = 1.0 + z * (1.0 / 6.0 + z * (1.0 / 120.0 + z * even))
-    odd = 0.5 + z * (1.0 / 24.0 + z * (1.0 / 720.0 + z * odd))
-    return even + r * odd
+    even = _POWER[4] + z * (_POWER[6] + z * (_POWER[8] + z * _POWER[10]))
+    odd = _POWER[3] + z * (_POWER[5] + z * (_POWER[7] + z * _POWER[9]))
+    return (_POWER[0] + z * (_POWER[2] + z * even)) + r * (_POWER[1] + z * odd)
 
 
 @compiled
@@ -42,8 +57,30 @@ def exp(x: Any) -> Any:
     """eˣ for −700 ≤ x ≤ 700, and e⁻⁷⁰⁰ for less."""
     x = choose(x > _LEAST, x, _LEAST)
     whole = math.floor(x * _LOG2E + 0.5)
-    r = x - whole * _LN2_HIGH - whole * _LN2_LOW
-    return (1.0 + r * _slope(r)) * power_of_two(whole)
+    return _raised((x - whole * _LN2_HIGH - whole * _LN2_LOW) * _LOG2E) * power_of_two(whole)
+
+
+@compiled
+def exp2(x: Any) -> Any:
+    """2ˣ for |x| ≤ 1000, and 2⁻¹⁰⁰⁰ for less."""
+    x = choose(x > -1000.0, x, -1000.0)
+    whole = math.floor(x + 0.5)
+    return _raised(x - whole) * power_of_two(whole)
+
+
+@compiled
+def softplus2(x: Any) -> Any:
+    """log₂(1 + 2ˣ) for |x| ≤ 1000, and as at these ends beyond.
+
+    From y = 2^−|x|, a number between 0 and 1: of those log₂(1 + y) is a polynomial.
+    """
+    t = 2.0 * exp2(-abs(x)) - 1.0
+    z = t * t
+    even = _LOG2[6] + z * (_LOG2[8] + z * (_LOG2[10] + z * (_LOG2[12] + z * _LOG2[14])))
+    odd = _LOG2[7] + z * (_LOG2[9] + z * (_LOG2[11] + z * _LOG2[13]))
+    even = _LOG2[0] + z * (_LOG2[2] + z * (_LOG2[4] + z * even))
+    odd = _LOG2[1] + z * (_LOG2[3] + z * (_LOG2[5] + z * odd))
+    return choose(x > 0.0, x, 0.0) + (even + t * odd)
 
 
 @compiled
@@ -51,8 +88,13 @@ def expm1(x: Any) -> Any:
     """eˣ − 1 for −700 ≤ x ≤ 700, without loss where x is small."""
     whole = math.floor(x * _LOG2E + 0.5)
     r = x - whole * _LN2_HIGH - whole * _LN2_LOW
-    power = power_of_two(whole)
-    return power * (r * _slope(r)) + (power - 1.0)
+    z, power = r * r, power_of_two(whole)
+    # Taylor's series, to an eleventh power of which the next is 2e-16 where r is greatest, ½·ln 2.
+    even = 1.0 / 5040.0 + z * (1.0 / 362880.0 + z * (1.0 / 39916800.0))
+    odd = 1.0 / 40320.0 + z * (1.0 / 3628800.0 + z * (1.0 / 479001600.0))
+    even = 1.0 + z * (1.0 / 6.0 + z * (1.0 / 120.0 + z * even))
+    odd = 0.5 + z * (1.0 / 24.0 + z * (1.0 / 720.0 + z * odd))
+    return power * (r * (even + r * odd)) + (power - 1.0)
 
 
 @compiled
