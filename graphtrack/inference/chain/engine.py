@@ -27,8 +27,8 @@ PASSES = 2
 nothing that the errors on motion capture would show."""
 
 ON_THE_WAY = 1e-6
-"""Of the cost: where descents before the last end, of which modes are told alone; their last step is taken all
-the same. Ending at 10⁻¹² moves answers by 2·10⁻⁵ rad, 10⁻⁴ of their standard deviations."""
+"""Of the cost: where descents before the last end, which tell of modes alone; their last step is taken all
+the same. That is 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, from what ending at 10⁻¹² leads to."""
 
 
 def is_chain(model: Model) -> bool:

@@ -52,8 +52,8 @@ def alternate_lanes(
     Parameters
     ----------
     tolerances : of descents on the way, and of the last
-    first, guessed : (N, 2) angles to have again where they are guessed, after the descent without couplings; or
-        no rows
+    first, guessed : (N, 2) angles to have again where they are guessed, after the descent without couplings;
+        or no rows
     """
     on_the_way, at_end = tolerances
     for begin in range(0, len(order), LANES):

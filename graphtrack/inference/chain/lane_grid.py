@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.inference.chain.lane_newton import LaneMemory
+from graphtrack.inference.chain.lane_newton import LaneMemory, place_of
 from graphtrack.inference.chain.restart import WORTHWHILE, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.branches import choose
@@ -15,9 +15,8 @@ from graphtrack.model.kernels.lane_program import set_lane_quarters
 from graphtrack.model.kernels.lanes import LANES, load, matrix_of, row_of, store
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.program import FRAME
 
-HEAD_BODY_KAPPA = int(FRAME.fields["head_body_kappa"][1]) // 8
+HEAD_BODY_KAPPA = place_of("head_body_kappa")
 ALMOST = 0.99 * WORTHWHILE
 """From which gain a track is looked at by itself: the search asks once more."""
 

@@ -8,33 +8,27 @@ from typing import NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.lane_newton import LaneMemory
+from graphtrack.inference.chain.lane_newton import LaneMemory, place_of
 from graphtrack.model.kernels.compiled import inner
 from graphtrack.model.kernels.lanes import LANES
 from graphtrack.model.kernels.layout import BODY, VX, VY
-from graphtrack.model.kernels.program import FRAME
 from graphtrack.model.terms.gait import ROW
 
-
-def _place_of(field: str) -> int:
-    return int(FRAME.fields[field][1]) // 8
-
-
 DT, POSITION_SEEN, PIXEL_SEEN = (
-    _place_of(name) for name in ("dt", "position_information", "pixel_information")
+    place_of(name) for name in ("dt", "position_information", "pixel_information")
 )
-SEEN_BODY, SEEN_HEAD = _place_of("seen_body_cos"), _place_of("seen_head_cos")
+SEEN_BODY, SEEN_HEAD = place_of("seen_body_cos"), place_of("seen_head_cos")
 """Cosine, sine, concentration and outliers of what was seen, one after another."""
 
-BODY_INFORMATION, HEAD_INFORMATION = _place_of("body_information"), _place_of("head_information")
-BODY_KAPPA, HEAD_KAPPA = _place_of("body_aligned_kappa"), _place_of("head_aligned_kappa")
+BODY_INFORMATION, HEAD_INFORMATION = place_of("body_information"), place_of("head_information")
+BODY_KAPPA, HEAD_KAPPA = place_of("body_aligned_kappa"), place_of("head_aligned_kappa")
 WEIGHT, MOTION, STEER_RATE = (
-    _place_of(name) for name in ("coupling_weight", "motion_information", "steer_rate")
+    place_of(name) for name in ("coupling_weight", "motion_information", "steer_rate")
 )
-TO_BODY, TO_HEAD = _place_of("motion_body_kappa"), _place_of("head_body_kappa")
+TO_BODY, TO_HEAD = place_of("motion_body_kappa"), place_of("head_body_kappa")
 """Concentration, cosine and sine of the couplings, one after another."""
 
-STEER = _place_of("steer_gain")
+STEER = place_of("steer_gain")
 """Gain, reach, and the information on place, on both and on spread, one after another."""
 
 AHEAD_VX, AHEAD_VY, AHEAD_BODY = range(3)

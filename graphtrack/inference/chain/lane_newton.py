@@ -30,6 +30,13 @@ from graphtrack.model.kernels.lanes import (
 )
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.kernels.program import FRAME
+
+
+def place_of(field: str) -> int:
+    """Where a number stands in a frame's record, as one row of numbers."""
+    assert FRAME.fields is not None
+    return int(FRAME.fields[field][1]) // 8
 
 
 class LaneMemory(NamedTuple):

@@ -1,9 +1,8 @@
 """Elementary functions of `lanes`, as polynomials: those of the C library know no vectors.
 
 Compiled code that asks for `math.exp`, `log`, `log1p`, `cos` or `sin` has these where it is given lanes.
-Errors:
-10⁻¹⁴ of the result (`exp`, `exp2`, `expm1`), 10⁻¹¹ (`softplus2`), 3·10⁻¹⁶ of the greater of 1 and the result (`log`), and 3·10⁻¹⁶ of the greater of
-1 and the angle (`cos_sin`).
+Errors: 3·10⁻¹⁴ of the result (`exp`, `exp2`, `expm1`), 10⁻¹² (`softplus2`), 3·10⁻¹⁶ of the greater of 1 and
+the result (`log`), and 3·10⁻¹⁶ of the greater of 1 and the angle (`cos_sin`).
 """
 
 from __future__ import annotations
