@@ -179,7 +179,8 @@ def renew_beside(
 def test_modes_side_by_side_are_those_of_each_track() -> None:
     rng = np.random.default_rng(7)
     quick = GaitParameters(body_drift=2.0, head_drift=0.0)
-    for parameters in (Parameters(), Parameters(gait=quick)):
+    softened = Model("full").parameters
+    for parameters, within in ((Parameters(), 1e-9), (Parameters(gait=quick), 1e-9), (softened, 1e-6)):
         model = Model("full", parameters)
         tracks = [without_classes(random_track(rng)) for _ in range(LANES + 3)]
         packed = pack(tracks, model)
@@ -200,8 +201,8 @@ def test_modes_side_by_side_are_those_of_each_track() -> None:
             steering = problem.records["steer_gain"]
             found.append(np.column_stack([result.modes[:, 0], spread, *couplings, steering]))
             found.append(result.modes[:, 1:])
-        np.testing.assert_allclose(found[2], found[0], rtol=1e-9, atol=1e-11)
-        np.testing.assert_allclose(difference(found[3], found[1]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(found[2], found[0], rtol=within, atol=1e-2 * within)
+        np.testing.assert_allclose(difference(found[3], found[1]), 0.0, atol=within)
 
 
 _COUPLING = ("kappa", "cos", "sin")

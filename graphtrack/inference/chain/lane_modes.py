@@ -34,10 +34,11 @@ from graphtrack.inference.chain.lane_recursions import begin_back, filter_lanes,
 from graphtrack.inference.chain.result import Result
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import apart, compiled, inner
+from graphtrack.model.kernels.lane_singles import softness
 from graphtrack.model.kernels.lanes import LANES, load, row_of, store
 from graphtrack.model.kernels.layout import BODY, VX, VY
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.vector_math import cos_sin, direction_of, expm1, log, softplus2
+from graphtrack.model.kernels.vector_math import cos_sin, direction_of, expm1, log
 from graphtrack.model.terms.body_follows_motion import squared_excess
 from graphtrack.model.terms.gait import BINS, ROW, Gait, Modes
 from graphtrack.model.terms.intentional_motion import SMALL_TURN
@@ -51,7 +52,8 @@ def judge(
 ) -> None:
     """`gait.add_seen` of all lanes: of what stands at ``at``, as seen from a direction, to a row.
 
-    In bits, and but for a constant, which probabilities do not have.
+    In bits, and but for a constant, which probabilities do not have. What is softened is known within 2·10⁻⁷,
+    by which answers change by 10⁻⁸.
     """
     kappa = load(frames, at + 2)
     known = weight * kappa > 0.0
@@ -64,12 +66,18 @@ def judge(
     across = choose(known, kappa * (mean_sin * cos - mean_cos * sin), 0.0)
     softened, cosines, sines = uniform > 0.0, modes.cos, modes.sin
     if any_of(softened):
-        # log(eˢ + ε) = log ε + log(1 + eˢ/ε).
+        # log₂(2ˢ + ε) = log₂ ε + log₂(1 + 2ˣ) with x = s − log₂ ε: x where that is positive, and the rest.
         beyond = kappa + choose(softened, LOG2E * log(choose(softened, uniform, 1.0)), 0.0)
-        for j in range(ROW):
-            says = cosines[j] * along + sines[j] * across - beyond
-            says = choose(softened, softplus2(says), says)
-            store(row, first + j, load(row, first + j) + weight * says)
+        for j in range(0, ROW, 2):
+            after = min(j + 1, ROW - 1)
+            one = cosines[j] * along + sines[j] * across - beyond
+            two = cosines[after] * along + sines[after] * across - beyond
+            rest, other = softness(one, two)
+            one = choose(softened, choose(one > 0.0, one, 0.0) + rest, one)
+            two = choose(softened, choose(two > 0.0, two, 0.0) + other, two)
+            store(row, first + j, load(row, first + j) + weight * one)
+            if after > j:
+                store(row, first + after, load(row, first + after) + weight * two)
         return
     for j in range(ROW):
         says = cosines[j] * along + sines[j] * across - kappa

@@ -1,20 +1,18 @@
 """Elementary functions of `lanes`, as polynomials: those of the C library know no vectors.
 
 Compiled code that asks for `math.exp`, `log`, `log1p`, `cos` or `sin` has these where it is given lanes.
-Errors: 3·10⁻¹⁴ of the result (`exp`, `exp2`, `expm1`), 10⁻¹² (`softplus2`), 3·10⁻¹⁶ of the greater of 1 and
+Errors: 3·10⁻¹⁴ of the result (`exp`, `exp2`, `expm1`), 3·10⁻¹⁶ of the greater of 1 and
 the result (`log`), and 3·10⁻¹⁶ of the greater of 1 and the angle (`cos_sin`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 
-from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lanes import mantissa_of, of_lanes, power_of_two
@@ -28,15 +26,10 @@ _QUARTER = 2.0 / math.pi
 _PI_HIGH, _PI_LOW = 1.5707963267341256, 6.077100506506192e-11
 
 
-def _polynomial(function: Callable[[FloatArray], FloatArray], degree: int, half: float) -> tuple[float, ...]:
-    """Coefficients of the polynomial that is a function's at Chebyshev's nodes between −half and half."""
-    found = Chebyshev.interpolate(function, degree, domain=[-half, half]).convert(kind=Polynomial)
-    return tuple(map(float, found.coef))
-
-
-_POWER = _polynomial(np.exp2, 10, 0.5)
-_LOG2 = _polynomial(lambda t: np.log2(1.5 + 0.5 * t), 14, 1.0)
-"""Of 2ʳ, and of log₂ of (3 + t)/2."""
+_POWER = tuple(
+    map(float, Chebyshev.interpolate(np.exp2, 10, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef)
+)
+"""Coefficients of the polynomial that is 2ʳ at Chebyshev's nodes between −½ and ½."""
 
 
 @compiled
@@ -65,21 +58,6 @@ def exp2(x: Any) -> Any:
     x = choose(x > -1000.0, x, -1000.0)
     whole = math.floor(x + 0.5)
     return _raised(x - whole) * power_of_two(whole)
-
-
-@compiled
-def softplus2(x: Any) -> Any:
-    """log₂(1 + 2ˣ) for |x| ≤ 1000, and as at these ends beyond.
-
-    From y = 2^−|x|, a number between 0 and 1: of those log₂(1 + y) is a polynomial.
-    """
-    t = 2.0 * exp2(-abs(x)) - 1.0
-    z = t * t
-    even = _LOG2[6] + z * (_LOG2[8] + z * (_LOG2[10] + z * (_LOG2[12] + z * _LOG2[14])))
-    odd = _LOG2[7] + z * (_LOG2[9] + z * (_LOG2[11] + z * _LOG2[13]))
-    even = _LOG2[0] + z * (_LOG2[2] + z * (_LOG2[4] + z * even))
-    odd = _LOG2[1] + z * (_LOG2[3] + z * (_LOG2[5] + z * odd))
-    return choose(x > 0.0, x, 0.0) + (even + t * odd)
 
 
 @compiled
