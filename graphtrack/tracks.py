@@ -198,9 +198,9 @@ class Track:
         *,
         position: FloatArray,
         velocity: FloatArray,
-        body: FloatArray | None,
-        head: FloatArray | None,
         covariance: FloatArray,
+        body: FloatArray | None = None,
+        head: FloatArray | None = None,
         aligned_p: FloatArray | None = None,
         gait_offset: FloatArray | None = None,
     ) -> Track:

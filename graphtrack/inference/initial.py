@@ -51,10 +51,10 @@ def seen_in(packed: PackedTracks, model: Model) -> Seen:
     none = np.zeros((0, 2))
     return Seen(
         packed.t,
-        _vectors(packed.channel("body"), packed.channel("body_likelihood"), len(packed.t))
+        _vectors(packed.directions("body"), packed.channel("body_likelihood"), len(packed.t))
         if model.has_body
         else none,
-        _vectors(packed.channel("head"), packed.channel("head_likelihood"), len(packed.t))
+        _vectors(packed.directions("head"), packed.channel("head_likelihood"), len(packed.t))
         if model.has_head
         else none,
         max(model.parameters.coupling.speed_threshold, SLOW),
@@ -103,13 +103,15 @@ def empty_result(packed: PackedTracks) -> Result:
 
 def observed_vectors(track: Track, name: str) -> FloatArray:
     """Vectors (n, 2) that point where body or head was seen to point; NaN where it was not."""
-    return _vectors(getattr(track, name), getattr(track, f"{name}_likelihood"), len(track))
+    angle = getattr(track, name)
+    directions = None if angle is None else unit(angle)
+    return _vectors(directions, getattr(track, f"{name}_likelihood"), len(track))
 
 
-def _vectors(angle: FloatArray | None, classes: FloatArray | None, n: int) -> FloatArray:
-    vectors = np.full((n, 2), np.nan)
-    if angle is not None:
-        vectors = unit(angle)
+def _vectors(directions: FloatArray | None, classes: FloatArray | None, n: int) -> FloatArray:
+    if directions is not None and classes is None:
+        return directions
+    vectors = np.full((n, 2), np.nan) if directions is None else directions.copy()
     if classes is not None:
         total = classes.sum(axis=1)
         usable = np.isfinite(total) & (total > 0.0)

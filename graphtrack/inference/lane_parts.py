@@ -10,7 +10,8 @@ from graphtrack.inference.chain.lane_mode_memory import mode_memory
 from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.lane_newton import lane_memory, minimise_lanes
 from graphtrack.inference.chain.lane_solver import solve_lanes
-from graphtrack.inference.chain.stating import state_tracks, stating_of
+from graphtrack.inference.chain.lane_stating import state_tracks
+from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.parts import TRACK, made_up
 from graphtrack.model import Model
 from graphtrack.model.terms.gait import gait_of

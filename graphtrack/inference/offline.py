@@ -17,7 +17,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
 from graphtrack.inference.chain.side_by_side import those_beside
-from graphtrack.inference.chain.stating import state_tracks, stating_of
+from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack
 from graphtrack.inference.social import lacks_groups, solve_in_turn
@@ -26,7 +26,7 @@ from graphtrack.inference.solution import (
     OfflineEngine,
     Solution,
     SolverOptions,
-    estimated_track,
+    estimated_tracks,
     seconds_to_ends,
     stated,
 )
@@ -41,8 +41,8 @@ from graphtrack.trust import Trust, trusted
 if TYPE_CHECKING:
     from graphtrack.io.given import Given, Scene
 
-BATCH = 10_000
-"""Frames that a thread of the chain engine takes at a time; it bounds the memory beside the answer."""
+FEWEST, MOST = 5_000, 20_000
+"""Frames that a thread of the chain engine takes at a time: few are dear, many take memory besides."""
 
 
 def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
@@ -250,8 +250,11 @@ def _solve_batches(
 ) -> list[Solution | Failure]:
     found: dict[int, Solution | Failure] = {}
     # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
-    with ThreadPoolExecutor(processors() if jobs is None else jobs) as pool:
-        batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way)]
+    workers = processors() if jobs is None else jobs
+    with ThreadPoolExecutor(workers) as pool:
+        # Several turns for each thread, so that all end at about the same time.
+        size = min(max(tracks.n_frames // (4 * workers), FEWEST), MOST)
+        batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way, size)]
 
         def run(batch: tuple[list[int], bool]) -> list[Solution | Failure]:
             given = [tracks.tracks[m] for m in batch[0]]
@@ -264,18 +267,18 @@ def _solve_batches(
     return [found[m] for m in range(len(tracks))]
 
 
-def _batches(tracks: TrackSet, beside: list[bool], way: bool) -> Iterator[list[int]]:
-    """The tracks that are solved one way, by their places, as many at a time as a thread takes."""
+def _batches(tracks: TrackSet, beside: list[bool], way: bool, size: int) -> Iterator[list[int]]:
+    """The tracks that are solved one way, by their places, ``size`` frames or little more at a time."""
     batch: list[int] = []
-    size = 0
+    frames = 0
     for m, track in enumerate(tracks):
         if beside[m] is not way:
             continue
         batch.append(m)
-        size += len(track)
-        if size >= BATCH:
+        frames += len(track)
+        if frames >= size:
             yield batch
-            batch, size = [], 0
+            batch, frames = [], 0
     if batch:
         yield batch
 
@@ -303,13 +306,15 @@ def _solve_chains(
         found.states[:, 4:] = wrap(found.states[:, 4:])
     covariance = found.covariance
     if side_by_side:  # the same, compiled; that takes longer than it saves in small work
+        from graphtrack.inference.chain.lane_stating import state_tracks
+
         state_tracks(covariance, found.states, packed.offsets, packed.t, stating_of(model.parameters))
     else:
         ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
         stated(covariance, found.states[:, 2:4], model.parameters, ends)
     answers: list[Solution | Failure] = []
+    estimates = estimated_tracks(tracks, packed.offsets, found.states, covariance, found.modes)
     for m, track in enumerate(tracks):
-        a, b = packed.offsets[m], packed.offsets[m + 1]
         if not positioned[m]:
             answers.append(Failure(track.track_id, NO_POSITION))
         elif found.status[m] == NOT_FINITE or not finite[m]:
@@ -317,7 +322,7 @@ def _solve_chains(
         else:
             answers.append(
                 Solution(
-                    estimated_track(track, found.states[a:b], covariance[a:b], found.modes[a:b]),
+                    estimates[m],
                     float(found.first_cost[m]),
                     float(found.cost[m]),
                     int(found.iterations[m]),

@@ -113,4 +113,4 @@ def _spread_newest(model: Model) -> None:
 
 
 def _state_uncertainty(model: Model) -> None:
-    state_uncertainty(np.eye(6), np.zeros(2), 0.0, stating_of(model.parameters))
+    state_uncertainty(np.eye(6)[None], np.zeros((1, 6)), 0, 0.0, stating_of(model.parameters))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.display import counted, html_pairs, line_of_track
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
@@ -133,22 +135,33 @@ SHRINK = np.append(1.0, _von_mises_shrink(SHARES[1:] / (1.0 - SHARES[1:])))
 """The same of it."""
 
 
-def estimated_track(
-    track: Track, states: FloatArray, covariance: FloatArray, modes: FloatArray | None = None
-) -> Track:
-    """The track with estimates, (n, 6) states and (n, 6, 6) covariances, in place of its observations.
+def estimated_tracks(
+    tracks: Sequence[Track],
+    offsets: NDArray[np.int64],
+    states: FloatArray,
+    covariance: FloatArray,
+    modes: FloatArray,
+) -> list[Track]:
+    """Tracks with estimates, (n, 6) states and (n, 6, 6) covariances, in place of their observations.
 
-    Angles are wrapped. Orientations and ``modes`` (n, 2), as in `problem.Result`, are absent where they begin
-    with NaN, since they are found in all frames of a track or in none. The covariances stay in the caller's
-    array, which may be that of many tracks: to copy them takes as long as to smooth positions.
+    Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
+    ``modes`` (n, 2), as in `problem.Result`, are absent where they begin with NaN, since they are found in
+    all frames of a track or in none. All tracks share the arrays, ``covariance`` the caller's: to copy them
+    for each takes as long as to smooth positions.
     """
-    has_modes = modes is not None and not np.isnan(modes[0, 0])
-    return track.with_estimates(
-        position=states[:, :2].copy(),
-        velocity=states[:, 2:4].copy(),
-        body=None if np.isnan(states[0, 4]) else states[:, 4].copy(),
-        head=None if np.isnan(states[0, 5]) else states[:, 5].copy(),
-        covariance=covariance,
-        aligned_p=modes[:, 0].copy() if modes is not None and has_modes else None,
-        gait_offset=modes[:, 1].copy() if modes is not None and has_modes else None,
-    )
+    columns = (states[:, :2], states[:, 2:4], states[:, 4], states[:, 5], modes[:, 0], modes[:, 1])
+    position, velocity, *others = (column.copy() for column in columns)
+    names, found = ("body", "head", "aligned_p", "gait_offset"), []
+    has = np.isfinite([other[offsets[:-1]] for other in others]).T.tolist()
+    starts = offsets.tolist()
+    for m, track in enumerate(tracks):
+        rows = slice(starts[m], starts[m + 1])
+        channels = {
+            name: other[rows] for name, other, there in zip(names, others, has[m], strict=True) if there
+        }
+        found.append(
+            track.with_estimates(
+                position=position[rows], velocity=velocity[rows], covariance=covariance[rows], **channels
+            )
+        )
+    return found

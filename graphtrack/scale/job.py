@@ -14,7 +14,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.chain.side_by_side import is_large
-from graphtrack.inference.offline import BATCH, engine_of
+from graphtrack.inference.offline import engine_of
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.inference.warm import WHOLE, solver_rehearsals
 from graphtrack.io.atomic import atomic_path
@@ -72,7 +72,7 @@ def smooth_dataset(
     engine: OfflineEngine | Literal["auto"] = "auto",
     jobs: int | None = None,
     cluster: str | None = None,
-    batch_frames: int = BATCH,
+    batch_frames: int = 100_000,
     select: tuple[str, ...] = (),
     read_options: ReadOptions | None = None,
     options: SolverOptions | None = None,

@@ -13,7 +13,12 @@ from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import GaitParameters, Model
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import BINS, NEAR, ROW, gait_of, infer_modes
-from graphtrack.model.terms.pose import add_class_quarters, add_classes, add_classes_over, class_densities
+from graphtrack.model.terms.pose_classes import (
+    add_class_quarters,
+    add_classes,
+    add_classes_over,
+    class_densities,
+)
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
 from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet
 

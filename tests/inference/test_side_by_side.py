@@ -20,10 +20,11 @@ from graphtrack.inference.chain.engine import solve_packed
 from graphtrack.inference.chain.lane_mode_memory import mode_memory
 from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.lane_newton import lane_memory
+from graphtrack.inference.chain.lane_stating import state_tracks
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.side_by_side import LARGE, LONGEST, has_lanes, those_beside
-from graphtrack.inference.chain.stating import state_tracks, stating_of
+from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.inference.solution import seconds_to_ends, stated
 from graphtrack.inference.warm import lane_rehearsal, offline_rehearsal, solver_rehearsals

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.lane_singles import softness
 from graphtrack.model.kernels.lanes import LANES, load, masked, row_of, store
 from graphtrack.model.kernels.vector_math import cos_sin, exp2, expm1
@@ -40,6 +42,24 @@ def test_elementary_functions_are_those_of_numpy_within_what_they_state() -> Non
         assert (np.abs(found[2] - np.cos(x)) / size).max() < 4e-16
         assert (np.abs(found[3] - np.sin(x)) / size).max() < 4e-16
         assert (np.abs(found[4] - np.log1p(x * x)) / size).max() < 4e-16
+
+
+@compiled
+def of_floats(x: FloatArray, found: FloatArray) -> None:
+    """eˣ and its logarithm, (2, n)."""
+    for k in range(len(x)):
+        found[0, k] = exp(x[k])
+        found[1, k] = log(exp(x[k]))
+
+
+def test_those_of_floats_are_those_of_numpy_too_and_leave_nan_alone() -> None:
+    x = np.concatenate([np.random.default_rng(0).uniform(-690.0, 690.0, 500), [0.0, 1e-300, -1e-9]])
+    found = np.empty((2, len(x)))
+    of_floats(x, found)
+    np.testing.assert_allclose(found[0], np.exp(x), rtol=5e-14)
+    assert (np.abs(found[1] - np.log(found[0])) / np.maximum(1.0, np.abs(x))).max() < 4e-16
+    of_floats(np.array([np.nan, -1e4]), found[:, :2])
+    assert np.isnan(found[:, 0]).all() and found[0, 1] == pytest.approx(math.exp(-700.0))
 
 
 @compiled

@@ -66,13 +66,14 @@ def test_the_newest_frame_states_the_same(missing: list[int], lasting: float) ->
             covariance, velocity = root @ root.T, rng.normal(size=2)
             covariance[missing] = covariance[:, missing] = np.nan
             expected, found = stated(covariance.copy(), velocity, parameters), covariance.copy()
-            state_uncertainty(found, velocity, 0.0, stating_of(parameters))
+            state = np.array([[0.0, 0.0, *velocity, 0.0, 0.0]])
+            state_uncertainty(found[None], state, 0, 0.0, stating_of(parameters))
             np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * scale**2)
     # Where something is known for certain, too.
     with np.errstate(all="ignore"):
         nothing = stated(np.zeros((6, 6)), RESTING, parameters)
         found = np.zeros((6, 6))
-        state_uncertainty(found, RESTING, 0.0, stating_of(parameters))
+        state_uncertainty(found[None], np.zeros((1, 6)), 0, 0.0, stating_of(parameters))
         np.testing.assert_array_equal(found, nothing)
 
 

@@ -117,7 +117,7 @@ def tell(
         hide(BODY, advanced.state[p], told)
     if not rules.has_head:
         hide(HEAD, advanced.state[p], told)
-    state_uncertainty(told, advanced.state[p, VX:BODY], 0.0, rules.stating)
+    state_uncertainty(advanced.covariance, advanced.state, p, 0.0, rules.stating)
 
 
 @compiled

@@ -26,13 +26,13 @@ def greatest_gains(problem: Problem, n: int, memory: LaneMemory) -> Any:
     """`grid.greatest_gain` of all lanes, at the states in the memory."""
     frames, turns, quarters = memory.frames, memory.turns, memory.gradients
     body, head, gain = row_of(quarters, 0), row_of(quarters, 1), matrix_of(memory.hessians, 2)
-    nothing = 0.0 * load(memory.lengths, 0)
+    shared, nothing = problem.shared[0], 0.0 * load(memory.lengths, 0)
     greatest = nothing
     for way in range(3):
         for q in range(1, 4):
             gain[way, q] = nothing
     for k in range(n):
-        set_lane_quarters(problem, frames, k, memory.states, turns, quarters)
+        set_lane_quarters(shared, frames, k, memory.states, turns, quarters)
         body_cos, body_sin, head_cos, head_sin = (
             load(turns, 0),
             load(turns, 1),

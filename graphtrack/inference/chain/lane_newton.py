@@ -140,26 +140,17 @@ def scatter(problem: Problem, lane: int, memory: LaneMemory, states: FloatArray)
 @inner
 def sweep(problem: Problem, n: int, states: FloatArray, exact: bool, memory: LaneMemory) -> Any:
     """Costs of the states of all lanes, and whether their Hessians are positive definite, factored."""
+    # Named once: what is taken from a tuple at each turn is counted at each, and that waits for memory.
     gradients, hessians, inverse, link = memory.gradients, memory.hessians, memory.inverse, memory.link
-    lengths = load(memory.lengths, 0)
+    frames, origin, starts, turns = memory.frames, memory.origin, memory.starts, memory.turns
+    solutions, shared, lengths = memory.solution, problem.shared[0], load(memory.lengths, 0)
     gradients[:] = 0.0
     hessians[:] = 0.0
     cost, definite = 0.0 * lengths, lengths >= 0.0
     transition = matrix_of(hessians, 2)
     for k in range(n):
         here, there = k & 1, 1 - (k & 1)
-        cost += add_lanes(
-            problem,
-            memory.frames,
-            memory.origin,
-            memory.starts,
-            k,
-            states,
-            exact,
-            memory.turns,
-            gradients,
-            hessians,
-        )
+        cost += add_lanes(shared, frames, origin, starts, k, states, exact, turns, gradients, hessians)
         over = lengths <= float(k)
         if any_of(over):
             block = masked(matrix_of(hessians, here), over)
@@ -174,14 +165,14 @@ def sweep(problem: Problem, n: int, states: FloatArray, exact: bool, memory: Lan
                 row_of(gradients, here),
                 matrix_of(inverse, k - 1),
                 matrix_of(link, k - 1),
-                row_of(memory.solution, k - 1),
+                row_of(solutions, k - 1),
             )
         clear(row_of(gradients, there), matrix_of(hessians, there), transition)
     last = (n - 1) & 1
     factor, right, solution = (
         matrix_of(inverse, n - 1),
         row_of(gradients, last),
-        row_of(memory.solution, n - 1),
+        row_of(solutions, n - 1),
     )
     definite &= invert_cholesky(matrix_of(hessians, last), factor)
     for i in range(N):

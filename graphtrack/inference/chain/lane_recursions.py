@@ -12,8 +12,9 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.lane_mode_memory import DT, TURN, ModeMemory
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.elementary import exp
 from graphtrack.model.kernels.lanes import load, store
-from graphtrack.model.kernels.vector_math import exp, exp2
+from graphtrack.model.kernels.vector_math import exp2
 from graphtrack.model.terms.gait import BINS, MOST_DRIFT, ROW, Modes
 
 LAST = BINS - 1

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from graphtrack.inference.chain.programs import OF_PRESETS, program_of
 from graphtrack.model import Model
-from graphtrack.model.terms.pose import add_classes
+from graphtrack.model.terms.pose_classes import add_classes
 from graphtrack.tracks import Track
 
 LARGE = 100_000

@@ -1,20 +1,22 @@
-"""Stated uncertainty, compiled: what `inference.solution.stated` says, of a frame or of whole tracks."""
+"""Stated uncertainty, compiled: what `inference.solution.stated` says, of a frame."""
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, NamedTuple
 
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
 from graphtrack.inference.solution import SHARES, SHRINK
+from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import apart, compiled
-from graphtrack.model.kernels.layout import BODY, HEAD, VX, N
+from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.sway import kept_shares, sway_variances
+
+_LAST = len(SHRINK) - 1
+_STEPS = 1.0 / float(SHARES[1])
+"""Of the table, for each 1 of the share."""
 
 
 class Lasting(NamedTuple):
@@ -31,121 +33,166 @@ class Stating(NamedTuple):
     accelerations: Lasting
     body_turns: Lasting
     head_turns: Lasting
-    kept: FloatArray  # (2,) what the standard deviations of body and head are to be multiplied with
-    sway: FloatArray  # (4,) variances
-    shares: FloatArray  # what the root of an angle's inverse curvature is to be multiplied with
-    shrink: FloatArray
+    kept_body: float  # what the standard deviations are to be multiplied with
+    kept_head: float
+    position_sway: float  # variances
+    velocity_sway: float
 
 
 @lru_cache(16)
 def stating_of(parameters: Parameters) -> Stating:
     """The parameters as the kernel takes them."""
     motion, o = parameters.motion, parameters.orientation
+    kept_body, kept_head = kept_shares(o)
+    position_sway, _, velocity_sway, _ = sway_variances(motion)
     return Stating(
         Lasting(float(motion.acceleration_density), float(motion.lasting_std), float(motion.lasting_time)),
         Lasting(float(o.body_diffusion), float(o.body_turn_rate), float(o.body_turn_time)),
         Lasting(float(o.head_diffusion), float(o.head_turn_rate), float(o.head_turn_time)),
-        np.sqrt(kept_shares(o)),
-        np.array(sway_variances(motion), float),
-        SHARES,
-        SHRINK,
+        math.sqrt(kept_body),
+        math.sqrt(kept_head),
+        float(position_sway),
+        float(velocity_sway),
     )
 
 
+class Added(NamedTuple):
+    """What statements add to a covariance: floats, or `lanes` of several frames."""
+
+    position: Any  # m²
+    both: Any  # m²/s
+    velocity: Any  # m²/s²
+    body: Any  # rad²
+    head: Any  # rad²
+
+
 @compiled
-def lags(seconds: float, lasting: Lasting, end: float) -> tuple[float, float]:
+def lags(seconds: Any, lasting: Lasting, end: Any) -> tuple[Any, Any]:
     """Variance of what an estimate lags from the past, as far as it does, and altogether; see `sway`."""
     lasts, rate, around = lasting.lasts, lasting.rate, 2.0 * seconds
-    past = rate * rate * seconds * lasts * (seconds / (seconds + lasts))
-    if end == 0.0:
-        return past, past
-    share, late = around / (around + lasts), math.exp(-end / max(around, 1e-9))
-    past *= late
+    share = around / (around + lasts)
+    late = math.exp(-end / choose(around > 1e-9, around, 1e-9))
+    past = late * (rate * rate * seconds * lasts * (seconds / (seconds + lasts)))
     return past, past + (1.0 - late) * 0.5 * rate * rate * around * lasts * share * share
 
 
 @compiled
-def known(value: float) -> float:
+def known(value: Any) -> Any:
     """0 for NaN."""
-    return 0.0 if np.isnan(value) else value
+    return choose(abs(value) < math.inf, value, 0.0)
 
 
 @compiled
-def angle_behind(row: FloatArray, velocity: FloatArray, stating: Stating) -> float:
-    """By how many radians an angle is behind for each radian a second, from its row of the covariance."""
-    across = row[3] * velocity[0] - row[2] * velocity[1]
+def seconds_behind(across: Any, body: Any, head: Any, stating: Stating) -> Any:
+    """By how many radians an angle is behind for each radian a second.
+
+    From its covariances with the velocity across, times the speed, and with body and head.
+    """
     return abs(
-        known(across / stating.accelerations.diffusion)
-        + known(row[BODY] / stating.body_turns.diffusion)
-        + known(row[HEAD] / stating.head_turns.diffusion)
+        known(across * (1.0 / stating.accelerations.diffusion))
+        + known(body * (1.0 / stating.body_turns.diffusion))
+        + known(head * (1.0 / stating.head_turns.diffusion))
     )
 
 
 @compiled
-def shrink_of(variance: float, stating: Stating) -> float:
-    """What the root of an angle's inverse curvature is to be multiplied with."""
-    share, last = variance / (1.0 + variance), len(stating.shares) - 1
-    if not share < stating.shares[last]:
-        # NaN stays NaN.
-        found = stating.shrink[last] + 0.0 * variance
-    else:
-        k = min(max(int(share / stating.shares[1]), 0), last - 1)
-        while k > 0 and stating.shares[k] > share:
-            k -= 1
-        while stating.shares[k + 1] <= share:
-            k += 1
-        slope = (stating.shrink[k + 1] - stating.shrink[k]) / (stating.shares[k + 1] - stating.shares[k])
-        found = slope * (share - stating.shares[k]) + stating.shrink[k]
-    widest = UNIFORM_STD / np.sqrt(variance)
-    return widest if found > widest else found
+def added(
+    own: Any,
+    both: Any,
+    body_across: Any,
+    body: Any,
+    angles: Any,
+    head_across: Any,
+    head: Any,
+    end: Any,
+    stating: Stating,
+) -> Added:
+    """What is added for lags.
 
-
-@apart
-def state_uncertainty(covariance: FloatArray, velocity: FloatArray, end: float, stating: Stating) -> None:
-    """The covariance (6, 6) of a frame as it is stated, in place; NaN where there is no such state.
-
-    ``velocity`` (2,) is the frame's, in m/s, and ``end`` the seconds to the nearer end of its track, 0 of a
-    newest frame.
+    Parameters
+    ----------
+    own, both : variance of a velocity, and its covariance with the position, means of both axes
+    body_across, head_across : covariances of the angles with the velocity across, times the speed
+    body, angles, head : variances of the angles, and their covariance
+    end : seconds to the nearer end of the track, 0 of a newest frame
     """
-    body_behind = angle_behind(covariance[BODY], velocity, stating)
-    head_behind = angle_behind(covariance[HEAD], velocity, stating)
+    newest, speed, seconds = 0.0 * own, 0.0 * own, 0.0 * own
     if stating.accelerations.rate != 0.0:
-        own = 0.5 * (covariance[2, 2] + covariance[3, 3])
-        seconds = 0.5 * (covariance[0, 2] + covariance[1, 3]) / own
+        seconds = both / own
         newest, speed = lags(own / stating.accelerations.diffusion, stating.accelerations, end)
-        for axis in range(2):
-            covariance[axis, axis] += newest * seconds**2
-            covariance[axis, 2 + axis] += newest * seconds
-            covariance[2 + axis, axis] += newest * seconds
-            covariance[2 + axis, 2 + axis] += speed
-    for place in range(4):
-        covariance[place, place] += stating.sway[place]
-    body = stating.kept[0] * shrink_of(covariance[BODY, BODY], stating)
-    head = stating.kept[1] * shrink_of(covariance[HEAD, HEAD], stating)
-    for i in range(N):
-        covariance[BODY, i] *= body
-        covariance[HEAD, i] *= head
-    for i in range(N):
-        covariance[i, BODY] *= body
-        covariance[i, HEAD] *= head
-    add_turns(covariance, BODY, lags(body_behind, stating.body_turns, end)[1])
-    add_turns(covariance, HEAD, lags(head_behind, stating.head_turns, end)[1])
+    _, body_lag = lags(seconds_behind(body_across, body, angles, stating), stating.body_turns, end)
+    _, head_lag = lags(seconds_behind(head_across, angles, head, stating), stating.head_turns, end)
+    return Added(newest * seconds * seconds, newest * seconds, speed, body_lag, head_lag)
 
 
 @compiled
-def add_turns(covariance: FloatArray, place: int, lag: float) -> None:
-    """What an angle lags behind turns that last; no angle is less sure than one that may be any."""
-    variance = covariance[place, place] + lag
-    covariance[place, place] = UNIFORM_STD**2 if variance > UNIFORM_STD**2 else variance
+def shrink_of(variance: float) -> float:
+    """What the root of an angle's inverse curvature is to be multiplied with."""
+    place = variance / (1.0 + variance) * _STEPS
+    # NaN stays NaN.
+    found = SHRINK[_LAST] + 0.0 * variance
+    if place < _LAST:
+        k = int(place)
+        found = SHRINK[k] + (place - k) * (SHRINK[k + 1] - SHRINK[k])
+    return UNIFORM_STD / math.sqrt(variance) if found * found * variance > UNIFORM_STD**2 else found
+
+
+@compiled
+def limited(variance: float) -> float:
+    """No angle is less sure than one that may be any; NaN stays NaN."""
+    return UNIFORM_STD**2 if variance > UNIFORM_STD**2 else variance
+
+
+@compiled
+def state(covariances: FloatArray, k: int, more: Added, stating: Stating) -> None:
+    """Covariance k of some (n, 6, 6) as it is stated, in place; NaN where there is no such state.
+
+    Each number has its place in the whole: a view of a frame would be counted at each turn, which takes
+    several times as long.
+    """
+    for axis in range(2):
+        covariances[k, axis, axis] += more.position + stating.position_sway
+        covariances[k, axis, VX + axis] += more.both
+        covariances[k, VX + axis, axis] += more.both
+        covariances[k, VX + axis, VX + axis] += more.velocity + stating.velocity_sway
+    if math.isnan(covariances[k, BODY, BODY]) and math.isnan(covariances[k, HEAD, HEAD]):
+        return
+    body = stating.kept_body * shrink_of(covariances[k, BODY, BODY])
+    head = stating.kept_head * shrink_of(covariances[k, HEAD, HEAD])
+    for i in range(BODY):
+        covariances[k, BODY, i] *= body
+        covariances[k, i, BODY] *= body
+        covariances[k, HEAD, i] *= head
+        covariances[k, i, HEAD] *= head
+    covariances[k, BODY, HEAD] *= body * head
+    covariances[k, HEAD, BODY] *= body * head
+    covariances[k, BODY, BODY] = limited(covariances[k, BODY, BODY] * body * body + more.body)
+    covariances[k, HEAD, HEAD] = limited(covariances[k, HEAD, HEAD] * head * head + more.head)
 
 
 @apart
-def state_tracks(
-    covariance: FloatArray, states: FloatArray, offsets: NDArray[np.int64], t: FloatArray, stating: Stating
+def state_uncertainty(
+    covariances: FloatArray, states: FloatArray, k: int, end: float, stating: Stating
 ) -> None:
-    """Covariances (n, 6, 6) of all frames of tracks from ``offsets`` (m + 1,) on, at the times ``t`` (n,)."""
-    for track in range(len(offsets) - 1):
-        first, last = offsets[track], offsets[track + 1] - 1
-        for k in range(first, last + 1):
-            end = min(t[k] - t[first], t[last] - t[k])
-            state_uncertainty(covariance[k], states[k, VX:BODY], end, stating)
+    """Covariance k of some (n, 6, 6) as it is stated, in place.
+
+    ``states`` (n, 6) are in m and m/s; ``end``: seconds to the nearer end of the track, 0 of a newest frame.
+    """
+    more = added(
+        0.5 * (covariances[k, 2, 2] + covariances[k, 3, 3]),
+        0.5 * (covariances[k, 0, 2] + covariances[k, 1, 3]),
+        across(covariances, states, k, BODY),
+        covariances[k, BODY, BODY],
+        covariances[k, HEAD, BODY],
+        across(covariances, states, k, HEAD),
+        covariances[k, HEAD, HEAD],
+        end,
+        stating,
+    )
+    state(covariances, k, more, stating)
+
+
+@compiled
+def across(covariances: FloatArray, states: FloatArray, k: int, place: int) -> float:
+    """Covariance of an angle with the velocity across, times the speed."""
+    return covariances[k, place, 3] * states[k, VX] - covariances[k, place, 2] * states[k, VY]

@@ -15,7 +15,7 @@ from graphtrack.inference.chain.engine import PASSES, is_chain
 from graphtrack.inference.chain.restart import AT_END, AT_START
 from graphtrack.inference.graph.chain_view import ChainView, is_ambiguous
 from graphtrack.inference.initial import initial_states
-from graphtrack.inference.solution import Solution, SolverOptions, estimated_track, seconds_to_ends, stated
+from graphtrack.inference.solution import Solution, SolverOptions, estimated_tracks, seconds_to_ends, stated
 from graphtrack.inference.warm import WHOLE, graph_rehearsal, has_own_kernels
 from graphtrack.model import Model, States, Step
 from graphtrack.model.factors.derived import Couplings
@@ -159,7 +159,8 @@ def smooth_graph(
         raise SolveError(track.track_id, "the estimate is not finite")
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
-    estimate = estimated_track(track, states, covariance, None if view is None else view.modes)
+    modes = np.full((len(track), 2), np.nan) if view is None else view.modes
+    (estimate,) = estimated_tracks([track], np.array([0, len(track)]), states, covariance, modes)
     return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
 
 

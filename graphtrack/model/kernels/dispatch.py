@@ -21,6 +21,8 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.compiler import CompileResult, Flags
 from numba.core.registry import CPUDispatcher
 
+from graphtrack.model.kernels.borrowing import BorrowingCompiler
+
 Types = tuple[Any, ...]
 """Of a function's arguments, as numba has them."""
 
@@ -95,7 +97,7 @@ class _Function(CPUDispatcher):
     _cache_of: type[FunctionCache] = _Cache
 
     def __init__(self, py_func: Callable[..., object], *given: Any, **options: Any) -> None:
-        super().__init__(py_func, *given, **options)
+        super().__init__(py_func, *given, pipeline_class=BorrowingCompiler, **options)
         self._compiler._customize_flags = _Flags
         self._folder = ""
 
@@ -114,11 +116,6 @@ class Apart(_Function):
 
     Whatever calls it has to be of this module's kinds if it is kept on disk.
     """
-
-    def __init__(self, py_func: Callable[..., object], *given: Any, **options: Any) -> None:
-        super().__init__(py_func, *given, **options)
-        # Else the first of its callers to be compiled would decide.
-        self.targetoptions["_nrt"] = True
 
     def add_overload(self, cres: CompileResult) -> None:
         """Have callers declare the symbol, where numba would have them link the library."""
@@ -142,16 +139,11 @@ class Apart(_Function):
 
 
 class Inner(Apart):
-    """The same of a function that compiled code alone calls: it has nothing for the interpreter.
-
-    Nor may it make arrays: it does not count who holds those that it is given, which numba does anew for
-    each part of one (a sixth of the time of `lane_newton`'s sweeps). What it calls may.
-    """
+    """The same of a function that compiled code alone calls: it has nothing for the interpreter."""
 
     def __init__(self, py_func: Callable[..., object], *given: Any, **options: Any) -> None:
         super().__init__(py_func, *given, **options)
         self.targetoptions["no_cpython_wrapper"] = True
-        self.targetoptions["_nrt"] = False
 
     def __call__(self, *arguments: object, **named: object) -> object:
         """Raise TypeError: there is nothing that Python could call."""

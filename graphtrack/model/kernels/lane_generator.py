@@ -25,7 +25,6 @@ from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import inner
 from graphtrack.model.kernels.lanes import load, masked, matrix_of, negate, row_of, store
 from graphtrack.model.kernels.layout import BODY, HEAD
-from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.vector_math import cos_sin
 {imports}
 
@@ -34,7 +33,7 @@ from graphtrack.model.kernels.vector_math import cos_sin
 OPEN_LANES = '''
 @inner
 def add_lanes(
-    problem: Problem,
+    shared: Any,
     frames: FloatArray,
     origin: FloatArray,
     starts: FloatArray,
@@ -49,6 +48,7 @@ def add_lanes(
 
     Parameters
     ----------
+    shared : the record of what all frames share
     frames : (n, fields of a record, LANES)
     origin, starts : (2, LANES) metres; (1, 6, LANES)
     states : (n, 6, LANES)
@@ -67,14 +67,13 @@ def add_lanes(
     store(turns, 4 * here + 1, body_sin)
     store(turns, 4 * here + 2, head_cos)
     store(turns, 4 * here + 3, head_sin)
-    shared = problem.shared[0]
     cost = 0.0 * state[0]'''
 
 OPEN_LANE_QUARTERS = '''
 
 @inner
 def set_lane_quarters(
-    problem: Problem, frames: FloatArray, k: int, states: FloatArray, turns: FloatArray, quarters: FloatArray
+    shared: Any, frames: FloatArray, k: int, states: FloatArray, turns: FloatArray, quarters: FloatArray
 ) -> None:
     """What frame k of all lanes costs with body or head as they are, and one, two and three quarters on.
 
@@ -82,7 +81,7 @@ def set_lane_quarters(
     sine of body and head as they are come into the first half of ``turns`` (2, 4, LANES).
     """
     at, state = k * frames.shape[1], row_of(states, k)
-    shared, body, head = problem.shared[0], row_of(quarters, 0), row_of(quarters, 1)
+    body, head = row_of(quarters, 0), row_of(quarters, 1)
     body_cos, body_sin = cos_sin(state[BODY])
     head_cos, head_sin = cos_sin(state[HEAD])
     store(turns, 0, body_cos)

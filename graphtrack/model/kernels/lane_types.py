@@ -19,7 +19,6 @@ LANES = 8
 
 FLAGS = ("contract", "reassoc", "nsz", "arcp")
 DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
-WORDS = ir.VectorType(ir.IntType(64), LANES)
 BITS = ir.VectorType(ir.IntType(1), LANES)
 
 

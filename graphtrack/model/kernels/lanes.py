@@ -24,7 +24,6 @@ from numba.extending import intrinsic, overload
 from graphtrack.model.kernels.lane_types import (
     DOUBLES,
     LANES,
-    WORDS,
     LaneMask,
     Lanes,
     RefType,
@@ -33,12 +32,10 @@ from graphtrack.model.kernels.lane_types import (
 __all__ = [
     "LANES",
     "load",
-    "mantissa_of",
     "masked",
     "matrix_of",
     "negate",
     "of_lanes",
-    "power_of_two",
     "row_of",
     "store",
 ]
@@ -71,39 +68,6 @@ def of_lanes(function: Callable[..., Any], own: Callable[..., Any]) -> None:
 
 for _known, _own in ((math.sqrt, _square_root), (math.floor, _whole), (abs, _size)):
     of_lanes(_known, _own)
-
-
-def _words(value: int) -> Any:
-    return ir.Constant(WORDS, [value] * LANES)
-
-
-_SHORT = ir.VectorType(ir.IntType(32), LANES)
-"""For conversions: by way of 32 bits, for which every processor has an instruction."""
-
-
-@intrinsic
-def power_of_two(_context: Any, exponent: Any) -> Any:
-    """2ⁿ of whole numbers n, −1022 to 1023."""
-
-    def emit(_c: Any, builder: Any, _s: Any, args: Any) -> Any:
-        whole = builder.sext(builder.fptosi(args[0], _SHORT), WORDS)
-        return builder.bitcast(builder.shl(builder.add(whole, _words(1023)), _words(52)), DOUBLES)
-
-    return Lanes(Lanes), emit
-
-
-@intrinsic
-def mantissa_of(_context: Any, x: Any) -> Any:
-    """m in [½, 1) and n of positive x = m·2ⁿ."""
-
-    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        bits = builder.bitcast(args[0], WORDS)
-        power = builder.trunc(builder.sub(builder.lshr(bits, _words(52)), _words(1022)), _SHORT)
-        part = builder.or_(builder.and_(bits, _words(0x000FFFFFFFFFFFFF)), _words(0x3FE0000000000000))
-        pair = builder.bitcast(part, DOUBLES), builder.sitofp(power, DOUBLES)
-        return context.make_tuple(builder, sig.return_type, pair)
-
-    return types.UniTuple(Lanes, 2)(Lanes), emit
 
 
 @intrinsic

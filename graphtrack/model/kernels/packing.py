@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.observation import CHANNELS, Observation
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
@@ -40,6 +40,7 @@ class PackedTracks:
     shared: NDArray[np.void]
     body_heights: FloatArray = field(default_factory=lambda: np.zeros((0, BODY_CLASSES + 1)))
     head_heights: FloatArray = field(default_factory=lambda: np.zeros((0, HEAD_CLASSES + 1)))
+    _directions: dict[str, FloatArray | None] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -93,6 +94,13 @@ class PackedTracks:
             for track, value in zip(self.tracks, values, strict=True)
         ]
         return np.concatenate(parts)
+
+    def directions(self, name: str) -> FloatArray | None:
+        """Unit vectors (N, 2) to where body or head was seen to point, NaN where it was not; found once."""
+        if name not in self._directions:
+            angle = self.channel(name)
+            self._directions[name] = None if angle is None else unit(angle)
+        return self._directions[name]
 
     def input(self, name: str, *size: int) -> FloatArray:
         """One of the tracks' inputs, (N,) or (N, size); NaN where a track does not have it.

@@ -26,10 +26,8 @@ from graphtrack.model.terms.holds_still import add_holds
 from graphtrack.model.terms.intentional_motion import add_steered_motion
 from graphtrack.model.terms.motion import add_first_velocity, add_motion
 from graphtrack.model.terms.place import add_place
-from graphtrack.model.terms.pose import (
-    add_angle,
-    add_angle_over,
-    add_angle_quarters,
+from graphtrack.model.terms.pose import add_angle, add_angle_over, add_angle_quarters
+from graphtrack.model.terms.pose_classes import (
     add_class_quarters,
     add_classes,
     add_classes_over,

@@ -1,8 +1,8 @@
 """Elementary functions of `lanes`, as polynomials: those of the C library know no vectors.
 
-Compiled code that asks for `math.exp`, `log`, `log1p`, `cos` or `sin` has these where it is given lanes.
-Errors: 3·10⁻¹⁴ of the result (`exp`, `exp2`, `expm1`), 3·10⁻¹⁶ of the greater of 1 and
-the result (`log`), and 3·10⁻¹⁶ of the greater of 1 and the angle (`cos_sin`).
+Compiled code that asks for `math.exp`, `log`, `log1p`, `cos` or `sin` has these, or those of `elementary`,
+where it is given lanes. Errors: of `cos_sin` 3·10⁻¹⁶ of the greater of 1 and the angle, of `exp2` and `expm1`
+5·10⁻¹⁵ of the result.
 """
 
 from __future__ import annotations
@@ -15,17 +15,13 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.lanes import mantissa_of, of_lanes, power_of_two
+from graphtrack.model.kernels.elementary import exp, log, power_of_two
+from graphtrack.model.kernels.lanes import of_lanes
 
-_LOG2E = 1.4426950408889634
-_LN2 = math.log(2.0)
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-_LEAST = -700.0
-_ROOT = 0.7071067811865476
 _QUARTER = 2.0 / math.pi
 _PI_HIGH, _PI_LOW = 1.5707963267341256, 6.077100506506192e-11
-
-
+_LOG2E = 1.0 / math.log(2.0)
+_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _POWER = tuple(
     map(float, Chebyshev.interpolate(np.exp2, 10, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef)
 )
@@ -33,31 +29,17 @@ _POWER = tuple(
 
 
 @compiled
-def _raised(r: Any) -> Any:
-    """2ʳ for |r| ≤ ½.
-
-    Even and odd powers are two sums side by side, here and below: half as long to wait for.
-    """
-    z = r * r
-    even = _POWER[4] + z * (_POWER[6] + z * (_POWER[8] + z * _POWER[10]))
-    odd = _POWER[3] + z * (_POWER[5] + z * (_POWER[7] + z * _POWER[9]))
-    return (_POWER[0] + z * (_POWER[2] + z * even)) + r * (_POWER[1] + z * odd)
-
-
-@compiled
-def exp(x: Any) -> Any:
-    """eˣ for −700 ≤ x ≤ 700, and e⁻⁷⁰⁰ for less."""
-    x = choose(x > _LEAST, x, _LEAST)
-    whole = math.floor(x * _LOG2E + 0.5)
-    return _raised((x - whole * _LN2_HIGH - whole * _LN2_LOW) * _LOG2E) * power_of_two(whole)
-
-
-@compiled
 def exp2(x: Any) -> Any:
     """2ˣ for |x| ≤ 1000, and 2⁻¹⁰⁰⁰ for less."""
     x = choose(x > -1000.0, x, -1000.0)
     whole = math.floor(x + 0.5)
-    return _raised(x - whole) * power_of_two(whole)
+    r = x - whole
+    z = r * r
+    # Even and odd powers are two sums side by side, here and below: half as long to wait for.
+    even = _POWER[4] + z * (_POWER[6] + z * (_POWER[8] + z * _POWER[10]))
+    odd = _POWER[3] + z * (_POWER[5] + z * (_POWER[7] + z * _POWER[9]))
+    y = (_POWER[0] + z * (_POWER[2] + z * even)) + r * (_POWER[1] + z * odd)
+    return y * power_of_two(whole)
 
 
 @compiled
@@ -72,21 +54,6 @@ def expm1(x: Any) -> Any:
     even = 1.0 + z * (1.0 / 6.0 + z * (1.0 / 120.0 + z * even))
     odd = 0.5 + z * (1.0 / 24.0 + z * (1.0 / 720.0 + z * odd))
     return power * (r * (even + r * odd)) + (power - 1.0)
-
-
-@compiled
-def log(x: Any) -> Any:
-    """The logarithm of a number that is positive, finite and not denormal."""
-    part, power = mantissa_of(x)
-    low = part < _ROOT
-    part, power = choose(low, part + part, part), choose(low, power - 1.0, power)
-    s = (part - 1.0) / (part + 1.0)
-    z = s * s
-    w = z * z
-    even = 1.0 + w * (1.0 / 5.0 + w * (1.0 / 9.0 + w * (1.0 / 13.0 + w * (1.0 / 17.0))))
-    odd = 1.0 / 3.0 + w * (1.0 / 7.0 + w * (1.0 / 11.0 + w * (1.0 / 15.0 + w * (1.0 / 19.0))))
-    y = even + z * odd
-    return 2.0 * s * y + power * (_LN2_HIGH + _LN2_LOW)
 
 
 @compiled

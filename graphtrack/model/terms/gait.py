@@ -20,11 +20,12 @@ from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.bessel import of_alike
 from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import GaitParameters
 from graphtrack.model.term import Term, Variable
-from graphtrack.model.terms.pose import angle_cost
+from graphtrack.model.terms.pose import peaked_cost, softened_cost
 from graphtrack.tracks import Track
 
 if TYPE_CHECKING:
@@ -83,8 +84,13 @@ def add_seen(
     # The observation as seen from the reference.
     base_cos, base_sin = math.cos(reference), math.sin(reference)
     along, across = cos * base_cos + sin * base_sin, sin * base_cos - cos * base_sin
-    for j in range(ROW):
-        row[j] -= weight * angle_cost(modes.cos[j] * along + modes.sin[j] * across, kappa, uniform)
+    # Two loops, since one with a condition in it does not become vector instructions.
+    if uniform == 0.0:
+        for j in range(ROW):
+            row[j] -= weight * peaked_cost(modes.cos[j] * along + modes.sin[j] * across, kappa)
+    else:
+        for j in range(ROW):
+            row[j] -= weight * softened_cost(modes.cos[j] * along + modes.sin[j] * across, kappa, uniform)
 
 
 @compiled
@@ -107,8 +113,8 @@ def add_seen_classes(
         density = heights[n_classes]
         for c in range(n_classes):
             close = along * directions[c, 0] + across * directions[c, 1]
-            density += heights[c] * math.exp(kappa * (close - 1.0))
-        row[j] += weight * math.log(density)
+            density += heights[c] * exp(kappa * (close - 1.0))
+        row[j] += weight * log(density)
 
 
 @compiled
@@ -195,7 +201,7 @@ def infer_modes(
         for j in range(1, ROW):
             greatest = max(greatest, likelihood[k, j])
         for j in range(ROW):
-            likelihood[k, j] = math.exp(likelihood[k, j] - greatest)
+            likelihood[k, j] = exp(likelihood[k, j] - greatest)
             now[j] *= likelihood[k, j]
             total += now[j]
         for j in range(ROW):

@@ -24,13 +24,20 @@ from graphtrack.geometry.angles import (
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.factors.native import von_mises_prior
-from graphtrack.model.kernels.bessel import log_i0e, of_alike
+from graphtrack.model.kernels.bessel import of_alike
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.kernel import Kernel, Search
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.term import Term, Variable
+from graphtrack.model.terms.pose_classes import (
+    add_class_quarters,
+    add_classes,
+    add_classes_over,
+    class_densities,
+)
 from graphtrack.tracks import Track
 
 if TYPE_CHECKING:
@@ -38,14 +45,24 @@ if TYPE_CHECKING:
 
 
 @compiled
+def peaked_cost(close: float, kappa: float) -> float:
+    """What an observed angle costs without outliers, at a deviation whose cosine is ``close``."""
+    return kappa * (1.0 - close)
+
+
+@compiled
+def softened_cost(close: float, kappa: float, uniform: float) -> float:
+    """The same with outliers."""
+    # As the factor has it: never negative, since the resultant is at most κ.
+    return 2.0 * kappa - log((exp(-kappa * (1.0 - close)) + uniform) / (1.0 + uniform))
+
+
+@compiled
 def angle_cost(close: float, kappa: float, uniform: float) -> float:
     """What `add_angle` costs at a deviation whose cosine is ``close``."""
-    far = kappa * (1.0 - close)
     if not any_of(uniform > 0.0):
-        return far
-    # As the factor has it: never negative, since the resultant is at most κ.
-    softened = 2.0 * kappa - math.log((math.exp(-far) + uniform) / (1.0 + uniform))
-    return choose(uniform > 0.0, softened, far)
+        return peaked_cost(close, kappa)
+    return choose(uniform > 0.0, softened_cost(close, kappa, uniform), peaked_cost(close, kappa))
 
 
 @compiled
@@ -110,107 +127,6 @@ def add_angle_quarters(
     cost[1] += angle_cost(-across, kappa, uniform)
     cost[2] += angle_cost(-close, kappa, uniform)
     cost[3] += angle_cost(across, kappa, uniform)
-
-
-@compiled
-def doubted(outliers: float, kappa: float, doubt: float) -> float:
-    """The outliers' density, with that of classes that say nothing with the probability ``doubt``."""
-    if not doubt > 0.0:
-        return outliers
-    return outliers + doubt * (1.0 - outliers) * math.exp(log_i0e(kappa))
-
-
-@compiled
-def add_classes(
-    cos: float,
-    sin: float,
-    place: int,
-    heights: FloatArray,
-    directions: FloatArray,
-    kappa: float,
-    doubt: float,
-    exact: bool,
-    gradient: FloatArray,
-    hessian: FloatArray,
-) -> float:
-    """Class likelihoods: −log of a mixture of von Mises densities and a uniform one.
-
-    ``heights`` (k + 1) are the densities of the classes at their centres and of the outliers, divided by
-    their sum; ``directions`` (k, 2) the centres' cosines and sines. ``doubt`` is the probability that the
-    classes say nothing.
-    """
-    n_classes = len(directions)
-    density = doubted(heights[n_classes], kappa, doubt)
-    along = turn = square = mean_cos = mean_sin = 0.0
-    for c in range(n_classes):
-        close = cos * directions[c, 0] + sin * directions[c, 1]
-        across = sin * directions[c, 0] - cos * directions[c, 1]
-        value = (1.0 - doubt) * heights[c] * math.exp(kappa * (close - 1.0))
-        density += value
-        along += value * close
-        turn += value * across
-        square += value * across * across
-        mean_cos += value * directions[c, 0]
-        mean_sin += value * directions[c, 1]
-    scale = 1.0 / density
-    slope = kappa * turn * scale
-    gradient[place] += slope
-    if exact:
-        hessian[place, place] += kappa * scale * (along - kappa * square) + slope * slope
-    else:
-        hessian[place, place] += kappa * scale * math.sqrt(mean_cos * mean_cos + mean_sin * mean_sin)
-    return 2.0 * kappa - math.log(density)
-
-
-@compiled
-def class_densities(cos: FloatArray, sin: FloatArray, directions: FloatArray) -> FloatArray:
-    """Densities (n, k) of the classes at many directions, over those at their centres."""
-    found = np.empty((len(cos), len(directions)))
-    kappa = (len(directions) / math.pi) ** 2
-    for i in range(len(cos)):
-        for c in range(len(directions)):
-            found[i, c] = math.exp(kappa * (cos[i] * directions[c, 0] + sin[i] * directions[c, 1] - 1.0))
-    return found
-
-
-@compiled
-def add_classes_over(
-    heights: FloatArray, prepared: FloatArray, kappa: float, doubt: float, cost: FloatArray
-) -> None:
-    """What class likelihoods cost at each of many directions, from the classes' densities there."""
-    n = prepared.shape[1]
-    believed, outliers = 1.0 - doubt, doubted(float(heights[n]), kappa, doubt)
-    for i in range(len(cost)):
-        density = 0.0
-        for c in range(n):
-            density += heights[c] * prepared[i, c]
-        cost[i] -= math.log(outliers + believed * density)
-
-
-@compiled
-def add_class_quarters(
-    cos: float,
-    sin: float,
-    heights: FloatArray,
-    directions: FloatArray,
-    kappa: float,
-    doubt: float,
-    cost: FloatArray,
-) -> None:
-    """The same of class likelihoods. A quarter on, a class is where another was: its density is known."""
-    n = len(directions)
-    quarter = n // 4
-    here = onward = opposite = back = doubted(heights[n], kappa, doubt)
-    for c in range(n):
-        value = (1.0 - doubt) * math.exp(kappa * (cos * directions[c, 0] + sin * directions[c, 1] - 1.0))
-        here += heights[c] * value
-        onward += heights[(c + quarter) % n] * value
-        opposite += heights[(c + 2 * quarter) % n] * value
-        back += heights[(c + 3 * quarter) % n] * value
-    cost[0] -= math.log(here)
-    cost[1] -= math.log(onward)
-    cost[2] -= math.log(opposite)
-    cost[3] -= math.log(back)
 
 
 def _observed(name: Variable) -> tuple[Kernel, Kernel]:
@@ -330,19 +246,19 @@ class _PoseLikelihood(Term):
     def _pack(self, packed: PackedTracks) -> None:
         likelihood, records, name = self.parameters.likelihood, packed.records, self.name
         heights = self._heights(packed)
-        angle = packed.channel(name)
-        if angle is not None:
-            kappa = self._kappas(packed.channel(f"{name}_kappa"), len(angle))
-            records[f"{name}_kappa"] = np.where(np.isfinite(angle), kappa, 0.0)
-            records[f"seen_{name}_cos"], records[f"seen_{name}_sin"] = np.cos(angle), np.sin(angle)
+        seen = packed.directions(name)
+        if seen is not None:
+            kappa = self._kappas(packed.channel(f"{name}_kappa"), len(seen))
+            records[f"{name}_kappa"] = np.where(np.isfinite(seen[:, 0]), kappa, 0.0)
+            records[f"seen_{name}_cos"], records[f"seen_{name}_sin"] = seen.T
             if likelihood.outlier_probability > 0.0:
                 # The densities at the outliers and at the peak: ε/2π over (1 − ε)/(2π·I₀(κ)·e^−κ).
                 odds = likelihood.outlier_probability / (1.0 - likelihood.outlier_probability)
                 records[f"{name}_uniform"] = odds * of_alike(special.i0e, kappa)
         if heights is not None:
-            seen = np.isfinite(heights[:, 0])
-            records[f"{name}_class_kappa"][seen] = class_kappa(heights.shape[1] - 1)
-            records[f"{name}_kappa"][seen] = 0.0
+            by_class = np.isfinite(heights[:, 0])
+            records[f"{name}_class_kappa"][by_class] = class_kappa(heights.shape[1] - 1)
+            records[f"{name}_kappa"][by_class] = 0.0
             setattr(packed, f"{name}_heights", heights)
 
     def _heights(self, packed: PackedTracks) -> FloatArray | None:
