@@ -47,7 +47,7 @@ def _part(name: str, preset: str) -> Part:
 def solve_beside(model: Model) -> None:
     """Smooth somebody made up as tracks of large work are."""
     problem, result, _ = made_up(model)
-    solve_in_lanes(model, problem, 1, 1e-12, True, PASSES, result)
+    solve_in_lanes(model, problem, 1, (1e-12, 1e-12), True, PASSES, result)
 
 
 def state_beside(model: Model) -> None:
@@ -66,5 +66,8 @@ def _descend(model: Model) -> None:
 
 def _renew(model: Model) -> None:
     problem, result, _ = made_up(model)
-    spread, gait = np.zeros((len(TRACK), 2)), gait_of(model.parameters.gait)
-    renew_lanes(problem, np.arange(1), result.states, gait, mode_memory(len(TRACK)), result.modes, spread)
+    n, gait = len(TRACK), gait_of(model.parameters.gait)
+    memory = lane_memory(n, problem.records.dtype.itemsize // 8)
+    for array in memory:
+        array[:] = 0
+    renew_lanes(problem, n, gait, True, memory, mode_memory(n), result)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,8 +19,10 @@ from graphtrack.inference.chain import side_by_side
 from graphtrack.inference.chain.engine import solve_packed
 from graphtrack.inference.chain.lane_mode_memory import mode_memory
 from graphtrack.inference.chain.lane_modes import renew_lanes
+from graphtrack.inference.chain.lane_newton import lane_memory
 from graphtrack.inference.chain.lane_stating import state_tracks
 from graphtrack.inference.chain.modes import renew_tracks
+from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.side_by_side import LARGE, LONGEST, has_lanes, those_beside
 from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.initial import empty_result, pack, problem_of
@@ -27,7 +30,8 @@ from graphtrack.inference.solution import seconds_to_ends, stated
 from graphtrack.inference.warm import lane_rehearsal, offline_rehearsal, solver_rehearsals
 from graphtrack.model import GaitParameters, Model, MotionParameters, OrientationParameters, Parameters
 from graphtrack.model.kernels.lanes import LANES
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.terms.gait import Gait, gait_of
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.tracks import Track, TrackSet
 
@@ -147,10 +151,37 @@ def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.Monkey
             np.testing.assert_array_equal(found.track.position, expected.position)
 
 
+def renew_beside(
+    problem: Problem, states: FloatArray, gait: Gait, spread: FloatArray, result: Result
+) -> None:
+    """`renew_tracks` by groups of lanes; couplings are put back into the records."""
+    longest, numbers = (
+        int(np.diff(problem.offsets).max()),
+        problem.records.view(float).reshape(len(states), -1),
+    )
+    memory, rows = lane_memory(longest, numbers.shape[1]), mode_memory(longest)
+    for begin in range(0, len(problem.offsets) - 1, LANES):
+        memory.lengths[:], memory.frames[:], memory.states[:] = 0.0, 0.0, 0.0
+        places = [slice(a, b) for a, b in pairwise(problem.offsets[begin : begin + LANES + 1])]
+        for lane in range(LANES):
+            memory.tracks[lane] = begin + lane if lane < len(places) else -1
+        for lane, place in enumerate(places):
+            n = memory.lengths[0, lane] = place.stop - place.start
+            memory.frames[: int(n), :, lane], memory.states[: int(n), :, lane] = numbers[place], states[place]
+        renew_lanes(problem, longest, gait, False, memory, rows, result)
+        on_the_way = memory.frames.copy()
+        renew_lanes(problem, longest, gait, True, memory, rows, result)
+        np.testing.assert_array_equal(memory.frames, on_the_way)
+        for lane, place in enumerate(places):
+            n = place.stop - place.start
+            numbers[place], spread[place] = memory.frames[:n, :, lane], rows.spread[:n, :, lane]
+
+
 def test_modes_side_by_side_are_those_of_each_track() -> None:
     rng = np.random.default_rng(7)
     quick = GaitParameters(body_drift=2.0, head_drift=0.0)
-    for parameters in (Parameters(), Parameters(gait=quick)):
+    softened = Model("full").parameters
+    for parameters, within in ((Parameters(), 1e-9), (Parameters(gait=quick), 1e-9), (softened, 1e-6)):
         model = Model("full", parameters)
         tracks = [without_classes(random_track(rng)) for _ in range(LANES + 3)]
         packed = pack(tracks, model)
@@ -162,8 +193,7 @@ def test_modes_side_by_side_are_those_of_each_track() -> None:
             problem = problem._replace(records=packed.records.copy())
             spread, gait = np.zeros((len(states), 2)), gait_of(model.parameters.gait)
             if together:
-                order = np.arange(len(tracks))
-                renew_lanes(problem, order, states, gait, mode_memory(40), result.modes, spread)
+                renew_beside(problem, states, gait, spread, result)
             else:
                 renew_tracks(problem, states, gait, result.modes, spread)
             couplings = [
@@ -172,8 +202,8 @@ def test_modes_side_by_side_are_those_of_each_track() -> None:
             steering = problem.records["steer_gain"]
             found.append(np.column_stack([result.modes[:, 0], spread, *couplings, steering]))
             found.append(result.modes[:, 1:])
-        np.testing.assert_allclose(found[2], found[0], rtol=1e-9, atol=1e-11)
-        np.testing.assert_allclose(difference(found[3], found[1]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(found[2], found[0], rtol=within, atol=1e-2 * within)
+        np.testing.assert_allclose(difference(found[3], found[1]), 0.0, atol=within)
 
 
 _COUPLING = ("kappa", "cos", "sin")

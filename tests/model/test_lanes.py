@@ -11,8 +11,9 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.elementary import exp, log
+from graphtrack.model.kernels.lane_singles import softness
 from graphtrack.model.kernels.lanes import LANES, load, masked, row_of, store
-from graphtrack.model.kernels.vector_math import cos_sin
+from graphtrack.model.kernels.vector_math import cos_sin, exp2, expm1
 
 
 @compiled
@@ -59,6 +60,30 @@ def test_those_of_floats_are_those_of_numpy_too_and_leave_nan_alone() -> None:
     assert (np.abs(found[1] - np.log(found[0])) / np.maximum(1.0, np.abs(x))).max() < 4e-16
     of_floats(np.array([np.nan, -1e4]), found[:, :2])
     assert np.isnan(found[:, 0]).all() and found[0, 1] == pytest.approx(math.exp(-700.0))
+
+
+@compiled
+def powers(x: FloatArray, found: FloatArray) -> None:
+    """2ˣ, eˣ − 1, and twice what a softened angle costs beyond, of all lanes, (4, n, LANES)."""
+    for k in range(len(x)):
+        lanes = load(x, k)
+        store(found[0], k, exp2(lanes))
+        store(found[1], k, expm1(lanes))
+        one, other = softness(lanes, 0.5 * lanes)
+        store(found[2], k, one)
+        store(found[3], k, other)
+
+
+def test_powers_are_those_of_numpy_within_what_they_state() -> None:
+    rng = np.random.default_rng(1)
+    for reach in (1e-6, 1.0, 30.0, 690.0):
+        x = np.concatenate([rng.uniform(-reach, reach, (500, LANES)), np.zeros((1, LANES))])
+        found = np.empty((4, *x.shape))
+        powers(x, found)
+        np.testing.assert_allclose(found[0], np.exp2(x), rtol=3e-14)
+        np.testing.assert_allclose(found[1], np.expm1(x), rtol=5e-14)
+        np.testing.assert_allclose(found[2], np.logaddexp2(0.0, -np.abs(x)), atol=2e-7)
+        np.testing.assert_allclose(found[3], np.logaddexp2(0.0, -0.5 * np.abs(x)), atol=2e-7)
 
 
 @compiled

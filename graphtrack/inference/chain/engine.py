@@ -26,6 +26,10 @@ PASSES = 2
 """Times that the modes of the couplings, and the states with them, are found anew; a third changes
 nothing that the errors on motion capture would show."""
 
+ON_THE_WAY = 1e-6
+"""Of the cost: where descents before the last end, which tell of modes alone; their last step is taken all
+the same. That is 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, from what ending at 10⁻¹² leads to."""
+
 
 def is_chain(model: Model) -> bool:
     """Whether every term of a model has a compiled kernel."""
@@ -68,7 +72,8 @@ def solve_packed(
         if side_by_side:
             from graphtrack.inference.chain.lane_engine import solve_in_lanes  # small work does without
 
-            solve_in_lanes(model, problem, max_iterations, tolerance, restart, PASSES, result, guessed)
+            tolerances = max(ON_THE_WAY, tolerance), tolerance
+            solve_in_lanes(model, problem, max_iterations, tolerances, restart, PASSES, result, guessed)
         else:
             memory = workspace(longest)
             solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
@@ -100,18 +105,20 @@ def solve_terms(
         problem.records[gate] = 0.0
     angles = result.states[:, BODY : HEAD + 1]
     first = angles.copy()
-    solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
+    on_the_way = max(ON_THE_WAY, tolerance)
+    solve_tracks(problem, max_iterations, on_the_way, restart, memory, result)
     if guessed is not None:
         angles[guessed] = first[guessed]
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
     classified = are_classified(problem) if restart else np.zeros(len(problem.offsets) - 1, bool)
-    for _ in range(PASSES):
+    for left in range(PASSES - 1, -1, -1):
         renew_tracks(problem, result.states, gait, result.modes, spread)
-        solve_tracks(problem, max_iterations, tolerance, False, memory, result)
+        ending = on_the_way if left else tolerance
+        solve_tracks(problem, max_iterations, ending, False, memory, result)
         if classified.any():
             # Class likelihoods have basins that only the couplings tell apart.
             found = copy.deepcopy(result)
-            solve_tracks(problem, max_iterations, tolerance, True, memory, result)
+            solve_tracks(problem, max_iterations, ending, True, memory, result)
             # The grid does not know where the head's coupling rests: it may lead to a worse basin.
             put_back(found, result, problem.offsets, ~(result.cost < found.cost) | ~classified)
     program.spread_tracks(problem, result.states, spread, memory, result.covariance)

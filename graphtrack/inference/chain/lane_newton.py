@@ -30,6 +30,13 @@ from graphtrack.model.kernels.lanes import (
 )
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.kernels.program import FRAME
+
+
+def place_of(field: str) -> int:
+    """Where a number stands in a frame's record, as one row of numbers."""
+    assert FRAME.fields is not None
+    return int(FRAME.fields[field][1]) // 8
 
 
 class LaneMemory(NamedTuple):
@@ -53,6 +60,9 @@ class LaneMemory(NamedTuple):
     covariance: FloatArray  # (4, 6, 6, LANES)
     ended: FloatArray  # (5, LANES) first cost, cost, number of steps, how it ended, whether sound at the end
     begun: FloatArray  # (1, LANES) cost
+    wanted: FloatArray  # (1, LANES) whether a lane's covariances are
+    begins: FloatArray  # (1, 6, LANES) where another descent began
+    elsewhere: NDArray[np.bool_]  # (LANES,) whether there is another basin
 
 
 def lane_memory(n: int, fields: int) -> LaneMemory:
@@ -77,31 +87,45 @@ def lane_memory(n: int, fields: int) -> LaneMemory:
         np.empty((4, N, N, LANES)),
         np.empty((5, LANES)),
         np.empty((1, LANES)),
+        np.empty((1, LANES)),
+        np.empty((1, N, LANES)),
+        np.zeros(LANES, np.bool_),
     )
 
 
 @inner
 def gather(problem: Problem, numbers: FloatArray, states: FloatArray, memory: LaneMemory) -> int:
     """Put the group's records, ``numbers`` (N, fields), and its states side by side; returns its length."""
-    tracks, longest = memory.tracks, 0
+    tracks, lengths, frames, longest = memory.tracks, memory.lengths, memory.frames, 0
     for lane in range(LANES):
-        memory.lengths[0, lane] = 0.0
-        memory.origin[0, lane] = memory.origin[1, lane] = 0.0
+        lengths[0, lane] = memory.origin[0, lane] = memory.origin[1, lane] = 0.0
         if tracks[lane] >= 0:
             n = problem.offsets[tracks[lane] + 1] - problem.offsets[tracks[lane]]
-            memory.lengths[0, lane], longest = n, max(n, longest)
+            lengths[0, lane], longest = n, max(n, longest)
             for axis in range(2):
                 memory.origin[axis, lane] = problem.origin[tracks[lane], axis]
-    for lane in range(LANES):
-        n, offset = int(memory.lengths[0, lane]), 0
-        if tracks[lane] >= 0:
-            offset = problem.offsets[tracks[lane]]
-        for k in range(longest):
-            for i in range(numbers.shape[1]):
-                memory.frames[k, i, lane] = numbers[offset + k, i] if k < n else 0.0
-            for i in range(N):
-                memory.states[k, i, lane] = states[offset + k, i] if k < n else 0.0
+    for k in range(longest):
+        for lane in range(LANES):
+            if k < lengths[0, lane]:
+                row = problem.offsets[tracks[lane]] + k
+                for i in range(numbers.shape[1]):
+                    frames[k, i, lane] = numbers[row, i]
+            else:
+                for i in range(numbers.shape[1]):
+                    frames[k, i, lane] = 0.0
+    gather_states(problem, longest, states, memory)
     return longest
+
+
+@inner
+def gather_states(problem: Problem, n: int, states: FloatArray, memory: LaneMemory) -> None:
+    """Put the group's states, of n frames, side by side."""
+    for lane in range(LANES):
+        length = int(memory.lengths[0, lane])
+        begin = problem.offsets[memory.tracks[lane]] if length > 0 else 0
+        for k in range(n):
+            for i in range(N):
+                memory.states[k, i, lane] = states[begin + k, i] if k < length else 0.0
 
 
 @compiled

@@ -7,10 +7,19 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import marginal
-from graphtrack.inference.chain.lane_newton import LaneMemory, copy, gather, minimise_lanes, scatter, sweep
+from graphtrack.inference.chain.lane_grid import find_elsewhere
+from graphtrack.inference.chain.lane_newton import (
+    LaneMemory,
+    copy,
+    gather,
+    gather_states,
+    minimise_lanes,
+    scatter,
+    sweep,
+)
 from graphtrack.inference.chain.mode_spread import pull_apart
 from graphtrack.inference.chain.newton import as_variable
-from graphtrack.inference.chain.restart import AT_END, AT_START, find_other_basin
+from graphtrack.inference.chain.restart import AT_END, AT_START
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import apart, compiled, inner
@@ -20,20 +29,37 @@ from graphtrack.model.kernels.problem import Problem
 
 
 @inner
-def covariances(problem: Problem, n: int, wanted: FloatArray, memory: LaneMemory, result: Result) -> None:
-    """Covariances of the ``wanted`` lanes (1, LANES), from the factorisation in the memory."""
-    blocks = memory.covariance
+def covariances(
+    problem: Problem, n: int, spread: FloatArray, wanted: FloatArray, memory: LaneMemory, result: Result
+) -> None:
+    """Covariances of the ``wanted`` lanes (1, LANES), from the factorisation in the memory.
+
+    With what couplings of the ``spread`` (n, 2, LANES) add, as `mode_spread.spread_tracks`; no rows: none.
+    """
+    blocks, inverse, link, modes = memory.covariance, memory.inverse, memory.link, len(spread) > 0
+    if modes:
+        sweep_pulls(problem, n, 0, spread, memory, memory.solution)
+        sweep_pulls(problem, n, 1, spread, memory, memory.spare)
     for k in range(n - 1, -1, -1):
         here = k & 1
         marginal(
-            matrix_of(memory.inverse, k),
-            matrix_of(memory.link, k),
+            matrix_of(inverse, k),
+            matrix_of(link, k),
             k < n - 1,
             matrix_of(blocks, 1 - here),
             matrix_of(blocks, 2),
             matrix_of(blocks, 3),
             matrix_of(blocks, here),
         )
+        if modes:
+            pull_back(k, k < n - 1, memory, memory.solution, memory.step)
+            pull_back(k, k < n - 1, memory, memory.spare, memory.candidate)
+            one, other = row_of(memory.step, k), row_of(memory.candidate, k)
+            own, total = matrix_of(blocks, here), matrix_of(blocks, 2)
+            for i in range(N):
+                for j in range(N):
+                    total[i, j] = own[i, j] + one[i] * one[j] + other[i] * other[j]
+            here = 2
         for lane in range(LANES):
             if wanted[0, lane] > 0.0 and k < memory.lengths[0, lane]:
                 found = result.covariance[problem.offsets[memory.tracks[lane]] + k]
@@ -43,57 +69,46 @@ def covariances(problem: Problem, n: int, wanted: FloatArray, memory: LaneMemory
 
 
 @inner
-def spread_lanes(
-    problem: Problem, n: int, spread: FloatArray, wanted: FloatArray, memory: LaneMemory, result: Result
+def sweep_pulls(
+    problem: Problem, n: int, coupling: int, spread: FloatArray, memory: LaneMemory, solutions: FloatArray
 ) -> None:
-    """`mode_spread.spread_tracks` of the ``wanted`` lanes, from the factorisation in the memory."""
-    threshold, right = problem.shared[0].speed_threshold, row_of(memory.gradients, 0)
-    pulls, steps = memory.gradients[1], memory.step
-    for coupling in range(2):
-        for k in range(n):
-            for lane in range(LANES):
-                pulls[0, lane] = pulls[1, lane] = 0.0
-                if wanted[0, lane] > 0.0 and k < memory.lengths[0, lane]:
-                    own = spread[problem.offsets[memory.tracks[lane]] + k]
-                    pulls[0, lane], pulls[1, lane] = own[0], own[1]
-            pull_apart(row_of(memory.states, k), coupling, row_of(memory.gradients, 1), threshold, right)
-            if k > 0:
-                link, before = matrix_of(memory.link, k - 1), row_of(memory.solution, k - 1)
-                for i in range(N):
-                    total = right[i]
-                    for j in range(N):
-                        total -= link[j, i] * before[j]
-                    right[i] = total
-            inverse, solution = matrix_of(memory.inverse, k), row_of(memory.solution, k)
+    """`mode_spread.sweep_pulls` of all lanes, into solutions (n, 6, LANES)."""
+    threshold = problem.shared[0].speed_threshold
+    right, pulls = row_of(memory.gradients, 0), row_of(memory.gradients, 1)
+    for k in range(n):
+        pulls[0], pulls[1] = load(spread, 2 * k), load(spread, 2 * k + 1)
+        pull_apart(row_of(memory.states, k), coupling, pulls, threshold, right)
+        if k > 0:
+            link, before = matrix_of(memory.link, k - 1), row_of(solutions, k - 1)
             for i in range(N):
-                total = inverse[i, 0] * right[0]
-                for j in range(1, i + 1):
-                    total += inverse[i, j] * right[j]
-                solution[i] = total
-        for k in range(n - 1, -1, -1):
-            inverse, solution, step = (
-                matrix_of(memory.inverse, k),
-                row_of(memory.solution, k),
-                row_of(steps, k),
-            )
-            if k < n - 1:
-                link, after = matrix_of(memory.link, k), row_of(steps, k + 1)
-                for i in range(N):
-                    total = solution[i]
-                    for j in range(N):
-                        total -= link[i, j] * after[j]
-                    solution[i] = total
-            for i in range(N):
-                total = inverse[i, i] * solution[i]
-                for j in range(i + 1, N):
-                    total += inverse[j, i] * solution[j]
-                step[i] = total
-            for lane in range(LANES):
-                if wanted[0, lane] > 0.0 and k < memory.lengths[0, lane]:
-                    found = result.covariance[problem.offsets[memory.tracks[lane]] + k]
-                    for i in range(N):
-                        for j in range(N):
-                            found[i, j] += steps[k, i, lane] * steps[k, j, lane]
+                total = right[i]
+                for j in range(N):
+                    total -= link[j, i] * before[j]
+                right[i] = total
+        inverse, solution = matrix_of(memory.inverse, k), row_of(solutions, k)
+        for i in range(N):
+            total = inverse[i, 0] * right[0]
+            for j in range(1, i + 1):
+                total += inverse[i, j] * right[j]
+            solution[i] = total
+
+
+@inner
+def pull_back(k: int, linked: bool, memory: LaneMemory, solutions: FloatArray, steps: FloatArray) -> None:
+    """`mode_spread.back_from` of all lanes."""
+    inverse, solution, step = matrix_of(memory.inverse, k), row_of(solutions, k), row_of(steps, k)
+    if linked:
+        link, after = matrix_of(memory.link, k), row_of(steps, k + 1)
+        for i in range(N):
+            total = solution[i]
+            for j in range(N):
+                total -= link[i, j] * after[j]
+            solution[i] = total
+    for i in range(N):
+        total = inverse[i, i] * solution[i]
+        for j in range(i + 1, N):
+            total += inverse[j, i] * solution[j]
+        step[i] = total
 
 
 @inner
@@ -101,7 +116,7 @@ def state_uncertainty(
     problem: Problem, n: int, factored: bool, spread: FloatArray, memory: LaneMemory, result: Result
 ) -> None:
     """Covariances of a group that has been solved: of the exact curvature where that is positive definite."""
-    full, wanted = as_variable(True), np.empty((1, LANES))
+    full, wanted = as_variable(True), memory.wanted
     for curvature in range(2):
         if curvature == 0 and not factored:
             _, definite = sweep(problem, n, memory.states, full, memory)
@@ -118,9 +133,7 @@ def state_uncertainty(
         if curvature == 1:
             # A saddle, or not converged: the curvature that is never negative.
             sweep(problem, n, memory.states, not full, memory)
-        covariances(problem, n, wanted, memory, result)
-        if len(spread) > 0:
-            spread_lanes(problem, n, spread, wanted, memory, result)
+        covariances(problem, n, spread, wanted, memory, result)
 
 
 @compiled
@@ -132,24 +145,83 @@ def note(memory: LaneMemory, lane: int, result: Result) -> None:
     result.status[track] = int(memory.ended[3, lane])
 
 
-@compiled
-def find_elsewhere(
-    problem: Problem, near: float, memory: LaneMemory, result: Result, found: NDArray[np.bool_]
-) -> bool:
-    """Put a better basin's states in place of those of the lanes where there is one, ``found`` (LANES,)."""
-    some = False
+@inner
+def take_group(
+    problem: Problem,
+    numbers: FloatArray,
+    order: NDArray[np.int64],
+    begin: int,
+    memory: LaneMemory,
+    result: Result,
+) -> int:
+    """Put the tracks from a place in an order on side by side; returns how many frames the longest has."""
     for lane in range(LANES):
-        track, found[lane] = memory.tracks[lane], False
-        if track < 0 or result.status[track] == NOT_FINITE:
-            continue
-        a, b = problem.offsets[track], problem.offsets[track + 1]
-        again = np.empty((b - a, N))
-        if find_other_basin(problem, track, result.states[a:b], near, again):
-            found[lane] = some = True
-            for k in range(b - a):
+        memory.tracks[lane] = order[begin + lane] if begin + lane < len(order) else -1
+        if memory.tracks[lane] >= 0:
+            result.status[memory.tracks[lane]] = 0
+    return gather(problem, numbers, result.states, memory)
+
+
+@inner
+def settle(
+    problem: Problem,
+    n: int,
+    max_iterations: int,
+    tolerance: float,
+    restart: bool,
+    covariance: bool,
+    spread: FloatArray,
+    memory: LaneMemory,
+    result: Result,
+) -> None:
+    """Minimise the costs of a group that has been taken, of up to n frames.
+
+    The states are put into the result where covariances are wanted, too, or a ``restart`` is.
+    """
+    begun, elsewhere = 0.0 * load(memory.lengths, 0), memory.elsewhere
+    some = restart and find_elsewhere(problem, n, AT_START, memory, result)
+    if some:
+        # Contradictions make a poor start, from which the descent is long. Its cost is stated yet.
+        copy(n, memory.states, memory.spare)
+        gather_states(problem, n, result.states, memory)
+        for i in range(N):
+            store(memory.starts, i, load(memory.states, i))
+        begun, _ = sweep(problem, n, memory.states, as_variable(True), memory)
+        copy(n, memory.spare, memory.states)
+    factored = minimise_lanes(problem, n, max_iterations, tolerance, covariance, memory)
+    if some:
+        store(memory.begun, 0, begun)
+        for lane in range(LANES):
+            if elsewhere[lane]:
+                memory.ended[0, lane] = memory.begun[0, lane]
+    for lane in range(LANES):
+        if memory.tracks[lane] >= 0:
+            if restart or covariance:
+                scatter(problem, lane, memory, result.states)
+            note(memory, lane, result)
+    if restart and find_elsewhere(problem, n, AT_END, memory, result):
+        for i in range(N):
+            store(memory.begins, i, load(memory.starts, i))
+        minimise_lanes(problem, n, max_iterations, tolerance, covariance, memory)
+        for lane in range(LANES):
+            track = memory.tracks[lane]
+            better = memory.ended[3, lane] != NOT_FINITE and memory.ended[1, lane] < result.cost[track]
+            if not elsewhere[lane] or not better:
                 for i in range(N):
-                    memory.states[k, i, lane] = again[k, i]
-    return some
+                    memory.starts[0, i, lane] = memory.begins[0, i, lane]
+            if not elsewhere[lane]:
+                continue
+            first, steps = result.first_cost[track], result.iterations[track]
+            if better:
+                scatter(problem, lane, memory, result.states)
+                note(memory, lane, result)
+                result.first_cost[track] = first
+                result.iterations[track] = steps
+            result.iterations[track] += int(memory.ended[2, lane])
+        gather_states(problem, n, result.states, memory)
+        factored = False
+    if covariance:
+        state_uncertainty(problem, n, factored, spread, memory, result)
 
 
 @apart
@@ -160,8 +232,6 @@ def solve_lanes(
     max_iterations: int,
     tolerance: float,
     restart: bool,
-    covariance: bool,
-    spread: FloatArray,
     memory: LaneMemory,
     result: Result,
 ) -> None:
@@ -172,55 +242,8 @@ def solve_lanes(
     numbers : (N, fields) the problem's records
     order : tracks
     max_iterations, tolerance, restart : as in `engine.solve_packed`
-    covariance : whether covariances are wanted, too
-    spread : (N, 2) as in `mode_spread.spread_tracks`; no rows: no modes
     """
-    elsewhere = np.zeros(LANES, np.bool_)
+    nothing = np.empty((0, 2, LANES))
     for begin in range(0, len(order), LANES):
-        for lane in range(LANES):
-            memory.tracks[lane] = order[begin + lane] if begin + lane < len(order) else -1
-            if memory.tracks[lane] >= 0:
-                result.status[memory.tracks[lane]] = 0
-        n = gather(problem, numbers, result.states, memory)
-        begun = 0.0 * load(memory.lengths, 0)
-        some = restart and find_elsewhere(problem, AT_START, memory, result, elsewhere)
-        if some:
-            # Contradictions make a poor start, from which the descent is long. Its cost is stated yet.
-            copy(n, memory.states, memory.spare)
-            gather(problem, numbers, result.states, memory)
-            for i in range(N):
-                store(memory.starts, i, load(memory.states, i))
-            begun, _ = sweep(problem, n, memory.states, as_variable(True), memory)
-            copy(n, memory.spare, memory.states)
-        factored = minimise_lanes(problem, n, max_iterations, tolerance, covariance, memory)
-        if some:
-            store(memory.begun, 0, begun)
-            for lane in range(LANES):
-                if elsewhere[lane]:
-                    memory.ended[0, lane] = memory.begun[0, lane]
-        for lane in range(LANES):
-            if memory.tracks[lane] >= 0:
-                scatter(problem, lane, memory, result.states)
-                note(memory, lane, result)
-        if restart and find_elsewhere(problem, AT_END, memory, result, elsewhere):
-            starts = memory.starts.copy()
-            minimise_lanes(problem, n, max_iterations, tolerance, covariance, memory)
-            for lane in range(LANES):
-                track = memory.tracks[lane]
-                better = memory.ended[3, lane] != NOT_FINITE and memory.ended[1, lane] < result.cost[track]
-                if not elsewhere[lane] or not better:
-                    for i in range(N):
-                        memory.starts[0, i, lane] = starts[0, i, lane]
-                if not elsewhere[lane]:
-                    continue
-                first, steps = result.first_cost[track], result.iterations[track]
-                if better:
-                    scatter(problem, lane, memory, result.states)
-                    note(memory, lane, result)
-                    result.first_cost[track] = first
-                    result.iterations[track] = steps
-                result.iterations[track] += int(memory.ended[2, lane])
-            gather(problem, numbers, result.states, memory)
-            factored = False
-        if covariance:
-            state_uncertainty(problem, n, factored, spread, memory, result)
+        n = take_group(problem, numbers, order, begin, memory, result)
+        settle(problem, n, max_iterations, tolerance, restart, True, nothing, memory, result)

@@ -241,9 +241,9 @@ class Program:
             here = {"cost": f"{name}[g]"}
             if search.prepare is not None:
                 here["prepared"] = f"of_{kernel.gate}"
-                given = self._all_given(_unturned(search.prepare, kernel), ("cos", "sin"), {})
+                given = self._all_given(unturned(search.prepare, kernel), ("cos", "sin"), {})
                 before.append(written_call(4, f"of_{kernel.gate} = ", self._name(search.prepare), given))
-            given = self._all_given(_unturned(search.add_over, kernel), ("state", "cos", "sin"), here)
+            given = self._all_given(unturned(search.add_over, kernel), ("state", "cos", "sin"), here)
             loop += [gate, written_call(12, "", self._name(search.add_over), given)]
         return "\n".join([OPEN_OVER, *_locals(loop, _MEMORY), *before, OVER_FRAMES, *loop, ""])
 
@@ -262,7 +262,7 @@ class Program:
             here = {"cos": f"turns[{row}]", "sin": f"turns[{row + 1}]", "cost": name}
             if search.add_quarters is not None:
                 here |= {"cos": f"{name}_cos", "sin": f"{name}_sin"}
-            given = self._all_given(_unturned(function, kernel), ("state",), here)
+            given = self._all_given(unturned(function, kernel), ("state",), here)
             lines.append(written_call(12, "", self._name(function), given))
         turns = [QUARTERS] if any("turns[" in line for line in lines) else []
         memory = _locals([*turns, *lines], _MEMORY)
@@ -290,7 +290,7 @@ def _constant(name: str, values: Sequence[str]) -> str:
     return line if len(line) <= _WIDTH else f"{name} = (\n" + "".join(f"    {one},\n" for one in quoted) + ")"
 
 
-def _unturned(function: Function, kernel: Kernel) -> tuple[str, ...]:
+def unturned(function: Function, kernel: Kernel) -> tuple[str, ...]:
     """What a function of the search is given: directions of its own, else what the kernel is given."""
     names = {name: given for name, given in kernel.names.items() if name not in ("cos", "sin")}
     return arguments_of(function, names)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from graphtrack.model.kernels.generator import TURNS, Program, write, written_call
+from graphtrack.model.kernels.generator import TURNS, Program, unturned, write, written_call
 from graphtrack.model.kernels.kernel import Kernel
 
 HEADER = '''"""The frame program of {title}, for several tracks side by side.
@@ -69,6 +69,29 @@ def add_lanes(
     store(turns, 4 * here + 3, head_sin)
     cost = 0.0 * state[0]'''
 
+OPEN_LANE_QUARTERS = '''
+
+@inner
+def set_lane_quarters(
+    shared: Any, frames: FloatArray, k: int, states: FloatArray, turns: FloatArray, quarters: FloatArray
+) -> None:
+    """What frame k of all lanes costs with body or head as they are, and one, two and three quarters on.
+
+    As `program.set_quarters`: in the first numbers of the two rows of ``quarters`` (2, 6, LANES). Cosine and
+    sine of body and head as they are come into the first half of ``turns`` (2, 4, LANES).
+    """
+    at, state = k * frames.shape[1], row_of(states, k)
+    body, head = row_of(quarters, 0), row_of(quarters, 1)
+    body_cos, body_sin = cos_sin(state[BODY])
+    head_cos, head_sin = cos_sin(state[HEAD])
+    store(turns, 0, body_cos)
+    store(turns, 1, body_sin)
+    store(turns, 2, head_cos)
+    store(turns, 3, head_sin)
+    zero = 0.0 * body_cos
+    for i in range(4):
+        body[i], head[i] = zero, zero'''
+
 
 class LaneProgram(Program):
     """The program of the terms of the presets that can be solved side by side; see `Kernel.lanes`."""
@@ -91,8 +114,20 @@ class LaneProgram(Program):
             lines += [f"    gate = {self._lane_gate(kernel)}", "    if any_of(gate):"]
             lines += [written_call(8, "found = ", self._name(kernel.function), given)]
             lines += ["        cost += choose(gate, found, 0.0)"]
+        lines += ["    return cost", OPEN_LANE_QUARTERS]
+        local = ("state", *TURNS)
+        for name, kernel in self._searched():
+            if kernel.lanes:
+                if kernel.search is None or kernel.search.add_quarters is None:
+                    raise ValueError(f"found lanes of {kernel.gate} without a search by quarters")
+                function = kernel.search.add_quarters
+                here = {"cos": f"{name}_cos", "sin": f"{name}_sin", "cost": f"masked({name}, gate)"}
+                names = unturned(function, kernel)
+                given = self._all_given(names, local, known | here)
+                lines += [f"    gate = {self._lane_gate(kernel)}", "    if any_of(gate):"]
+                lines += [written_call(8, "", self._name(function), given)]
         head = HEADER.format(title=title, imports=self._import_lines())
-        return head + "\n".join([OPEN_LANES, *lines, "    return cost", ""])
+        return head + "\n".join([OPEN_LANES, *lines, ""])
 
     def _field(self, name: str) -> str:
         """A number of a frame's record, of all lanes."""

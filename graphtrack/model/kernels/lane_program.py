@@ -14,11 +14,11 @@ from graphtrack.model.kernels.lanes import load, masked, matrix_of, negate, row_
 from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.vector_math import cos_sin
 from graphtrack.model.terms.anchor import add_anchor
-from graphtrack.model.terms.body_follows_motion import add_body_follows_motion
+from graphtrack.model.terms.body_follows_motion import add_body_follows_motion, add_motion_quarters
 from graphtrack.model.terms.head_follows_body import add_head_follows_body
 from graphtrack.model.terms.intentional_motion import add_steered_motion
 from graphtrack.model.terms.motion import add_first_velocity, add_motion
-from graphtrack.model.terms.pose import add_angle
+from graphtrack.model.terms.pose import add_angle, add_angle_quarters
 from graphtrack.model.terms.position import add_pixel, add_position
 from graphtrack.model.terms.turning import add_turn
 
@@ -258,3 +258,52 @@ def add_lanes(
         )
         cost += choose(gate, found, 0.0)
     return cost
+
+
+@inner
+def set_lane_quarters(
+    shared: Any, frames: FloatArray, k: int, states: FloatArray, turns: FloatArray, quarters: FloatArray
+) -> None:
+    """What frame k of all lanes costs with body or head as they are, and one, two and three quarters on.
+
+    As `program.set_quarters`: in the first numbers of the two rows of ``quarters`` (2, 6, LANES). Cosine and
+    sine of body and head as they are come into the first half of ``turns`` (2, 4, LANES).
+    """
+    at, state = k * frames.shape[1], row_of(states, k)
+    body, head = row_of(quarters, 0), row_of(quarters, 1)
+    body_cos, body_sin = cos_sin(state[BODY])
+    head_cos, head_sin = cos_sin(state[HEAD])
+    store(turns, 0, body_cos)
+    store(turns, 1, body_sin)
+    store(turns, 2, head_cos)
+    store(turns, 3, head_sin)
+    zero = 0.0 * body_cos
+    for i in range(4):
+        body[i], head[i] = zero, zero
+    gate = load(frames, at + 13) > 0.0
+    if any_of(gate):
+        add_angle_quarters(
+            load(frames, at + 11),
+            load(frames, at + 12),
+            load(frames, at + 13),
+            load(frames, at + 14),
+            body_cos,
+            body_sin,
+            masked(body, gate),
+        )
+    gate = load(frames, at + 19) > 0.0
+    if any_of(gate):
+        add_angle_quarters(
+            load(frames, at + 17),
+            load(frames, at + 18),
+            load(frames, at + 19),
+            load(frames, at + 20),
+            head_cos,
+            head_sin,
+            masked(head, gate),
+        )
+    gate = load(frames, at + 23) > 0.0
+    if any_of(gate):
+        add_motion_quarters(
+            state, load(frames, at + 23), shared.speed_threshold, body_cos, body_sin, masked(body, gate)
+        )

@@ -125,9 +125,11 @@ def add_motion_quarters(
     """The same at a direction and one, two and three quarters on."""
     vx, vy = state[VX], state[VY]
     speed = math.sqrt(vx * vx + vy * vy)
-    if speed <= speed_threshold or speed < 1e-12:
+    moves = (speed > speed_threshold) & (speed >= 1e-12)
+    if not any_of(moves):
         return
-    kappa = motion_body_kappa * squared_excess(vx, vy, speed_threshold)
+    kappa = choose(moves, motion_body_kappa * squared_excess(vx, vy, speed_threshold), 0.0)
+    speed = choose(moves, speed, 1.0)
     close, across = (cos * vx + sin * vy) / speed, (sin * vx - cos * vy) / speed
     cost[0] += kappa * (1.0 - close)
     cost[1] += kappa * (1.0 + across)

@@ -59,7 +59,9 @@ def softened_cost(close: float, kappa: float, uniform: float) -> float:
 @compiled
 def angle_cost(close: float, kappa: float, uniform: float) -> float:
     """What `add_angle` costs at a deviation whose cosine is ``close``."""
-    return peaked_cost(close, kappa) if uniform == 0.0 else softened_cost(close, kappa, uniform)
+    if not any_of(uniform > 0.0):
+        return peaked_cost(close, kappa)
+    return choose(uniform > 0.0, softened_cost(close, kappa, uniform), peaked_cost(close, kappa))
 
 
 @compiled
