@@ -34,6 +34,7 @@ from graphtrack.inference.warm import WHOLE, solver_rehearsal, solver_rehearsals
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.beside import processors
+from graphtrack.model.kernels.layout import LANES
 from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track, TrackSet
 from graphtrack.trust import Trust, trusted
@@ -268,7 +269,11 @@ def _solve_batches(
 
 
 def _batches(tracks: TrackSet, beside: list[bool], way: bool, size: int) -> Iterator[list[int]]:
-    """The tracks that are solved one way, by their places, ``size`` frames or little more at a time."""
+    """The tracks that are solved one way, by their places, ``size`` frames or little more at a time.
+
+    Those that are solved side by side come in whole groups.
+    """
+    group = LANES if way else 1
     batch: list[int] = []
     frames = 0
     for m, track in enumerate(tracks):
@@ -276,7 +281,7 @@ def _batches(tracks: TrackSet, beside: list[bool], way: bool, size: int) -> Iter
             continue
         batch.append(m)
         frames += len(track)
-        if frames >= size:
+        if frames >= size and len(batch) % group == 0:
             yield batch
             batch, frames = [], 0
     if batch:

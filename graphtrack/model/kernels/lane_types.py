@@ -14,8 +14,7 @@ from numba.core.typing import signature
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import models, register_model
 
-LANES = 8
-"""Tracks that are solved side by side."""
+from graphtrack.model.kernels.layout import LANES
 
 FLAGS = ("contract", "reassoc", "nsz", "arcp")
 DOUBLES = ir.VectorType(ir.DoubleType(), LANES)

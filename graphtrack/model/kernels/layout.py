@@ -13,6 +13,9 @@ X, Y, VX, VY, BODY, HEAD = range(6)
 N = 6
 """Degrees of freedom of a frame."""
 
+LANES = 8
+"""Tracks that are solved side by side."""
+
 PLACES: dict[str, slice] = {
     "position": slice(X, Y + 1),
     "velocity": slice(VX, VY + 1),
