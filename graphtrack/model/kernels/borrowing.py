@@ -59,7 +59,7 @@ class BorrowingCompiler(Compiler):
 
 
 def _needs_counts(state: Any) -> bool:
-    """Whether a function makes arrays, or hands some back; or is handed some by what it calls."""
+    """Whether a function makes arrays, or errors that say more than a constant; or arrays are handed back."""
 
     def counted(kind: types.Type) -> bool:
         return bool(state.targetctx.data_model_manager[kind].contains_nrt_meminfo())
@@ -72,6 +72,9 @@ def _needs_counts(state: Any) -> bool:
                 continue
             if made.value.op not in _LENT or _gathers(made.value, state.typemap):
                 return True
+        # What an error says beyond a constant is kept in memory that is counted, too.
+        if any(True for _ in block.find_insts((ir.DynamicRaise, ir.DynamicTryRaise))):
+            return True
         # What is put into several places is copied first where it may be one of them.
         if any(counted(state.typemap[put.value.name]) for put in _assigned(block)):
             return True
