@@ -13,7 +13,7 @@ from graphtrack.model import Model
 from graphtrack.model.terms.pose_classes import add_classes
 from graphtrack.tracks import Track
 
-LARGE = 100_000
+LARGE = 200_000
 """Person-frames from which work is large."""
 
 LONGEST = 5_000
