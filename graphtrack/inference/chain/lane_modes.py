@@ -34,7 +34,7 @@ from graphtrack.inference.chain.lane_recursions import begin_back, filter_lanes,
 from graphtrack.inference.chain.result import Result
 from graphtrack.model.kernels.branches import any_of, choose
 from graphtrack.model.kernels.compiled import apart, compiled, inner
-from graphtrack.model.kernels.elementary import log
+from graphtrack.model.kernels.elementary import LOG2E, log
 from graphtrack.model.kernels.lane_singles import softness
 from graphtrack.model.kernels.lanes import LANES, load, row_of, store
 from graphtrack.model.kernels.layout import BODY, VX, VY
@@ -43,8 +43,6 @@ from graphtrack.model.kernels.vector_math import cos_sin, direction_of, expm1
 from graphtrack.model.terms.body_follows_motion import squared_excess
 from graphtrack.model.terms.gait import BINS, ROW, Gait, Modes
 from graphtrack.model.terms.intentional_motion import SMALL_TURN
-
-LOG2E = 1.0 / math.log(2.0)
 
 
 @inner

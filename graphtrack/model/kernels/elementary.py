@@ -16,8 +16,10 @@ from numba.extending import intrinsic
 from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import compiled
 
-_LOG2E = 1.4426950408889634
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+LOG2E = 1.4426950408889634
+LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+"""log 2 in two parts, the first with so few digits that a whole multiple of it is exact."""
+
 _LEAST = -700.0
 _ROOT = 0.7071067811865476
 
@@ -82,8 +84,8 @@ def mantissa_of(_context: Any, x: Any) -> Any:
 def exp(x: Any) -> Any:
     """eˣ for −700 ≤ x ≤ 700, e⁻⁷⁰⁰ for less; NaN of NaN."""
     x = choose(x < _LEAST, _LEAST, x)
-    whole = whole_of(x * _LOG2E + 0.5)
-    r = x - whole * _LN2_HIGH - whole * _LN2_LOW
+    whole = whole_of(x * LOG2E + 0.5)
+    r = x - whole * LN2_HIGH - whole * LN2_LOW
     # Taylor's series, to a twelfth power of which the next is 2e-16 where r is greatest, ½·ln 2.
     y = 1.0 / 3628800.0 + r * (1.0 / 39916800.0 + r * (1.0 / 479001600.0))
     y = 1.0 / 5040.0 + r * (1.0 / 40320.0 + r * (1.0 / 362880.0 + r * y))
@@ -103,4 +105,4 @@ def log(x: Any) -> Any:
     y = 1.0 / 13.0 + z * (1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0)))
     y = 1.0 / 7.0 + z * (1.0 / 9.0 + z * (1.0 / 11.0 + z * y))
     y = 1.0 + z * (1.0 / 3.0 + z * (1.0 / 5.0 + z * y))
-    return 2.0 * s * y + power * (_LN2_HIGH + _LN2_LOW) + 0.0 * x
+    return 2.0 * s * y + power * (LN2_HIGH + LN2_LOW) + 0.0 * x

@@ -15,13 +15,11 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 from graphtrack.model.kernels.branches import choose
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.elementary import exp, log, power_of_two
+from graphtrack.model.kernels.elementary import LN2_HIGH, LN2_LOW, LOG2E, exp, log, power_of_two
 from graphtrack.model.kernels.lanes import of_lanes
 
 _QUARTER = 2.0 / math.pi
 _PI_HIGH, _PI_LOW = 1.5707963267341256, 6.077100506506192e-11
-_LOG2E = 1.0 / math.log(2.0)
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _POWER = tuple(
     map(float, Chebyshev.interpolate(np.exp2, 10, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef)
 )
@@ -45,8 +43,8 @@ def exp2(x: Any) -> Any:
 @compiled
 def expm1(x: Any) -> Any:
     """eˣ − 1 for −700 ≤ x ≤ 700, without loss where x is small."""
-    whole = math.floor(x * _LOG2E + 0.5)
-    r = x - whole * _LN2_HIGH - whole * _LN2_LOW
+    whole = math.floor(x * LOG2E + 0.5)
+    r = x - whole * LN2_HIGH - whole * LN2_LOW
     z, power = r * r, power_of_two(whole)
     # Taylor's series, to an eleventh power of which the next is 2e-16 where r is greatest, ½·ln 2.
     even = 1.0 / 5040.0 + z * (1.0 / 362880.0 + z * (1.0 / 39916800.0))
