@@ -140,7 +140,6 @@ def scatter(problem: Problem, lane: int, memory: LaneMemory, states: FloatArray)
 @inner
 def sweep(problem: Problem, n: int, states: FloatArray, exact: bool, memory: LaneMemory) -> Any:
     """Costs of the states of all lanes, and whether their Hessians are positive definite, factored."""
-    # Named once: what is taken from a tuple at each turn is counted at each, and that waits for memory.
     gradients, hessians, inverse, link = memory.gradients, memory.hessians, memory.inverse, memory.link
     frames, origin, starts, turns = memory.frames, memory.origin, memory.starts, memory.turns
     solutions, shared, lengths = memory.solution, problem.shared[0], load(memory.lengths, 0)

@@ -145,11 +145,7 @@ def limited(variance: float) -> float:
 
 @compiled
 def state(covariances: FloatArray, k: int, more: Added, stating: Stating) -> None:
-    """Covariance k of some (n, 6, 6) as it is stated, in place; NaN where there is no such state.
-
-    Each number has its place in the whole: a view of a frame would be counted at each turn, which takes
-    several times as long.
-    """
+    """Covariance k of some (n, 6, 6) as it is stated, in place; NaN where there is no such state."""
     for axis in range(2):
         covariances[k, axis, axis] += more.position + stating.position_sway
         covariances[k, axis, VX + axis] += more.both
