@@ -8,12 +8,13 @@ from graphtrack.inference.chain.engine import PASSES
 from graphtrack.inference.chain.lane_engine import solve_in_lanes
 from graphtrack.inference.chain.lane_mode_memory import mode_memory
 from graphtrack.inference.chain.lane_modes import renew_lanes
-from graphtrack.inference.chain.lane_newton import lane_memory, minimise_lanes
+from graphtrack.inference.chain.lane_newton import LaneMemory, lane_memory, minimise_lanes
 from graphtrack.inference.chain.lane_solver import solve_lanes
 from graphtrack.inference.chain.lane_stating import state_tracks
 from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.parts import TRACK, made_up
 from graphtrack.model import Model
+from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import gait_of
 from graphtrack.readiness import Costs, Part
 
@@ -58,16 +59,18 @@ def state_beside(model: Model) -> None:
 
 def _descend(model: Model) -> None:
     problem, _, _ = made_up(model)
-    memory = lane_memory(len(TRACK), problem.records.dtype.itemsize // 8)
-    for array in memory:
-        array[:] = 0
-    minimise_lanes(problem, len(TRACK), 1, 1e-12, True, memory)
+    minimise_lanes(problem, len(TRACK), 1, 1e-12, True, _empty(problem))
 
 
 def _renew(model: Model) -> None:
     problem, result, _ = made_up(model)
     n, gait = len(TRACK), gait_of(model.parameters.gait)
-    memory = lane_memory(n, problem.records.dtype.itemsize // 8)
+    renew_lanes(problem, n, gait, True, _empty(problem), mode_memory(n), result)
+
+
+def _empty(problem: Problem) -> LaneMemory:
+    """Memory for the one made up, in which nobody is."""
+    memory = lane_memory(len(TRACK), problem.records.dtype.itemsize // 8)
     for array in memory:
         array[:] = 0
-    renew_lanes(problem, n, gait, True, memory, mode_memory(n), result)
+    return memory
