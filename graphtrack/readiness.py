@@ -6,8 +6,8 @@ import gc
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,22 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Parts:
+    """What of something may be compiled before it is called.
+
+    Attributes
+    ----------
+    here, beside : in this process, and at the same time in another one
+    spare : what will be asked for later, compiled there as long as this process compiles the rest: nobody
+        waits for it
+    """
+
+    here: Sequence[Part] = ()
+    beside: Sequence[Part] = ()
+    spare: Sequence[Part] = ()
+
+
+@dataclass(frozen=True)
 class Rehearsal:
     """Something made up that calls compiled functions, so that nobody waits for them later.
 
@@ -68,13 +84,13 @@ class Rehearsal:
     run : calls them
     called : those that Python calls, and what only they call
     inlined : what they share with others
-    parts : what of it may be compiled before: here, and at the same time in another process
+    parts : what of it may be compiled before
     """
 
     run: Callable[[], object]
     called: Costs
     inlined: Costs = field(default_factory=dict)
-    parts: Callable[[], tuple[Sequence[Part], Sequence[Part]]] = lambda: ((), ())
+    parts: Callable[[], Parts] = Parts
 
     @property
     def seconds(self) -> dict[CompiledFunction, float]:
@@ -103,9 +119,7 @@ def make_ready(what: str, *rehearsals: Rehearsal) -> None:
         about = 5 * max(1, round(sum(cold.values()) / 5))
         logger.warning("compiling %s, %s: about %d s …", what, when, about)
     start = time.perf_counter()
-    with collecting_rarely():
-        if cold:
-            _run_parts(waiting)
+    with collecting_rarely(), _parts_compiled(waiting) if cold else nullcontext():
         for one in waiting:
             one.run()
     if cold:
@@ -126,15 +140,22 @@ def collecting_rarely() -> Iterator[None]:
         gc.set_threshold(*before)
 
 
-def _run_parts(waiting: Sequence[Rehearsal]) -> None:
-    """Compile the parts that are cold, in two processes where that is possible."""
+@contextmanager
+def _parts_compiled(waiting: Sequence[Rehearsal]) -> Iterator[None]:
+    """Before the block runs compile the parts that are cold, in two processes where that is possible."""
     from graphtrack.model.kernels.beside import compiled_beside
 
     parts = [one.parts() for one in waiting]
-    elsewhere = {part.function: part.statement for _, beside in parts for part in beside}
-    statements = [statement for function, statement in elsewhere.items() if is_cold(function)]
-    with compiled_beside(statements) as taken_over:
-        for part in (part for here, _ in parts for part in here):
+    beside = _statements(part for one in parts for part in one.beside)
+    spare = _statements(part for one in parts for part in one.spare)
+    with compiled_beside(beside, spare) as taken_over:
+        for part in (part for one in parts for part in one.here):
             if is_cold(part.function):
                 part.run()
         taken_over()
+        yield
+
+
+def _statements(parts: Iterable[Part]) -> list[str]:
+    """Those of the parts that are cold, each once."""
+    return list(dict.fromkeys(part.statement for part in parts if is_cold(part.function)))

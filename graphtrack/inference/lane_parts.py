@@ -12,7 +12,7 @@ from graphtrack.inference.chain.lane_newton import LaneMemory, lane_memory, mini
 from graphtrack.inference.chain.lane_solver import solve_lanes
 from graphtrack.inference.chain.lane_stating import state_tracks
 from graphtrack.inference.chain.stating import stating_of
-from graphtrack.inference.parts import TRACK, made_up
+from graphtrack.inference.parts import TRACK, compile_for, made_up
 from graphtrack.model import Model
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import gait_of
@@ -59,18 +59,14 @@ def state_beside(model: Model) -> None:
 
 def _descend(model: Model) -> None:
     problem, _, _ = made_up(model)
-    minimise_lanes(problem, len(TRACK), 1, 1e-12, True, _empty(problem))
+    compile_for(minimise_lanes, problem, len(TRACK), 1, 1e-12, True, _memory(problem))
 
 
 def _renew(model: Model) -> None:
     problem, result, _ = made_up(model)
     n, gait = len(TRACK), gait_of(model.parameters.gait)
-    renew_lanes(problem, n, gait, True, _empty(problem), mode_memory(n), result)
+    compile_for(renew_lanes, problem, n, gait, True, _memory(problem), mode_memory(n), result)
 
 
-def _empty(problem: Problem) -> LaneMemory:
-    """Memory for the one made up, in which nobody is."""
-    memory = lane_memory(len(TRACK), problem.records.dtype.itemsize // 8)
-    for array in memory:
-        array[:] = 0
-    return memory
+def _memory(problem: Problem) -> LaneMemory:
+    return lane_memory(len(TRACK), problem.records.dtype.itemsize // 8)

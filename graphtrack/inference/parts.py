@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numba
 import numpy as np
 
+from graphtrack.inference.chain import advance
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import solve_packed
 from graphtrack.inference.chain.mode_spread import spread_newest
@@ -11,9 +15,11 @@ from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.restart import AT_START
 from graphtrack.inference.chain.result import Result
+from graphtrack.inference.chain.slots import Block
 from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.chain.stating import state_uncertainty, stating_of
-from graphtrack.inference.chain.window_kernels import let_go, solve_window
+from graphtrack.inference.chain.window_kernels import let_go
+from graphtrack.inference.chain.windows import Windows, room_for, rules_of
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.problem import Problem
@@ -41,18 +47,29 @@ def _part(name: str, model: Model) -> Part:
     program = program_of(model)
     function, run = {
         "start": (initialise, lambda: solve(Model("position"))),
-        "descent": (program.minimise, lambda: _descend(model)),
-        "grid": (program.find_other_basin, lambda: _look_around(model)),
-        "modes": (renew_tracks, lambda: _renew(model)),
-        "couplings": (renew_couplings, lambda: _renew_couplings(model)),
+        "descent": (program.minimise, lambda: _descent(model)),
+        "grid": (program.find_other_basin, lambda: _grid(model)),
+        "modes": (renew_tracks, lambda: _modes(model)),
+        "couplings": (renew_couplings, lambda: _couplings(model)),
         "spread": (program.spread_tracks, lambda: _spread(model)),
-        "leaving": (let_go, lambda: _let_go(model)),
-        "window": (solve_window, lambda: _solve_window(model)),
-        "newest": (spread_newest, lambda: _spread_newest(model)),
-        "stating": (state_uncertainty, lambda: _state_uncertainty(model)),
+        "leaving": (let_go, lambda: _leaving(model)),
+        "window": (advance.solve_or_restore, lambda: _window(model)),
+        "newest": (spread_newest, lambda: _newest(model)),
+        "stating": (state_uncertainty, lambda: _stating(model)),
+        "memory": (advance.memory_in, lambda: _memory(model)),
+        "adding": (advance.add_newest, lambda: _adding(model)),
+        "judging": (advance.judge_modes, lambda: _judging(model)),
+        "concluding": (advance.conclude, lambda: _concluding(model)),
     }[name]
     statement = f"from {__name__} import compile_parts; compile_parts({model.preset!r}, {name!r})"
     return Part(function, run, statement)
+
+
+def compile_for(function: Any, *arguments: object) -> None:
+    """Have a compiled function's machine code for such arguments, without calling it."""
+    # Where numba is told not to compile, functions stay what they are.
+    if hasattr(function, "compile"):
+        function.compile(tuple(numba.typeof(argument) for argument in arguments))
 
 
 def solve(model: Model) -> None:
@@ -66,51 +83,117 @@ def made_up(model: Model) -> tuple[Problem, Result, Workspace]:
     return problem_of(packed), empty_result(packed), workspace(len(TRACK))
 
 
-def _descend(model: Model) -> None:
+def _in_window(model: Model) -> tuple[Problem, Result, Workspace]:
     problem, result, memory = made_up(model)
-    program_of(model).minimise(problem, 0, result.states, 1, 1e-12, memory)
+    return problem._replace(prior=np.zeros((8, 6))), result, memory
 
 
-def _look_around(model: Model) -> None:
+def _descent(model: Model) -> None:
+    problem, result, memory = made_up(model)
+    compile_for(program_of(model).minimise, problem, 0, result.states, 1, 1e-12, memory)
+
+
+def _grid(model: Model) -> None:
     problem, result, _ = made_up(model)
-    program_of(model).find_other_basin(problem, 0, result.states, AT_START, np.empty_like(result.states))
+    course = np.empty_like(result.states)
+    compile_for(program_of(model).find_other_basin, problem, 0, result.states, AT_START, course)
 
 
-def _renew(model: Model) -> None:
+def _modes(model: Model) -> None:
     problem, result, _ = made_up(model)
-    spread = np.zeros((len(TRACK), 2))
-    renew_tracks(problem, result.states, gait_of(model.parameters.gait), result.modes, spread)
+    gait, spread = gait_of(model.parameters.gait), np.zeros((len(TRACK), 2))
+    compile_for(renew_tracks, problem, result.states, gait, result.modes, spread)
 
 
-def _renew_couplings(model: Model) -> None:
+def _couplings(model: Model) -> None:
     problem, result, _ = made_up(model)
     filtered, spread = np.empty((2, len(TRACK), ROW)), np.zeros((len(TRACK), 2))
     gait, before = gait_of(model.parameters.gait), np.zeros((2, ROW))
-    renew_couplings(problem, 0, result.states, gait, False, before, filtered, result.modes, spread)
+    compile_for(
+        renew_couplings, problem, 0, result.states, gait, False, before, filtered, result.modes, spread
+    )
 
 
 def _spread(model: Model) -> None:
     problem, result, memory = made_up(model)
     spread = np.zeros((len(TRACK), 2))
-    program_of(model).spread_tracks(problem, result.states, spread, memory, result.covariance)
+    compile_for(program_of(model).spread_tracks, problem, result.states, spread, memory, result.covariance)
 
 
-def _solve_window(model: Model) -> None:
-    problem, result, memory = made_up(model)
-    problem, covariance = problem._replace(prior=np.zeros((8, 6))), np.empty((6, 6))
-    solve_window(problem, result.states, False, False, False, 1, 1e-8, memory, covariance)
+def _window(model: Model) -> None:
+    n, (problem, result, memory) = len(TRACK), _in_window(model)
+    person, rules = np.zeros(6, np.int64), rules_of(model, 1e-8, 5)
+    before, covariance = np.empty((n, 6)), np.empty((6, 6))
+    compile_for(
+        advance.solve_or_restore,
+        problem,
+        result.states,
+        person,
+        True,
+        rules,
+        memory,
+        before,
+        covariance,
+    )
 
 
-def _let_go(model: Model) -> None:
-    problem, result, memory = made_up(model)
-    let_go(problem._replace(prior=np.zeros((8, 6))), result.states, memory)
+def _leaving(model: Model) -> None:
+    problem, result, memory = _in_window(model)
+    compile_for(let_go, problem, result.states, memory)
 
 
-def _spread_newest(model: Model) -> None:
+def _newest(model: Model) -> None:
     problem, result, memory = made_up(model)
     spread = np.zeros((len(TRACK), 2))
-    spread_newest(problem, result.states, spread, memory, np.zeros((6, 6)))
+    compile_for(spread_newest, problem, result.states, spread, memory, np.zeros((6, 6)))
 
 
-def _state_uncertainty(model: Model) -> None:
-    state_uncertainty(np.eye(6)[None], np.zeros((1, 6)), 0, 0.0, stating_of(model.parameters))
+def _stating(model: Model) -> None:
+    covariance, states = np.eye(6)[None], np.zeros((1, 6))
+    compile_for(state_uncertainty, covariance, states, 0, 0.0, stating_of(model.parameters))
+
+
+def _memory(model: Model) -> None:
+    windows, memory = _windows(model), workspace(len(TRACK))
+    compile_for(advance.memory_for, len(TRACK))
+    compile_for(advance.problem_in, windows, 0)
+    compile_for(advance.memory_in, windows, 0, memory)
+
+
+def _adding(model: Model) -> None:
+    problem, result, _ = _in_window(model)
+    states, record = result.states, problem.records[0]
+    compile_for(advance.add_newest, problem, states, 1, np.zeros(2), np.empty_like(states))
+    compile_for(advance.go_on, record, record, 0.5)
+
+
+def _judging(model: Model) -> None:
+    n, (problem, result, _), windows = len(TRACK), _in_window(model), _windows(model)
+    modes, pulls, filtered = np.empty((n, 2)), np.empty((n, 2)), np.empty((2, n, ROW))
+    gait = gait_of(model.parameters.gait)
+    compile_for(advance.judge_modes, windows, 0, problem, result.states, gait, filtered, modes, pulls)
+    compile_for(advance.tell_modes, problem, modes, 0, room_for(1, problem.records))
+
+
+def _concluding(model: Model) -> None:
+    n, (problem, result, memory), windows = len(TRACK), _in_window(model), _windows(model)
+    person, rules = np.zeros(6, np.int64), rules_of(model, 1e-8, 5)
+    covariance, pulls, filtered = np.empty((6, 6)), np.empty((n, 2)), np.empty((2, n, ROW))
+    compile_for(
+        advance.conclude,
+        windows,
+        person,
+        problem,
+        result.states,
+        rules,
+        memory,
+        covariance,
+        pulls,
+        filtered,
+        0,
+        room_for(1, problem.records),
+    )
+
+
+def _windows(model: Model) -> Windows:
+    return Block(program_of(model), len(TRACK)).windows

@@ -21,7 +21,7 @@ from graphtrack.inference.parts import STEP, TRACK, parts_of, solve
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between
-from graphtrack.readiness import Costs, Part, Rehearsal, is_cold, make_ready
+from graphtrack.readiness import Costs, Part, Parts, Rehearsal, is_cold, make_ready
 
 SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
 """What is compiled here, in words: both, or one of the two."""
@@ -113,11 +113,15 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     called, inlined = {**_START, **_steps(program)}, _descent(program)
     if model.has_modes:
         called, inlined = {**called, **_MODES, program.spread_tracks: 1.3}, {**inlined, **_COUPLINGS}
-        here, beside = "start descent spread", "grid modes"
+        here, beside, spare = "start descent spread", "grid modes", "stating newest leaving"
     else:
-        here, beside = "start descent", "grid"
+        here, beside, spare = "start descent", "grid", "stating leaving"
+    # Whoever smooths may track next.
     return Rehearsal(
-        lambda: solve(_like(model)), called, inlined, lambda: (_parts(model, here), _parts(model, beside))
+        lambda: solve(_like(model)),
+        called,
+        inlined,
+        lambda: Parts(_parts(model, here), _parts(model, beside), _parts(model, spare)),
     )
 
 
@@ -152,7 +156,7 @@ def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsa
         run,
         called,
         {**DESCENT, grid: 5.0},
-        lambda: (
+        lambda: Parts(
             (*_parts(model, "start"), *lane_parts_of(like.preset, "lanes")),
             (*_parts(model, "grid"), *modes),
         ),
@@ -184,12 +188,18 @@ def online_rehearsal(model: Model) -> Rehearsal:
     program = program_of(model)
     called = _window(program, model)
 
-    def parts() -> tuple[tuple[Part, ...], tuple[Part, ...]]:
-        newest, couplings = ("newest ", "couplings ") if model.has_modes else ("", "")
+    def parts() -> Parts:
         # The window calls the grid, and what leaves it calls what the descent does: none is compiled twice.
-        if is_cold(program.find_other_basin):
-            return _parts(model, f"{newest}descent leaving stating"), _parts(model, f"{couplings}grid")
-        return _parts(model, f"{newest}descent window"), _parts(model, f"{couplings}stating leaving")
+        cold = is_cold(program.find_other_basin)
+        if model.has_modes and cold:
+            here, beside = "descent newest leaving memory adding judging", "couplings grid stating"
+        elif model.has_modes:
+            here, beside = "window memory", "couplings newest stating leaving concluding judging adding"
+        elif cold:
+            here, beside = "descent leaving stating", "grid"
+        else:
+            here, beside = "window", "stating leaving"
+        return Parts(_parts(model, here), _parts(model, beside))
 
     return Rehearsal(
         lambda: _slide(ChainWindow(_like(model), 1.5 * STEP, 1e-8, 5)), called, _descent(program), parts

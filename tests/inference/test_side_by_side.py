@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from inner_calls import from_python
 from random_tracks import contradicted, random_parameters, random_track
 from walks import walk
 
@@ -168,9 +169,9 @@ def renew_beside(
         for lane, place in enumerate(places):
             n = memory.lengths[0, lane] = place.stop - place.start
             memory.frames[: int(n), :, lane], memory.states[: int(n), :, lane] = numbers[place], states[place]
-        renew_lanes(problem, longest, gait, False, memory, rows, result)
+        from_python(renew_lanes)(problem, longest, gait, False, memory, rows, result)
         on_the_way = memory.frames.copy()
-        renew_lanes(problem, longest, gait, True, memory, rows, result)
+        from_python(renew_lanes)(problem, longest, gait, True, memory, rows, result)
         np.testing.assert_array_equal(memory.frames, on_the_way)
         for lane, place in enumerate(places):
             n = place.stop - place.start

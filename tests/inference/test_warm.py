@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,6 +63,40 @@ def test_no_track_needs_more_than_was_made_ready(preset: str) -> None:
         smoother.update(Observation(t, position=(t, 0.0)))
     OnlineSmoother.from_state(smoother.state(), preset).update(Observation(0.3))
     assert machine_code(Model(preset)) == before
+
+
+AS_CALLED = """
+from graphtrack.inference import warm_up
+from graphtrack.inference.chain import advance, modes, mode_spread, newton, restart, stating, window_kernels
+from graphtrack.inference.parts import compile_parts
+
+parts = {"descent": newton.minimise, "grid": restart.find_other_basin, "leaving": window_kernels.let_go,
+         "window": advance.solve_or_restore, "stating": stating.state_uncertainty}
+if PRESET == "full":
+    parts |= {"modes": modes.renew_tracks, "couplings": modes.renew_couplings,
+              "spread": mode_spread.spread_tracks, "newest": mode_spread.spread_newest,
+              "memory": advance.memory_in, "adding": advance.add_newest, "judging": advance.judge_modes,
+              "concluding": advance.conclude}
+compile_parts(PRESET, "start", *parts)
+before = {name: list(function.signatures) for name, function in parts.items()}
+warm_up(PRESET)
+for name, function in parts.items():
+    assert len(function.signatures) == 1 and function.signatures == before[name], name
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["joint", "full"])
+def test_parts_are_compiled_as_they_are_called(preset: str, tmp_path: Path) -> None:
+    """Else they would be compiled twice, which shows where nothing has been compiled before."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"PRESET = {preset!r}\n{AS_CALLED}"],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_linear_model_needs_the_linear_solution_alone() -> None:

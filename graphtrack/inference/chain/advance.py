@@ -241,46 +241,83 @@ def advance_with_modes(
             windows.states[slot],
             memory_in(windows, slot, memory),
         )
-        begin = problem.offsets[0]
         kept = add_newest(problem, states, people[p, ADDS], guesses[p], before)
-        end = problem.offsets[1]
+        begin, end = problem.offsets[0], problem.offsets[1]
         n = end - begin
-        classified = windows.classified[slot, 0] or is_classified(problem, the_only(problem))
         if people[p, WARM] != 0 and people[p, ADDS] != NOTHING and n > 1:
             # Modes are judged by states: first those that the new observation asks for.
             go_on(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
             foresee(problem, states[begin:end], from_frame(own, begin))
             people[p, WARM] = 0
         filtered, modes, pulls = np.empty((2, n, ROW)), np.empty((n, 2)), np.empty((n, 2))
-        renew_couplings(
-            problem,
-            the_only(problem),
-            states[begin:end],
-            gait,
-            classified,
-            windows.modes_before[slot],
-            filtered,
-            modes,
-            pulls,
-        )
-        advanced.modes[p, 0], advanced.modes[p, 1] = modes[n - 1, 0], modes[n - 1, 1]
-        for k in range(len(advanced.coupled)):
-            advanced.coupled[k] = problem.records[begin + k]
-        if people[p, SOLVES] == 0:
-            windows.classified[slot, 0] = classified
-            continue
-        advanced.fine[p] = solve_or_restore(
-            problem, states, people[p], keeps, rules, own, before[:kept], covariance
-        )
-        if not advanced.fine[p]:
-            continue
+        classified = judge_modes(windows, slot, problem, states, gait, filtered, modes, pulls)
+        tell_modes(problem, modes, p, advanced)
+        if people[p, SOLVES] != 0:
+            advanced.fine[p] = solve_or_restore(
+                problem, states, people[p], keeps, rules, own, before[:kept], covariance
+            )
+            if not advanced.fine[p]:
+                continue
+            conclude(
+                windows, people[p], problem, states, rules, own, covariance, pulls, filtered, p, advanced
+            )
         windows.classified[slot, 0] = classified
-        clear_matrix(advanced.spread[p])
-        spread_newest(problem, states, pulls, own, advanced.spread[p])
-        tell(windows, slot, rules, covariance, p, advanced)
-        for k in range(people[p, LEAVE]):
-            let_go(problem, states, own)
-            assign(windows.modes_before[slot], filtered[:, k])
+
+
+@inner
+def judge_modes(
+    windows: Windows,
+    slot: int,
+    problem: Problem,
+    states: FloatArray,
+    gait: Gait,
+    filtered: FloatArray,
+    modes: FloatArray,
+    pulls: FloatArray,
+) -> bool:
+    """Renew the couplings of a window from its states; whether any of its frames has been classified."""
+    classified = bool(windows.classified[slot, 0]) or is_classified(problem, the_only(problem))
+    here = states[problem.offsets[0] : problem.offsets[1]]
+    before = windows.modes_before[slot]
+    renew_couplings(problem, the_only(problem), here, gait, classified, before, filtered, modes, pulls)
+    return classified
+
+
+@inner
+def tell_modes(problem: Problem, modes: FloatArray, p: int, advanced: Advanced) -> None:
+    """Write down the modes of a window's newest frame, and the couplings of its first."""
+    begin, last = problem.offsets[0], len(modes) - 1
+    advanced.modes[p, 0], advanced.modes[p, 1] = modes[last, 0], modes[last, 1]
+    for k in range(len(advanced.coupled)):
+        advanced.coupled[k] = problem.records[begin + k]
+
+
+@inner
+def conclude(
+    windows: Windows,
+    person: NDArray[np.int64],
+    problem: Problem,
+    states: FloatArray,
+    rules: Rules,
+    own: Workspace,
+    covariance: FloatArray,
+    pulls: FloatArray,
+    filtered: FloatArray,
+    p: int,
+    advanced: Advanced,
+) -> None:
+    """Write down what a solved window says of its newest frame, and let go of its oldest ones.
+
+    ``covariance`` is that of the newest frame, ``pulls`` and ``filtered`` are of the modes as in
+    `modes.renew_couplings`.
+    """
+    slot = person[SLOT]
+    clear_matrix(advanced.spread[p])
+    spread_newest(problem, states, pulls, own, advanced.spread[p])
+    tell(windows, slot, rules, covariance, p, advanced)
+    for k in range(person[LEAVE]):
+        let_go(problem, states, own)
+        assign(windows.modes_before[slot], filtered[:, k])
 
 
 @compiled

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled, inlined
+from graphtrack.model.kernels.compiled import compiled, inlined, inner
 from graphtrack.model.kernels.layout import N
 
 
@@ -191,7 +191,7 @@ def eliminated(
     return definite
 
 
-@apart
+@inner
 def eliminate(
     hessian: FloatArray,
     right: FloatArray,

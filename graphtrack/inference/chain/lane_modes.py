@@ -33,7 +33,7 @@ from graphtrack.inference.chain.lane_newton import LaneMemory
 from graphtrack.inference.chain.lane_recursions import begin_back, filter_lanes, smooth_lanes
 from graphtrack.inference.chain.result import Result
 from graphtrack.model.kernels.branches import any_of, choose
-from graphtrack.model.kernels.compiled import apart, compiled, inner
+from graphtrack.model.kernels.compiled import compiled, inner
 from graphtrack.model.kernels.elementary import LOG2E, log
 from graphtrack.model.kernels.lane_singles import softness
 from graphtrack.model.kernels.lanes import LANES, load, row_of, store
@@ -303,7 +303,7 @@ def put_modes(problem: Problem, group: LaneMemory, memory: ModeMemory, modes: Fl
                 modes[begin + k, 1] = math.atan2(memory.held[k, 1, lane], memory.held[k, 0, lane])
 
 
-@apart
+@inner
 def renew_lanes(
     problem: Problem, n: int, gait: Gait, last: bool, group: LaneMemory, memory: ModeMemory, result: Result
 ) -> None:

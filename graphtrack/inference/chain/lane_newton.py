@@ -17,7 +17,7 @@ from graphtrack.inference.chain.elimination import clear, eliminated, invert_cho
 from graphtrack.inference.chain.newton import as_variable
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
 from graphtrack.model.kernels.branches import any_of, choose
-from graphtrack.model.kernels.compiled import apart, compiled, inner
+from graphtrack.model.kernels.compiled import compiled, inner
 from graphtrack.model.kernels.lane_program import add_lanes
 from graphtrack.model.kernels.lanes import (
     LANES,
@@ -227,7 +227,7 @@ def copy(n: int, source: FloatArray, target: FloatArray) -> None:
         store(target, k, load(source, k))
 
 
-@apart
+@inner
 def minimise_lanes(
     problem: Problem, n: int, max_iterations: int, tolerance: float, last: bool, memory: LaneMemory
 ) -> bool:

@@ -10,11 +10,11 @@ import math
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import compiled, inner
 from graphtrack.model.kernels.layout import VX, VY, X, Y
 
 
-@apart
+@inner
 def solve_linear(
     frames: np.ndarray, origin: FloatArray, states: FloatArray, spread: FloatArray, memory: FloatArray
 ) -> float:

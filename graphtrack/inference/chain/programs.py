@@ -40,7 +40,7 @@ _PUBLIC = ("program", "newton", "restart", "mode_spread", "advance")
 
 @dataclass(frozen=True, eq=False)
 class ChainProgram:
-    """The compiled functions of an engine that Python calls, and the records that they read.
+    """The compiled functions of an engine that Python calls or compiles, and the records that they read.
 
     Attributes
     ----------
@@ -52,7 +52,6 @@ class ChainProgram:
     links: tuple[str, ...]
     switched: tuple[str, ...]
     minimise: Compiled
-    sweep_forward: Compiled
     solve_tracks: Compiled
     find_other_basin: Compiled
     spread_tracks: Compiled
@@ -68,7 +67,6 @@ class ChainProgram:
             frame.LINKS,
             frame.SWITCHED,
             newton.minimise,
-            newton.sweep_forward,
             restart.solve_tracks,
             restart.find_other_basin,
             spread.spread_tracks,

@@ -14,7 +14,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.slots import Slot, blocks_of
-from graphtrack.inference.chain.windows import AS_SET, FORETOLD, NOTHING, Advanced, rules_of
+from graphtrack.inference.chain.windows import AS_SET, FORETOLD, NOTHING, Advanced, room_for, rules_of
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.state import FAILURES, Angles, Newest, Window
 from graphtrack.model import Model, Step
@@ -353,14 +353,7 @@ def _called(
     ]
     guesses = np.array([_guess(step, first._model) for step in steps])
     shown = len(first._steps) + (adds > 0) if first._show_coupled else 0
-    advanced = Advanced(
-        np.zeros(n, bool),
-        np.empty((n, N)),
-        np.empty((n, N, N)),
-        np.zeros((n, N, N)),
-        np.full((n, 2), math.nan),
-        np.empty(shown, first._program.types.frame),
-    )
+    advanced = room_for(n, np.empty(shown, first._program.types.frame))
     block, people = first._slot.block.windows, np.array(to_do)
     if first._model.has_modes:
         gait = gait_of_model(first._model)

@@ -20,7 +20,7 @@ from graphtrack.inference.chain.elimination import (
 from graphtrack.inference.chain.newton import add_prior, as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.restart import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
-from graphtrack.model.kernels.compiled import apart, compiled, inner
+from graphtrack.model.kernels.compiled import compiled, inner
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame, add_links, add_own, cut, note_turns
@@ -41,7 +41,7 @@ _LEAP = 1.5
 """By how much the other place has to cost less, in k²: people do not leap. It is four positions at k."""
 
 
-@apart
+@inner
 def solve_window(
     problem: Problem,
     states: FloatArray,
@@ -82,7 +82,7 @@ def solve_window(
             _, cost, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
     if status == NOT_FINITE:
         return False
-    again = np.empty((last + 1, N))
+    again, prior = np.empty((last + 1, N)), problem.prior.copy()
     if have_strayed(problem, track, here):
         # The loss is not convex: whoever has followed false positions may have to be looked for elsewhere.
         if kept > 0:
@@ -90,24 +90,13 @@ def solve_window(
             cost, _ = sweep_forward(problem, track, here[0].copy(), here, full, memory)
         assign(again, here)
         find_by_squares(problem, track, again, max_iterations, tolerance, memory)
-        _, found, _, ended, sound = minimise(problem, track, again, max_iterations, tolerance, memory)
-        if ended != NOT_FINITE and found < cost - _LEAP * problem.shared[0].robust_threshold ** 2:
-            assign(here, again)
-            cost, exact = found, sound
-        else:
-            _, exact = sweep_forward(problem, track, here[0].copy(), here, full, memory)
+        leap = _LEAP * problem.shared[0].robust_threshold ** 2
+        cost, exact = move_if_less(problem, here, again, cost, leap, prior, max_iterations, tolerance, memory)
     if search and find_other_basin(problem, track, here, AT_END, again):
-        prior = problem.prior.copy()
         if kept > 0:
             cost, _ = sweep_forward(problem, track, here[0].copy(), here, full, memory)
         turn_past(problem.prior, here, again)
-        _, found, _, ended, sound = minimise(problem, track, again, max_iterations, tolerance, memory)
-        if ended != NOT_FINITE and found < cost:
-            assign(here, again)
-            exact = sound
-        else:
-            assign(problem.prior, prior)
-            _, exact = sweep_forward(problem, track, here[0].copy(), here, full, memory)
+        cost, exact = move_if_less(problem, here, again, cost, 0.0, prior, max_iterations, tolerance, memory)
     if not exact and not sweep_forward(problem, track, here[0].copy(), here, not full, memory)[1]:
         return False
     finite = True
@@ -119,6 +108,32 @@ def solve_window(
                 total += memory.inverse[last, m, i] * memory.inverse[last, m, j]
             covariance[i, j] = covariance[j, i] = total
     return finite
+
+
+@inner
+def move_if_less(
+    problem: Problem,
+    states: FloatArray,
+    again: FloatArray,
+    cost: float,
+    gain: float,
+    prior: FloatArray,
+    max_iterations: int,
+    tolerance: float,
+    memory: Workspace,
+) -> tuple[float, bool]:
+    """Minimise from other states ``again``, and go there if it costs less by more than ``gain``.
+
+    Else the problem's prior is ``prior`` as before, and the memory holds the factorisation at the states.
+    Returns the cost, and whether the curvature is exact.
+    """
+    track = the_only(problem)
+    _, found, _, ended, exact = minimise(problem, track, again, max_iterations, tolerance, memory)
+    if ended != NOT_FINITE and found < cost - gain:
+        assign(states, again)
+        return found, exact
+    assign(problem.prior, prior)
+    return cost, sweep_forward(problem, track, states[0].copy(), states, as_variable(True), memory)[1]
 
 
 @inner
@@ -236,7 +251,7 @@ def from_frame(workspace: Workspace, begin: int) -> Workspace:
     )
 
 
-@apart
+@inner
 def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     """A Newton step of the window for the price of its newest frame, as a better start.
 
@@ -288,7 +303,7 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
             states[k, i] += memory.step[k, i]
 
 
-@apart
+@inner
 def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     """Eliminate the oldest frame of the window for good: what it says about the next becomes the prior.
 
@@ -311,7 +326,7 @@ def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     problem.offsets[0] = begin + 1
 
 
-@apart
+@inner
 def marginalise(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
     """Schur complement and gradient on the second of two frames, without its own terms, in the scratch.
 

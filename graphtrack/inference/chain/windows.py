@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.stating import Stating, stating_of
 from graphtrack.model import Model
+from graphtrack.model.kernels.layout import N
 
 SLOT, ADDS, SOLVES, WARM, SEARCHES, LEAVE = range(6)
 """Columns of what is to be done with each window, as whole numbers: its slot; whether the frame after its
@@ -47,6 +49,18 @@ class Advanced(NamedTuple):
     spread: FloatArray  # (P, 6, 6) what the modes of the couplings leave open, as part of it
     modes: FloatArray  # (P, 2) probability of an aligned body and its offset
     coupled: np.ndarray  # (n,) the records of a single window with their couplings; or none: nobody asks
+
+
+def room_for(n: int, records: np.ndarray) -> Advanced:
+    """For what will be found of n windows; ``records`` as in `Advanced`."""
+    return Advanced(
+        np.zeros(n, bool),
+        np.empty((n, N)),
+        np.empty((n, N, N)),
+        np.zeros((n, N, N)),
+        np.full((n, 2), math.nan),
+        records,
+    )
 
 
 class Windows(NamedTuple):

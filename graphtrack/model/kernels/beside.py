@@ -16,6 +16,9 @@ from numba.core.dispatcher import Dispatcher
 
 from graphtrack.model.kernels.compiled import cache_home
 
+_DONE = "machine code is there"
+"""What the other process writes where nobody may wait for it any more."""
+
 
 def processors() -> int:
     """The processors that this process may use."""
@@ -26,12 +29,13 @@ def processors() -> int:
 
 
 @contextmanager
-def compiled_beside(statements: Sequence[str]) -> Iterator[Callable[[], None]]:
+def compiled_beside(statements: Sequence[str], spare: Sequence[str] = ()) -> Iterator[Callable[[], None]]:
     """Execute statements in another process while the block runs, for the machine code that they leave.
 
-    What is given to the block waits for the other process; then its machine code can be loaded. Whatever
-    goes wrong there is compiled here when it is called. There is no other process where there is one
-    processor, or no folder that machine code is kept in.
+    What is given to the block waits until they are done; then their machine code can be loaded. Those that
+    are ``spare`` follow, as far as they come before the block ends. Whatever goes wrong there is compiled
+    here when it is called. There is no other process where there is one processor, or no folder that machine
+    code is kept in.
     """
     home = cache_home()
     if not statements or home is None or not sys.executable or processors() < 2 or numba.config.DISABLE_JIT:
@@ -44,16 +48,20 @@ def compiled_beside(statements: Sequence[str]) -> Iterator[Callable[[], None]]:
         # It ends soon: collecting its garbage would take a sixth of its time.
         lines = (f"import gc, sys; gc.disable(); sys.path[:] = {sys.path!r}", *statements)
         with subprocess.Popen(
-            [sys.executable, "-c", "\n".join(lines)],
+            [sys.executable, "-c", "\n".join((*lines, f"print({_DONE!r}, flush=True)", *spare))],
             env={**os.environ, "NUMBA_CACHE_DIR": str(own)},
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            text=True,
         ) as other:
+            assert other.stdout is not None
+            said = map(str.strip, other.stdout)
             try:
-                yield lambda: _take_over(own, home) if other.wait() == 0 else None
+                yield lambda: _take_over(own, home) if _DONE in said else None
             finally:
                 other.kill()
+        _take_over(own, home)
     finally:
         shutil.rmtree(own, ignore_errors=True)
 

@@ -42,7 +42,7 @@ _TAKEN = (
     "note_turns",
     "set_quarters",
     "cut",
-    "apart",
+    "inner",
     "compiled",
     "inlined",
 )
