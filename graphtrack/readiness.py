@@ -6,7 +6,7 @@ import gc
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -146,16 +146,21 @@ def _parts_compiled(waiting: Sequence[Rehearsal]) -> Iterator[None]:
     from graphtrack.model.kernels.beside import compiled_beside
 
     parts = [one.parts() for one in waiting]
-    beside = _statements(part for one in parts for part in one.beside)
-    spare = _statements(part for one in parts for part in one.spare)
-    with compiled_beside(beside, spare) as taken_over:
-        for part in (part for one in parts for part in one.here):
+    here = {part.function: part for one in parts for part in one.here if is_cold(part.function)}
+    beside = _statements(here, (part for one in parts for part in one.beside))
+    spare = _statements({**here, **beside}, (part for one in parts for part in one.spare))
+    with compiled_beside(list(beside.values()), list(spare.values())) as taken_over:
+        for part in here.values():
             if is_cold(part.function):
                 part.run()
         taken_over()
         yield
 
 
-def _statements(parts: Iterable[Part]) -> list[str]:
-    """Those of the parts that are cold, each once."""
-    return list(dict.fromkeys(part.statement for part in parts if is_cold(part.function)))
+def _statements(known: Container[CompiledFunction], parts: Iterable[Part]) -> dict[CompiledFunction, str]:
+    """Those of the parts that are cold and not known, each once."""
+    return {
+        part.function: part.statement
+        for part in parts
+        if part.function not in known and is_cold(part.function)
+    }

@@ -192,7 +192,7 @@ def online_rehearsal(model: Model) -> Rehearsal:
         # The window calls the grid, and what leaves it calls what the descent does: none is compiled twice.
         cold = is_cold(program.find_other_basin)
         if model.has_modes and cold:
-            here, beside = "descent newest leaving memory adding judging", "couplings grid stating"
+            here, beside = "descent newest leaving memory adding", "couplings grid stating judging"
         elif model.has_modes:
             here, beside = "window memory", "couplings newest stating leaving concluding judging adding"
         elif cold:
