@@ -5,9 +5,10 @@ from __future__ import annotations
 import gc
 import logging
 import sys
+import threading
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -126,18 +127,37 @@ def make_ready(what: str, *rehearsals: Rehearsal) -> None:
         logger.warning("compiled in %.0f s", time.perf_counter() - start)
 
 
-@contextmanager
-def collecting_rarely() -> Iterator[None]:
-    """Few collections of garbage meanwhile: importing and compiling keep what they make.
+class _Rarely:
+    """Few collections as long as somebody wants few, in whatever thread."""
 
-    Looking for what they do not keep would take a tenth of a short command's time, a sixth of compiling.
+    def __init__(self) -> None:
+        self._mutex, self._wanted = threading.Lock(), 0
+        self._before = gc.get_threshold()
+
+    def __enter__(self) -> None:
+        with self._mutex:
+            if self._wanted == 0:
+                self._before = gc.get_threshold()
+                gc.set_threshold(100_000, 20, 50)
+            self._wanted += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._mutex:
+            self._wanted -= 1
+            if self._wanted == 0:
+                gc.set_threshold(*self._before)
+
+
+_RARELY = _Rarely()  # the collector is the process's
+
+
+def collecting_rarely() -> AbstractContextManager[None]:
+    """Few collections of garbage meanwhile: importing, compiling and solving keep what they make.
+
+    Looking for what they do not keep would take a tenth of a short command's time, and of the time of many
+    short tracks, a sixth of compiling.
     """
-    before = gc.get_threshold()
-    gc.set_threshold(100_000, 20, 50)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
+    return _RARELY
 
 
 @contextmanager

@@ -44,9 +44,10 @@ if TYPE_CHECKING:
 
 __all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet"]
 
-_KEPT = ("t", "identity_p", "observed", "true_position", "true_body", "true_head")
-"""What estimates leave of a track that was observed."""
 _ABSENT = dict.fromkeys(SHAPES)
+_KEPT = {"t", "identity_p", "observed", "true_position", "true_body", "true_head"}
+"""What estimates leave of a track that was observed."""
+_NOT_KEPT = dict.fromkeys(SHAPES.keys() - _KEPT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +211,6 @@ class Track:
 
         The arrays must be as the attributes say: they are neither checked nor copied.
         """
-        of_person = {name: getattr(self, name) for name in _KEPT}
         estimates = {
             "position": position,
             "velocity": velocity,
@@ -220,8 +220,16 @@ class Track:
             "aligned_p": aligned_p,
             "gait_offset": gait_offset,
         }
-        inputs = {name: values for name, values in self.inputs.items() if name != APPEARANCE}
-        return Track._trusted(self.track_id, self.frame, of_person | estimates, self.label, inputs)
+        for value in estimates.values():
+            if value is not None:
+                value.setflags(write=False)
+        track = object.__new__(Track)
+        attributes = vars(track)
+        attributes.update(vars(self))
+        attributes.update(_NOT_KEPT)
+        attributes.update(estimates)
+        attributes["inputs"] = {name: own for name, own in self.inputs.items() if name != APPEARANCE}
+        return track
 
     def std(self, name: str) -> FloatArray | None:
         """1-σ of one quantity of `STATE` (metres, m/s or radians), (n,), or None without a covariance.

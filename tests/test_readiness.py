@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import logging
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -74,4 +76,21 @@ def test_garbage_is_collected_as_before_whatever_happens() -> None:
     with pytest.raises(ValueError, match="meanwhile"), collecting_rarely():
         assert gc.get_threshold()[0] > before[0]
         raise ValueError("meanwhile")
+    assert gc.get_threshold() == before
+
+
+def test_garbage_is_collected_rarely_until_the_last_thread_is_done() -> None:
+    before, inside, may_end = gc.get_threshold(), threading.Event(), threading.Event()
+
+    def other() -> None:
+        with collecting_rarely():
+            inside.set()
+            may_end.wait()
+
+    with ThreadPoolExecutor(1) as pool:
+        with collecting_rarely():
+            pool.submit(other)
+            inside.wait()
+        assert gc.get_threshold()[0] > before[0]
+        may_end.set()
     assert gc.get_threshold() == before

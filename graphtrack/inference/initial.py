@@ -9,11 +9,13 @@ import numpy as np
 from graphtrack.errors import NO_POSITION, SolveError
 from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.linear import linear_part
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.model import Model, States
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.kernels.layout import DT, record_type
+from graphtrack.model.kernels.packing import PackedTracks, RecordTypes
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
 
@@ -29,6 +31,21 @@ SLOW = 0.1
 def pack(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
     """Tracks end to end, with the records that the model's compiled terms fill in."""
     return PackedTracks.of(tracks, camera, model.compiled_terms, program_of(model).types)
+
+
+def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | None = None) -> PackedTracks:
+    """The same; with the fields of the model's own terms alone where the linear solution is all there is.
+
+    That is a fourth of the memory.
+    """
+    terms = model.compiled_terms
+    if camera is None and not (model.has_body or model.has_head):
+        shared = record_type(field for term in terms for field in term.shared)
+        of_terms = record_type((DT, *(field for term in terms for field in term.fields)))
+        packed = PackedTracks.of(tracks, camera, terms, RecordTypes(of_terms, shared))
+        if model.is_linear(packed):
+            return packed
+    return pack(tracks, model, camera)
 
 
 def problem_of(packed: PackedTracks) -> Problem:
@@ -74,9 +91,8 @@ def initial_states(track: Track, model: Model) -> States:
     """
     packed = pack([track], Model(model.preset, model.parameters))
     require_position(track)
-    result = empty_result(packed)
-    initialise(problem_of(packed), seen_in(packed, model), False, np.empty((3, len(track))), result)
-    states = result.states
+    states = np.zeros((len(track), 6))
+    initialise(linear_part(packed), seen_in(packed, model), np.empty((3, len(track))), states)
     none = np.full(len(track), np.nan)
     return States(
         states[:, :2] + packed.origin[0],

@@ -19,7 +19,7 @@ from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
 from graphtrack.inference.chain.side_by_side import those_beside
 from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.graph.batch import smooth_graph
-from graphtrack.inference.initial import pack
+from graphtrack.inference.initial import pack_to_solve
 from graphtrack.inference.social import lacks_groups, solve_in_turn
 from graphtrack.inference.solution import (
     Failure,
@@ -35,7 +35,7 @@ from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.beside import processors
 from graphtrack.model.kernels.layout import LANES
-from graphtrack.readiness import make_ready
+from graphtrack.readiness import collecting_rarely, make_ready
 from graphtrack.tracks import Track, TrackSet
 from graphtrack.trust import Trust, trusted
 
@@ -252,7 +252,7 @@ def _solve_batches(
     found: dict[int, Solution | Failure] = {}
     # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
     workers = processors() if jobs is None else jobs
-    with ThreadPoolExecutor(workers) as pool:
+    with collecting_rarely(), ThreadPoolExecutor(workers) as pool:
         # Several turns for each thread, so that all end at about the same time.
         size = min(max(tracks.n_frames // (4 * workers), FEWEST), MOST)
         batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way, size)]
@@ -295,7 +295,7 @@ def _solve_chains(
     options: SolverOptions,
     side_by_side: bool = False,
 ) -> list[Solution | Failure]:
-    packed = pack(tracks, model, camera)
+    packed = pack_to_solve(tracks, model, camera)
     found = solve_packed(
         packed,
         model,
@@ -304,9 +304,7 @@ def _solve_chains(
         restart=options.restart,
         side_by_side=side_by_side,
     )
-    begins = packed.offsets[:-1]
-    positioned = np.logical_or.reduceat(packed.has_position, begins)
-    finite = np.logical_and.reduceat(np.isfinite(found.states[:, :4]).all(axis=1), begins)
+    positioned = np.logical_or.reduceat(packed.has_position, packed.offsets[:-1])
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
     covariance = found.covariance
@@ -318,20 +316,23 @@ def _solve_chains(
         ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
         stated(covariance, found.states[:, 2:4], model.parameters, ends)
     answers: list[Solution | Failure] = []
+    first_cost, cost, iterations, status = (
+        numbers.tolist() for numbers in (found.first_cost, found.cost, found.iterations, found.status)
+    )
     estimates = estimated_tracks(tracks, packed.offsets, found.states, covariance, found.modes)
     for m, track in enumerate(tracks):
         if not positioned[m]:
             answers.append(Failure(track.track_id, NO_POSITION))
-        elif found.status[m] == NOT_FINITE or not finite[m]:
+        elif status[m] == NOT_FINITE:
             answers.append(Failure(track.track_id, "the estimate is not finite"))
         else:
             answers.append(
                 Solution(
                     estimates[m],
-                    float(found.first_cost[m]),
-                    float(found.cost[m]),
-                    int(found.iterations[m]),
-                    bool(found.status[m] == CONVERGED),
+                    first_cost[m],
+                    cost[m],
+                    iterations[m],
+                    status[m] == CONVERGED,
                     "chain",
                 )
             )

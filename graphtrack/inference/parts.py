@@ -9,7 +9,8 @@ import numpy as np
 
 from graphtrack.inference.chain import advance
 from graphtrack.inference.chain.elimination import Workspace, workspace
-from graphtrack.inference.chain.engine import solve_packed
+from graphtrack.inference.chain.engine import finish, solve_packed
+from graphtrack.inference.chain.linear import linear_part
 from graphtrack.inference.chain.mode_spread import spread_newest
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import program_of
@@ -20,7 +21,7 @@ from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.chain.stating import state_uncertainty, stating_of
 from graphtrack.inference.chain.window_kernels import let_go
 from graphtrack.inference.chain.windows import Windows, room_for, rules_of
-from graphtrack.inference.initial import empty_result, pack, problem_of
+from graphtrack.inference.initial import empty_result, pack, pack_to_solve, problem_of, seen_in
 from graphtrack.model import Model
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import ROW, gait_of
@@ -46,7 +47,7 @@ def compile_parts(preset: str, *names: str) -> None:
 def _part(name: str, model: Model) -> Part:
     program = program_of(model)
     function, run = {
-        "start": (initialise, lambda: solve(Model("position"))),
+        "start": (initialise, lambda: start(model)),
         "descent": (program.minimise, lambda: _descent(model)),
         "grid": (program.find_other_basin, lambda: _grid(model)),
         "modes": (renew_tracks, lambda: _modes(model)),
@@ -74,7 +75,7 @@ def compile_for(function: Any, *arguments: object) -> None:
 
 def solve(model: Model) -> None:
     """Smooth somebody made up."""
-    solve_packed(pack([TRACK], model), model)
+    solve_packed(pack_to_solve([TRACK], model), model)
 
 
 def made_up(model: Model) -> tuple[Problem, Result, Workspace]:
@@ -86,6 +87,14 @@ def made_up(model: Model) -> tuple[Problem, Result, Workspace]:
 def _in_window(model: Model) -> tuple[Problem, Result, Workspace]:
     problem, result, memory = made_up(model)
     return problem._replace(prior=np.zeros((8, 6))), result, memory
+
+
+def start(model: Model) -> None:
+    """Have the machine code of what every descent begins and ends with."""
+    packed = pack([TRACK], model)
+    result, memory = empty_result(packed), np.empty((3, len(TRACK)))
+    compile_for(initialise, linear_part(packed), seen_in(packed, model), memory, result.states)
+    compile_for(finish, packed.origin, packed.offsets, True, True, result)
 
 
 def _descent(model: Model) -> None:

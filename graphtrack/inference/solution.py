@@ -146,19 +146,25 @@ def estimated_tracks(
 
     Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
     ``modes`` (n, 2), as in `problem.Result`, are absent where they begin with NaN, since they are found in
-    all frames of a track or in none. All tracks share the arrays, ``covariance`` the caller's: to copy them
-    for each takes as long as to smooth positions.
+    all frames of a track or in none. All tracks share the arrays, which become read-only, ``covariance`` the
+    caller's: to copy them for each takes as long as to smooth positions.
     """
-    columns = (states[:, :2], states[:, 2:4], states[:, 4], states[:, 5], modes[:, 0], modes[:, 1])
-    position, velocity, *others = (column.copy() for column in columns)
-    names, found = ("body", "head", "aligned_p", "gait_offset"), []
-    has = np.isfinite([other[offsets[:-1]] for other in others]).T.tolist()
-    starts = offsets.tolist()
+    position, velocity = states[:, :2].copy(), states[:, 2:4].copy()
+    others = {
+        "body": states[:, 4],
+        "head": states[:, 5],
+        "aligned_p": modes[:, 0],
+        "gait_offset": modes[:, 1],
+    }
+    has = {name: np.isfinite(other[offsets[:-1]]) for name, other in others.items()}
+    others = {name: other.copy() for name, other in others.items() if has[name].any()}
+    for array in (position, velocity, covariance, *others.values()):
+        array.setflags(write=False)
+    there = [(name, other, has[name].tolist()) for name, other in others.items()]
+    starts, found = offsets.tolist(), []
     for m, track in enumerate(tracks):
         rows = slice(starts[m], starts[m + 1])
-        channels = {
-            name: other[rows] for name, other, there in zip(names, others, has[m], strict=True) if there
-        }
+        channels = {name: other[rows] for name, other, is_there in there if is_there[m]}
         found.append(
             track.with_estimates(
                 position=position[rows], velocity=velocity[rows], covariance=covariance[rows], **channels

@@ -10,14 +10,15 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import finish, is_chain
+from graphtrack.inference.chain.linear import solve_linear_tracks
 from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
 from graphtrack.inference.chain.programs import ChainProgram, program_of
 from graphtrack.inference.chain.side_by_side import has_lanes
 from graphtrack.inference.chain.start import initialise
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
-from graphtrack.inference.initial import pack
-from graphtrack.inference.parts import STEP, TRACK, parts_of, solve
+from graphtrack.inference.initial import initial_states, pack
+from graphtrack.inference.parts import STEP, TRACK, parts_of, solve, start
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between
@@ -27,7 +28,9 @@ SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online 
 """What is compiled here, in words: both, or one of the two."""
 
 # Seconds that compiling takes on a core, about.
-_START: Costs = {initialise: 1.7, finish: 0.3}
+_LINEAR: Costs = {solve_linear_tracks: 1.0}
+_START: Costs = {initialise: 1.5}
+_ENDS: Costs = {**_START, finish: 0.3}
 _MODES: Costs = {renew_tracks: 0.4}
 _COUPLINGS: Costs = {renew_couplings: 3.5}
 
@@ -108,9 +111,9 @@ def has_own_kernels(model: Model) -> bool:
 def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps: bool = False) -> Rehearsal:
     """What the chain engine calls for whole tracks; Newton's ``steps`` even where the model is linear."""
     if not steps and _is_linear(model, camera):
-        return start_rehearsal()
+        return linear_rehearsal()
     program = program_of(model)
-    called, inlined = {**_START, **_steps(program)}, _descent(program)
+    called, inlined = {**_ENDS, **_steps(program)}, _descent(program)
     if model.has_modes:
         called, inlined = {**called, **_MODES, program.spread_tracks: 1.3}, {**inlined, **_COUPLINGS}
         here, beside, spare = "start descent spread", "grid modes", "stating newest leaving"
@@ -138,19 +141,19 @@ def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsa
         state_beside,
     )
 
-    like, grid = _like(model), program_of(model).find_other_basin
-    linear = _is_linear(model, camera)
+    like, grid, linear = _like(model), program_of(model).find_other_basin, _is_linear(model, camera)
 
     def run() -> None:
-        solve(Model("position"))
-        state_beside(like)
-        if not linear:
+        if linear:
+            solve(Model("position"))
+        else:
+            start(like)
             solve_beside(like)
+        state_beside(like)
 
-    called = {**_START, **STATING}
     if linear:
-        return Rehearsal(run, called)
-    called |= {**STEPS, **(MODES if model.has_modes else {})}
+        return Rehearsal(run, {**_LINEAR, **STATING})
+    called = {**_ENDS, **STATING, **STEPS, **(MODES if model.has_modes else {})}
     modes = lane_parts_of(like.preset, "lane-modes") if model.has_modes else ()
     return Rehearsal(
         run,
@@ -178,9 +181,14 @@ def graph_rehearsal(model: Model) -> Rehearsal:
     return Rehearsal(lambda: _search(_like(model)), called)
 
 
+def linear_rehearsal() -> Rehearsal:
+    """The linear solution, where that is all there is to find."""
+    return Rehearsal(lambda: solve(Model("position")), _LINEAR)
+
+
 def start_rehearsal() -> Rehearsal:
-    """The linear solution, which is where GTSAM starts, too."""
-    return Rehearsal(lambda: solve(Model("position")), _START)
+    """Where descents start, GTSAM's too."""
+    return Rehearsal(lambda: initial_states(TRACK, Model("position")), _START)
 
 
 def online_rehearsal(model: Model) -> Rehearsal:
@@ -219,7 +227,7 @@ def _like(model: Model) -> Model:
 
 
 def _search(model: Model) -> None:
-    solve(Model("position"))
+    initial_states(TRACK, Model("position"))
     view, states = ChainView(TRACK, model, None), np.zeros((len(TRACK), 6))
     view.other(states, 0.0)
     if model.has_modes:

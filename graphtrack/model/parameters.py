@@ -231,7 +231,9 @@ class LikelihoodParameters(_Group):
 
     def position_stds(self, given: FloatArray | float | None, n: int) -> FloatArray:
         """1-σ (n,) in metres of positions; ``given``: what the data say, NaN or None where they do not."""
-        stated = np.full(n, np.nan if given is None else given, dtype=float)
+        if given is None:
+            return np.full(n, self.position_std)
+        stated = np.full(n, given, dtype=float)
         return np.where(np.isfinite(stated), self.position_scale * stated, self.position_std)
 
     def kappas(self, name: Literal["body", "head"], given: FloatArray | float | None, n: int) -> FloatArray:

@@ -30,7 +30,7 @@ from graphtrack.inference import (
     track_online,
     warm_up,
 )
-from graphtrack.inference.warm import offline_rehearsal, online_rehearsal, start_rehearsal
+from graphtrack.inference.warm import linear_rehearsal, offline_rehearsal, online_rehearsal
 from graphtrack.learning import solving
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
 from graphtrack.simulation.party import party
@@ -100,7 +100,7 @@ def test_parts_are_compiled_as_they_are_called(preset: str, tmp_path: Path) -> N
 
 
 def test_a_linear_model_needs_the_linear_solution_alone() -> None:
-    least = start_rehearsal().called
+    least = linear_rehearsal().called
     assert offline_rehearsal(Model("position")).called == least
     assert offline_rehearsal(Model("position", ROBUST)).called != least
     assert offline_rehearsal(Model("position"), lens_camera()).called != least

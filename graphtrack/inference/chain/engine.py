@@ -6,9 +6,11 @@ import copy
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import BoolArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference.chain.elimination import Workspace, workspace
+from graphtrack.inference.chain.linear import linear_part, solve_linear_tracks
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.result import NOT_FINITE, Result
@@ -16,7 +18,7 @@ from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
 from graphtrack.model.kernels.compiled import apart
-from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
+from graphtrack.model.kernels.layout import BODY, HEAD, VY, N, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import gait_of
@@ -49,7 +51,7 @@ def solve_packed(
 
     Parameters
     ----------
-    packed : from `initial.pack`, with the same model, which is a chain
+    packed : from `initial.pack_to_solve`, with the same model, which is a chain
     max_iterations : Newton steps a track
     tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
     restart : search a grid of orientations for a better basin where there may be one
@@ -63,21 +65,22 @@ def solve_packed(
         weighed by the modes' probabilities. Costs are those given these weights; covariances contain what
         is not known of the modes (see `mode_spread`).
     """
-    result, problem, seen = empty_result(packed), problem_of(packed), seen_in(packed, model)
-    linear = model.is_linear(packed)
-    longest = int(np.diff(packed.offsets).max())
-    initialise(problem, seen, linear, np.empty((3, longest)), result)
-    if not linear:
-        guessed = never_seen(packed, seen) if model.has_modes else None
-        if side_by_side:
-            from graphtrack.inference.chain.lane_engine import solve_in_lanes  # small work does without
+    result, longest = empty_result(packed), int(np.diff(packed.offsets).max())
+    if model.is_linear(packed):
+        solve_linear_tracks(linear_part(packed), longest, result)
+        return result
+    problem, seen = problem_of(packed), seen_in(packed, model)
+    initialise(linear_part(packed), seen, np.empty((3, longest)), result.states)
+    guessed = never_seen(packed, seen) if model.has_modes else None
+    if side_by_side:
+        from graphtrack.inference.chain.lane_engine import solve_in_lanes  # small work does without
 
-            tolerances = max(ON_THE_WAY, tolerance), tolerance
-            solve_in_lanes(model, problem, max_iterations, tolerances, restart, PASSES, result, guessed)
-        else:
-            memory = workspace(longest)
-            solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
-    finish(problem, model.has_body, model.has_head, result)
+        tolerances = max(ON_THE_WAY, tolerance), tolerance
+        solve_in_lanes(model, problem, max_iterations, tolerances, restart, PASSES, result, guessed)
+    else:
+        memory = workspace(longest)
+        solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
+    finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
     return result
 
 
@@ -158,14 +161,21 @@ def _says_more(track: Track) -> BoolArray:
 
 
 @apart
-def finish(problem: Problem, has_body: bool, has_head: bool, result: Result) -> None:
+def finish(
+    origin: FloatArray, offsets: NDArray[np.int64], has_body: bool, has_head: bool, result: Result
+) -> None:
     """States back in the world's frame, and NaN for what the model does not have or was not found."""
-    for track in range(len(problem.offsets) - 1):
+    for track in range(len(offsets) - 1):
         failed = result.status[track] == NOT_FINITE
-        for k in range(problem.offsets[track], problem.offsets[track + 1]):
+        for k in range(offsets[track], offsets[track + 1]):
+            for i in range(VY + 1):
+                failed = failed or not math.isfinite(result.states[k, i])
+        if failed:
+            result.status[track] = NOT_FINITE
+        for k in range(offsets[track], offsets[track + 1]):
             state, covariance = result.states[k], result.covariance[k]
-            state[X] += problem.origin[track, X]
-            state[Y] += problem.origin[track, Y]
+            state[X] += origin[track, X]
+            state[Y] += origin[track, Y]
             for place, has in ((BODY, has_body), (HEAD, has_head)):
                 if not has:
                     state[place] = math.nan

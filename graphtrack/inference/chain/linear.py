@@ -6,34 +6,94 @@ Both axes share one covariance, so a frame is a 2 × 2 block (position, velocity
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled, inner
-from graphtrack.model.kernels.layout import VX, VY, X, Y
+from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE, Result
+from graphtrack.model.kernels.compiled import apart, inner
+from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
+from graphtrack.model.kernels.packing import PackedTracks
+
+
+class Places(NamedTuple):
+    """Where in a record the numbers stand that the linear part of the model has."""
+
+    dt: int
+    motion_information: int
+    velocity_information: int
+    x: int
+    y: int
+    position_information: int
+
+
+class Linear(NamedTuple):
+    """The linear part of some tracks end to end, whatever else is in the records: N frames, m tracks."""
+
+    rows: FloatArray  # (N, fields) the records
+    places: Places
+    origin: FloatArray  # (m, 2) metres, what a track's positions are counted from
+    offsets: NDArray[np.int64]  # (m + 1,)
+
+
+def linear_part(packed: PackedTracks) -> Linear:
+    """What the linear solution reads of packed tracks."""
+    rows, names = packed.numbers.reshape(len(packed.records), -1), packed.records.dtype.names or ()
+    return Linear(rows, Places(*map(names.index, Places._fields)), packed.origin, packed.offsets)
+
+
+@apart
+def solve_linear_tracks(linear: Linear, longest: int, result: Result) -> None:
+    """Solve tracks, none longer than ``longest``, of which the linear part is all that there is.
+
+    States are in the world's frame; orientations are NaN.
+    """
+    spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
+    for track in range(len(linear.offsets) - 1):
+        a, b = linear.offsets[track], linear.offsets[track + 1]
+        states, origin = result.states[a:b], linear.origin[track]
+        cost = solve_linear(linear, track, states, spread, memory)
+        result.first_cost[track] = result.cost[track] = cost
+        result.status[track] = CONVERGED if math.isfinite(cost) else NOT_FINITE
+        blank = 0.0 if math.isfinite(cost) else math.nan
+        for k in range(b - a):
+            state, covariance = states[k], result.covariance[a + k]
+            state[X] += origin[X]
+            state[Y] += origin[Y]
+            state[BODY] = state[HEAD] = math.nan
+            for i in range(N):
+                for j in range(N):
+                    covariance[i, j] = math.nan if i >= BODY or j >= BODY else blank
+            for axis in range(2):
+                p, v = X + axis, VX + axis
+                covariance[p, p] = spread[k, 0] + blank
+                covariance[p, v] = covariance[v, p] = spread[k, 1] + blank
+                covariance[v, v] = spread[k, 2] + blank
 
 
 @inner
 def solve_linear(
-    frames: np.ndarray, origin: FloatArray, states: FloatArray, spread: FloatArray, memory: FloatArray
+    linear: Linear, track: int, states: FloatArray, spread: FloatArray, memory: FloatArray
 ) -> float:
     """Posterior mean and covariance of positions and velocities of one track; returns the cost there.
 
     Fills in the first four columns of ``states`` (n, 6), and ``spread`` (n, 3): the variance of the position,
     the covariance of position and velocity, and the variance of the velocity, on each axis. ``memory`` is
-    (n, 7). Positions are counted from the ``origin`` (2,). NaN comes out where no position determines the
-    track.
+    (n, 7). Positions are counted from the origin. NaN comes out where no position determines the track.
     """
+    at, origin = linear.places, linear.origin[track]
+    frames = linear.rows[linear.offsets[track] : linear.offsets[track + 1]]
     n = len(frames)
     pp = pv = vv = px = py = vx = vy = 0.0
     for k in range(n):
         frame = frames[k]
-        information = frame.motion_information
+        information = frame[at.motion_information]
         if information > 0.0:
-            half = 0.5 * frame.dt
-            bend = 12.0 * information / (frame.dt * frame.dt * frame.dt)
-            turn = information / frame.dt
+            half = 0.5 * frame[at.dt]
+            bend = 12.0 * information / (frame[at.dt] * frame[at.dt] * frame[at.dt])
+            turn = information / frame[at.dt]
             # The frame before, complete with this transition, is eliminated.
             hpp, hpv, hvv = pp + bend, pv + half * bend, vv + turn + half * half * bend
             determinant = hpp * hvv - hpv * hpv
@@ -53,11 +113,11 @@ def solve_linear(
             pp = bend - (e_pp * g_pp + e_pv * g_pv)
             pv = -half * bend - (e_pp * g_vp + e_pv * g_vv)
             vv = turn + half * half * bend - (e_vp * g_vp + e_vv * g_vv)
-        vv += frame.velocity_information
-        weight = frame.position_information
+        vv += frame[at.velocity_information]
+        weight = frame[at.position_information]
         pp += weight
-        px += weight * (frame.x - origin[X])
-        py += weight * (frame.y - origin[Y])
+        px += weight * (frame[at.x] - origin[X])
+        py += weight * (frame[at.y] - origin[Y])
     determinant = pp * vv - pv * pv
     a, b, c = vv / determinant, -pv / determinant, pp / determinant
     state = states[n - 1]
@@ -83,29 +143,15 @@ def solve_linear(
     cost = 0.0
     for k in range(n):
         frame, state = frames[k], states[k]
-        dx, dy = state[X] - (frame.x - origin[X]), state[Y] - (frame.y - origin[Y])
-        cost += 0.5 * frame.position_information * (dx * dx + dy * dy)
-        cost += 0.5 * frame.velocity_information * (state[VX] * state[VX] + state[VY] * state[VY])
-        if frame.motion_information > 0.0:
-            then, half = states[k - 1], 0.5 * frame.dt
-            turn = frame.motion_information / frame.dt
-            bend = 12.0 * frame.motion_information / (frame.dt * frame.dt * frame.dt)
+        dx, dy = state[X] - (frame[at.x] - origin[X]), state[Y] - (frame[at.y] - origin[Y])
+        cost += 0.5 * frame[at.position_information] * (dx * dx + dy * dy)
+        cost += 0.5 * frame[at.velocity_information] * (state[VX] * state[VX] + state[VY] * state[VY])
+        if frame[at.motion_information] > 0.0:
+            then, half = states[k - 1], 0.5 * frame[at.dt]
+            turn = frame[at.motion_information] / frame[at.dt]
+            bend = 12.0 * frame[at.motion_information] / (frame[at.dt] * frame[at.dt] * frame[at.dt])
             dvx, dvy = state[VX] - then[VX], state[VY] - then[VY]
             ox = state[X] - then[X] - half * (state[VX] + then[VX])
             oy = state[Y] - then[Y] - half * (state[VY] + then[VY])
             cost += 0.5 * (turn * (dvx * dvx + dvy * dvy) + bend * (ox * ox + oy * oy))
     return cost if math.isfinite(cost) else math.nan
-
-
-@compiled
-def spread_to_covariance(spread: FloatArray, covariance: FloatArray) -> None:
-    """Covariances (n, 6, 6) from those (n, 3) of one axis; orientations are left as they are."""
-    for k in range(len(spread)):
-        for i in range(4):
-            for j in range(4):
-                covariance[k, i, j] = 0.0
-        for axis in range(2):
-            p, v = X + axis, VX + axis
-            covariance[k, p, p] = spread[k, 0]
-            covariance[k, p, v] = covariance[k, v, p] = spread[k, 1]
-            covariance[k, v, v] = spread[k, 2]

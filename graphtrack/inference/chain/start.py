@@ -8,11 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.linear import solve_linear, spread_to_covariance
-from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE, Result
+from graphtrack.inference.chain.linear import Linear, solve_linear
 from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY
-from graphtrack.model.kernels.problem import Problem
 
 
 class Seen(NamedTuple):
@@ -77,29 +75,22 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
 
 
 @apart
-def initialise(problem: Problem, seen: Seen, only: bool, angles: FloatArray, result: Result) -> None:
-    """Fill in the states of all tracks; ``angles`` (3, n) is memory.
-
-    ``only``: the linear solution is all there is to find, so costs, covariances and status come from it.
-    """
-    for track in range(len(problem.offsets) - 1):
-        a, b = problem.offsets[track], problem.offsets[track + 1]
-        n, t, states = b - a, seen.t[a:b], result.states[a:b]
-        spread, memory = np.empty((n, 3)), np.empty((n, 7))
-        cost = solve_linear(problem.records[a:b], problem.origin[track], states, spread, memory)
-        if only:
-            result.first_cost[track] = result.cost[track] = cost
-            result.status[track] = CONVERGED if math.isfinite(cost) else NOT_FINITE
-            spread_to_covariance(spread, result.covariance[a:b])
-            continue
+def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArray) -> None:
+    """Fill in the states (N, 6) of all tracks; ``angles`` (3, n) is memory, for the longest of them."""
+    longest = angles.shape[1]
+    spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
+    for track in range(len(linear.offsets) - 1):
+        a, b = linear.offsets[track], linear.offsets[track + 1]
+        n, t, here = b - a, seen.t[a:b], states[a:b]
+        solve_linear(linear, track, here, spread, memory)
         heading = angles[0, :n]
-        headings(states, seen.moving, heading)
+        headings(here, seen.moving, heading)
         for place, vectors, row in ((BODY, seen.body, 1), (HEAD, seen.head, 2)):
             angle = angles[row, :n]
             if len(vectors) == 0:
-                states[:, place] = 0.0
+                here[:, place] = 0.0
                 continue
             running_mean(t, vectors[a:b], seen.window, angle)
             fill(t, angle, angles[1, :n] if place == HEAD and len(seen.body) > 0 else heading)
             for k in range(n):
-                states[k, place] = angle[k]
+                here[k, place] = angle[k]

@@ -150,9 +150,12 @@ class PackedTracks:
     @cached_property
     def first_seen(self) -> NDArray[np.int64]:
         """(m,) index of each track's first frame with a position; its first frame where there is none."""
+        begins = self.offsets[:-1]
+        if self.has_position[begins].all():
+            return begins
         seen = np.where(self.has_position, np.arange(len(self.has_position)), self.offsets[-1])
-        first = np.minimum.reduceat(seen, self.offsets[:-1])
-        return np.where(first < self.offsets[1:], first, self.offsets[:-1])
+        first = np.minimum.reduceat(seen, begins)
+        return np.where(first < self.offsets[1:], first, begins)
 
     @cached_property
     def origin(self) -> FloatArray:

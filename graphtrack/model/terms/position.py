@@ -247,7 +247,8 @@ class PositionLikelihood(Term):
         likelihood, records = self.parameters.likelihood, packed.records
         std = likelihood.position_stds(packed.channel("position_std"), len(records))
         records["x"], records["y"] = np.where(packed.has_position, packed.position.T, 0.0)
-        records["position_information"] = np.where(packed.has_position, std**-2.0, 0.0)
+        # Not `std**-2.0`, which takes ten times as long.
+        records["position_information"] = np.where(packed.has_position, 1.0 / np.square(std), 0.0)
         packed.shared["robust"] = {"none": 0, "huber": HUBER, "cauchy": CAUCHY}[likelihood.robust]
         packed.shared["robust_threshold"] = likelihood.robust_threshold
         pixel, camera = packed.channel("pixel"), packed.camera
