@@ -144,7 +144,9 @@ def put_back(found: Result, result: Result, offsets: np.ndarray, tracks: BoolArr
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:
     """Body and head (N, 2) of tracks in which they were never seen, in frames that tell nothing else."""
     found = np.zeros((packed.offsets[-1], 2), bool)
-    known = np.concatenate([_says_more(track) for track in packed.tracks])
+    known = np.zeros(len(found), bool)
+    if any(track.inputs for track in packed.tracks):
+        known = np.concatenate([_says_more(track) for track in packed.tracks])
     for place, vectors in enumerate((seen.body, seen.head)):
         if len(vectors):
             was_seen = np.logical_or.reduceat(np.isfinite(vectors[:, 0]), packed.offsets[:-1])
