@@ -38,7 +38,7 @@ def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | 
 
     That is a fourth of the memory.
     """
-    terms = model.compiled_terms
+    terms = model.terms  # what holds first orientations has nothing to hold
     if camera is None and not (model.has_body or model.has_head):
         shared = record_type(field for term in terms for field in term.shared)
         of_terms = record_type((DT, *(field for term in terms for field in term.fields)))

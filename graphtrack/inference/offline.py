@@ -42,7 +42,7 @@ from graphtrack.trust import Trust, trusted
 if TYPE_CHECKING:
     from graphtrack.io.given import Given, Scene
 
-FEWEST, MOST = 5_000, 20_000
+FEWEST, MOST = 5_000, 25_000
 """Frames that a thread of the chain engine takes at a time: few are dear, many take memory besides."""
 
 
