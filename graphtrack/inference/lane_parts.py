@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.inference.chain.engine import PASSES
+from graphtrack.inference.chain.engine import PASSES, solve_packed
 from graphtrack.inference.chain.lane_engine import solve_in_lanes
 from graphtrack.inference.chain.lane_mode_memory import mode_memory
 from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.lane_newton import LaneMemory, lane_memory, minimise_lanes
 from graphtrack.inference.chain.lane_solver import solve_lanes
-from graphtrack.inference.chain.lane_stating import state_tracks
+from graphtrack.inference.chain.lane_stating import solve_and_state, state_tracks
 from graphtrack.inference.chain.stating import stating_of
+from graphtrack.inference.initial import pack_to_solve
 from graphtrack.inference.parts import TRACK, compile_for, made_up
 from graphtrack.model import Model
 from graphtrack.model.kernels.problem import Problem
@@ -21,6 +22,7 @@ from graphtrack.readiness import Costs, Part
 DESCENT: Costs = {minimise_lanes: 10.0}
 STEPS: Costs = {solve_lanes: 6.0}
 STATING: Costs = {state_tracks: 1.0}
+LINEAR: Costs = {solve_and_state: 2.0}
 MODES: Costs = {renew_lanes: 7.0}
 """Seconds that compiling takes on a core, about."""
 
@@ -49,6 +51,11 @@ def solve_beside(model: Model) -> None:
     """Smooth somebody made up as tracks of large work are."""
     problem, result, _ = made_up(model)
     solve_in_lanes(model, problem, 1, (1e-12, 1e-12), True, PASSES, result)
+
+
+def solve_linear_beside(model: Model) -> None:
+    """Smooth somebody made up by a linear model as tracks of large work are."""
+    solve_packed(pack_to_solve([TRACK], model), model, stating=stating_of(model.parameters))
 
 
 def state_beside(model: Model) -> None:

@@ -303,23 +303,20 @@ def _solve_chains(
         tolerance=1e-3 * options.relative_tolerance,
         restart=options.restart,
         side_by_side=side_by_side,
+        # Compiled, that is much quicker; for small work it takes longer than it saves.
+        stating=stating_of(model.parameters) if side_by_side else None,
     )
     positioned = np.logical_or.reduceat(packed.has_position, packed.offsets[:-1])
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
-    covariance = found.covariance
-    if side_by_side:  # the same, compiled; that takes longer than it saves in small work
-        from graphtrack.inference.chain.lane_stating import state_tracks
-
-        state_tracks(covariance, found.states, packed.offsets, packed.t, stating_of(model.parameters))
-    else:
+    if not side_by_side:
         ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-        stated(covariance, found.states[:, 2:4], model.parameters, ends)
+        stated(found.covariance, found.states[:, 2:4], model.parameters, ends)
     answers: list[Solution | Failure] = []
     first_cost, cost, iterations, status = (
         numbers.tolist() for numbers in (found.first_cost, found.cost, found.iterations, found.status)
     )
-    estimates = estimated_tracks(tracks, packed.offsets, found.states, covariance, found.modes)
+    estimates = estimated_tracks(tracks, packed.offsets, found.states, found.covariance, found.modes)
     for m, track in enumerate(tracks):
         if not positioned[m]:
             answers.append(Failure(track.track_id, NO_POSITION))

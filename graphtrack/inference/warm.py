@@ -133,26 +133,25 @@ def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsa
     # Small work does without.
     from graphtrack.inference.lane_parts import (
         DESCENT,
+        LINEAR,
         MODES,
         STATING,
         STEPS,
         lane_parts_of,
         solve_beside,
+        solve_linear_beside,
         state_beside,
     )
 
-    like, grid, linear = _like(model), program_of(model).find_other_basin, _is_linear(model, camera)
+    if _is_linear(model, camera):
+        return Rehearsal(lambda: solve_linear_beside(Model("position")), LINEAR)
+    like, grid = _like(model), program_of(model).find_other_basin
 
     def run() -> None:
-        if linear:
-            solve(Model("position"))
-        else:
-            start(like)
-            solve_beside(like)
+        start(like)
+        solve_beside(like)
         state_beside(like)
 
-    if linear:
-        return Rehearsal(run, {**_LINEAR, **STATING})
     called = {**_ENDS, **STATING, **STEPS, **(MODES if model.has_modes else {})}
     modes = lane_parts_of(like.preset, "lane-modes") if model.has_modes else ()
     return Rehearsal(

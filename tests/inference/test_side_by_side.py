@@ -26,10 +26,17 @@ from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.side_by_side import LARGE, LONGEST, has_lanes, those_beside
 from graphtrack.inference.chain.stating import stating_of
-from graphtrack.inference.initial import empty_result, pack, problem_of
+from graphtrack.inference.initial import empty_result, pack, pack_to_solve, problem_of
 from graphtrack.inference.solution import seconds_to_ends, stated
 from graphtrack.inference.warm import lane_rehearsal, offline_rehearsal, solver_rehearsals
-from graphtrack.model import GaitParameters, Model, MotionParameters, OrientationParameters, Parameters
+from graphtrack.model import (
+    GaitParameters,
+    LikelihoodParameters,
+    Model,
+    MotionParameters,
+    OrientationParameters,
+    Parameters,
+)
 from graphtrack.model.kernels.lanes import LANES
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import Gait, gait_of
@@ -222,3 +229,31 @@ def test_covariances_of_many_tracks_are_stated_as_those_of_one() -> None:
         expected, found = stated(covariance.copy(), states[:, 2:4], parameters, ends), covariance.copy()
         state_tracks(found, states, packed.offsets, packed.t, stating_of(parameters))
         np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-15)
+
+
+def test_positions_of_many_tracks_are_those_of_one_and_stated_as_such() -> None:
+    """In one pass, from records of the linear terms alone: as in two, from those of all terms."""
+    tracks = [*scene(3), replace(walk(2, seed=4), position_std=np.array([0.03, np.nan]))]
+    lasting = Parameters(MotionParameters(lasting_std=0.4))
+    for parameters in (Model("position").parameters, lasting):
+        model = Model("position", replace(parameters, likelihood=LikelihoodParameters(robust="none")))
+        whole, lean = pack(tracks, model), pack_to_solve(tracks, model)
+        assert lean.records.itemsize < whole.records.itemsize / 3
+        expected = solve_packed(whole, model)
+        ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
+        stated(expected.covariance, expected.states[:, 2:4], model.parameters, ends)
+        found = solve_packed(lean, model, stating=stating_of(model.parameters))
+        for name in ("states", "cost", "status", "covariance"):
+            np.testing.assert_allclose(
+                getattr(found, name), getattr(expected, name), rtol=1e-11, atol=1e-14, err_msg=name
+            )
+        assert np.isfinite(found.states[:, :4]).all() and np.isnan(found.states[:, 4:]).all()
+
+
+def test_records_of_all_terms_are_packed_where_the_linear_ones_do_not_do() -> None:
+    tracks = [walk(5)]
+    types = pack(tracks, Model("full")).records.dtype
+    assert pack_to_solve(tracks, Model("joint")).records.dtype == types
+    robust = replace(Model("position").parameters, likelihood=LikelihoodParameters(robust="cauchy"))
+    assert pack_to_solve(tracks, Model("position", robust)).records.dtype == types
+    assert pack_to_solve(tracks, Model("position")).records.dtype != types

@@ -15,6 +15,7 @@ from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.inference.chain.start import Seen, initialise
+from graphtrack.inference.chain.stating import Stating
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
 from graphtrack.model.kernels.compiled import apart
@@ -46,6 +47,7 @@ def solve_packed(
     tolerance: float = 1e-12,
     restart: bool = True,
     side_by_side: bool = False,
+    stating: Stating | None = None,
 ) -> Result:
     """Maximum a posteriori states and their covariances.
 
@@ -56,6 +58,7 @@ def solve_packed(
     tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
     restart : search a grid of orientations for a better basin where there may be one
     side_by_side : several tracks at a time, of those that `side_by_side.those_beside` has found
+    stating : covariances of tracks side by side are to be as this states them
 
     Returns
     -------
@@ -67,7 +70,12 @@ def solve_packed(
     """
     result, longest = empty_result(packed), int(np.diff(packed.offsets).max())
     if model.is_linear(packed):
-        solve_linear_tracks(linear_part(packed), longest, result)
+        if stating is None:
+            solve_linear_tracks(linear_part(packed), longest, result)
+        else:
+            from graphtrack.inference.chain.lane_stating import solve_and_state  # small work does without
+
+            solve_and_state(linear_part(packed), longest, packed.t, stating, result)
         return result
     problem, seen = problem_of(packed), seen_in(packed, model)
     initialise(linear_part(packed), seen, np.empty((3, longest)), result.states)
@@ -81,6 +89,10 @@ def solve_packed(
         memory = workspace(longest)
         solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
     finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
+    if stating is not None:
+        from graphtrack.inference.chain.lane_stating import state_tracks
+
+        state_tracks(result.covariance, result.states, packed.offsets, packed.t, stating)
     return result
 
 

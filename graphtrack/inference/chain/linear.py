@@ -52,25 +52,33 @@ def solve_linear_tracks(linear: Linear, longest: int, result: Result) -> None:
     """
     spread, memory = np.empty((longest, 3)), np.empty((longest, 7))
     for track in range(len(linear.offsets) - 1):
-        a, b = linear.offsets[track], linear.offsets[track + 1]
-        states, origin = result.states[a:b], linear.origin[track]
-        cost = solve_linear(linear, track, states, spread, memory)
-        result.first_cost[track] = result.cost[track] = cost
-        result.status[track] = CONVERGED if math.isfinite(cost) else NOT_FINITE
-        blank = 0.0 if math.isfinite(cost) else math.nan
-        for k in range(b - a):
-            state, covariance = states[k], result.covariance[a + k]
-            state[X] += origin[X]
-            state[Y] += origin[Y]
-            state[BODY] = state[HEAD] = math.nan
-            for i in range(N):
-                for j in range(N):
-                    covariance[i, j] = math.nan if i >= BODY or j >= BODY else blank
-            for axis in range(2):
-                p, v = X + axis, VX + axis
-                covariance[p, p] = spread[k, 0] + blank
-                covariance[p, v] = covariance[v, p] = spread[k, 1] + blank
-                covariance[v, v] = spread[k, 2] + blank
+        solve_linear_track(linear, track, spread, memory, result)
+
+
+@inner
+def solve_linear_track(
+    linear: Linear, track: int, spread: FloatArray, memory: FloatArray, result: Result
+) -> None:
+    """One of them; ``spread`` and ``memory`` as in `solve_linear`, of any track."""
+    a, b = linear.offsets[track], linear.offsets[track + 1]
+    states, origin = result.states[a:b], linear.origin[track]
+    cost = solve_linear(linear, track, states, spread, memory)
+    result.first_cost[track] = result.cost[track] = cost
+    result.status[track] = CONVERGED if math.isfinite(cost) else NOT_FINITE
+    blank = 0.0 if math.isfinite(cost) else math.nan
+    for k in range(b - a):
+        state, covariance = states[k], result.covariance[a + k]
+        state[X] += origin[X]
+        state[Y] += origin[Y]
+        state[BODY] = state[HEAD] = math.nan
+        for i in range(N):
+            for j in range(N):
+                covariance[i, j] = math.nan if i >= BODY or j >= BODY else blank
+        for axis in range(2):
+            p, v = X + axis, VX + axis
+            covariance[p, p] = spread[k, 0] + blank
+            covariance[p, v] = covariance[v, p] = spread[k, 1] + blank
+            covariance[v, v] = spread[k, 2] + blank
 
 
 @inner
