@@ -96,7 +96,7 @@ def test_positions_against_simdkalman(record: Record) -> None:
     tracks, model = walks(TRACKS), Model("position")
     frames = TRACKS * STEPS
     mine, theirs = (lambda: ours(tracks, model), frames), (simdkalman_run(tracks), frames)
-    race(record, "position / simdkalman", mine, theirs, 5.0)
+    race(record, "position / simdkalman", mine, theirs, 8.0)
 
 
 def filterpy_run(tracks: list[Track]) -> None:
@@ -111,7 +111,7 @@ def filterpy_run(tracks: list[Track]) -> None:
 def test_positions_against_filterpy(record: Record) -> None:
     tracks, model, few = walks(TRACKS), Model("position"), walks(5)
     mine, theirs = (lambda: ours(tracks, model), TRACKS * STEPS), (lambda: filterpy_run(few), 5 * STEPS)
-    race(record, "position / FilterPy", mine, theirs, 60.0, rounds=3)
+    race(record, "position / FilterPy", mine, theirs, 90.0, rounds=3)
 
 
 def optimise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
