@@ -303,7 +303,7 @@ def _solve_chains(
         tolerance=1e-3 * options.relative_tolerance,
         restart=options.restart,
         side_by_side=side_by_side,
-        # Compiled, that is much quicker; for small work it takes longer than it saves.
+        # To state them compiled is quicker, but for small work, which would wait for the compiler.
         stating=stating_of(model.parameters) if side_by_side else None,
     )
     positioned = np.logical_or.reduceat(packed.has_position, packed.offsets[:-1])

@@ -285,7 +285,7 @@ def judge_modes(
 
 @inner
 def tell_modes(problem: Problem, modes: FloatArray, p: int, advanced: Advanced) -> None:
-    """Write down the modes of a window's newest frame, and the couplings of its first."""
+    """Write down the modes of a window's newest frame, and its records with their couplings if wanted."""
     begin, last = problem.offsets[0], len(modes) - 1
     advanced.modes[p, 0], advanced.modes[p, 1] = modes[last, 0], modes[last, 1]
     for k in range(len(advanced.coupled)):

@@ -58,7 +58,7 @@ def solve_packed(
     tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
     restart : search a grid of orientations for a better basin where there may be one
     side_by_side : several tracks at a time, of those that `side_by_side.those_beside` has found
-    stating : covariances of tracks side by side are to be as this states them
+    stating : covariances are to be as this states them, and not the inverse curvature
 
     Returns
     -------
