@@ -46,13 +46,25 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
             temporary = scratch / path.name
             if directory:
                 temporary.mkdir()
-            yield temporary
+            with _told_of(given, temporary):
+                yield temporary
             _flush(temporary)
             _match_mode(temporary, path)
             temporary.replace(path)
             _flush_entry(path.parent)
     except OSError as error:
         raise _cannot_write(given, error) from error
+
+
+@contextmanager
+def _told_of(path: Path, temporary: Path) -> Iterator[None]:
+    """Have errors about the temporary path name the one that was given."""
+    try:
+        yield
+    except InputError as error:
+        if error.path == str(temporary):
+            error.path = str(path)
+        raise
 
 
 def _cannot_write(path: Path, error: OSError) -> GraphtrackError:

@@ -137,3 +137,12 @@ def test_without_locks_files_are_written_and_nothing_is_cleaned(
     left.mkdir()
     write(tmp_path / "a.csv", "whole")
     assert (tmp_path / "a.csv").read_text() == "whole" and left.is_dir()
+
+
+def test_an_error_names_the_place_that_was_given(tmp_path: Path) -> None:
+    path = tmp_path / "people.mcap"
+    with pytest.raises(InputError) as caught, atomic_path(path) as temporary:
+        raise InputError("no package mcap", "the extra", path=temporary)
+    assert str(caught.value) == f"{path}: found no package mcap, expected the extra"
+    with pytest.raises(InputError, match=r"^other\.csv: "), atomic_path(path):
+        raise InputError("nothing", "something", path="other.csv")
