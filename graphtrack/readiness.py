@@ -138,7 +138,9 @@ class _Rarely:
         with self._mutex:
             if self._wanted == 0:
                 self._before = gc.get_threshold()
-                gc.set_threshold(100_000, 20, 50)
+                # Whoever wants fewer yet, or none, has them.
+                if 0 < self._before[0] < 100_000:
+                    gc.set_threshold(100_000, 20, 50)
             self._wanted += 1
 
     def __exit__(self, *_: object) -> None:

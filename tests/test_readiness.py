@@ -88,9 +88,22 @@ def test_garbage_is_collected_rarely_until_the_last_thread_is_done() -> None:
             may_end.wait()
 
     with ThreadPoolExecutor(1) as pool:
-        with collecting_rarely():
-            pool.submit(other)
-            inside.wait()
-        assert gc.get_threshold()[0] > before[0]
-        may_end.set()
+        try:
+            with collecting_rarely():
+                pool.submit(other)
+                assert inside.wait(60.0)
+            assert gc.get_threshold()[0] > before[0]
+        finally:
+            may_end.set()
     assert gc.get_threshold() == before
+
+
+@pytest.mark.parametrize("wanted", [(0, 10, 10), (200_000, 10, 10)])
+def test_who_wants_fewer_collections_yet_has_them(wanted: tuple[int, int, int]) -> None:
+    before = gc.get_threshold()
+    try:
+        gc.set_threshold(*wanted)
+        with collecting_rarely():
+            assert gc.get_threshold() == wanted
+    finally:
+        gc.set_threshold(*before)

@@ -146,8 +146,8 @@ def estimated_tracks(
 
     Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
     ``modes`` (n, 2), as in `problem.Result`, are absent where they begin with NaN, since they are found in
-    all frames of a track or in none. All tracks share the arrays, which become read-only, ``covariance`` the
-    caller's: to copy them for each takes as long as to smooth positions.
+    all frames of a track or in none. All tracks share the arrays, ``covariance`` the caller's: to copy them
+    for each takes as long as to smooth positions.
     """
     position, velocity = states[:, :2].copy(), states[:, 2:4].copy()
     others = {
@@ -158,8 +158,6 @@ def estimated_tracks(
     }
     has = {name: np.isfinite(other[offsets[:-1]]) for name, other in others.items()}
     others = {name: other.copy() for name, other in others.items() if has[name].any()}
-    for array in (position, velocity, covariance, *others.values()):
-        array.setflags(write=False)
     there = [(name, other, has[name].tolist()) for name, other in others.items()]
     starts, found = offsets.tolist(), []
     for m, track in enumerate(tracks):

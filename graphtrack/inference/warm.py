@@ -112,16 +112,22 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     """What the chain engine calls for whole tracks; Newton's ``steps`` even where the model is linear."""
     if not steps and _is_linear(model, camera):
         return linear_rehearsal()
-    program = program_of(model)
-    called, inlined = {**_ENDS, **_steps(program)}, _descent(program)
+    program, linear = program_of(model), _may_be_linear(model)
+    called, inlined = {**_ENDS, **_steps(program), **(_LINEAR if linear else {})}, _descent(program)
     if model.has_modes:
         called, inlined = {**called, **_MODES, program.spread_tracks: 1.3}, {**inlined, **_COUPLINGS}
         here, beside, spare = "start descent spread", "grid modes", "stating newest leaving"
     else:
         here, beside, spare = "start descent", "grid", "stating leaving"
+
+    def run() -> None:
+        solve(_like(model))
+        if linear:
+            solve(Model("position"))
+
     # Whoever smooths may track next.
     return Rehearsal(
-        lambda: solve(_like(model)),
+        run,
         called,
         inlined,
         lambda: Parts(_parts(model, here), _parts(model, beside), _parts(model, spare)),
@@ -145,14 +151,16 @@ def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsa
 
     if _is_linear(model, camera):
         return Rehearsal(lambda: solve_linear_beside(Model("position")), LINEAR)
-    like, grid = _like(model), program_of(model).find_other_basin
+    like, grid, linear = _like(model), program_of(model).find_other_basin, _may_be_linear(model)
 
     def run() -> None:
         start(like)
         solve_beside(like)
         state_beside(like)
+        if linear:
+            solve_linear_beside(Model("position"))
 
-    called = {**_ENDS, **STATING, **STEPS, **(MODES if model.has_modes else {})}
+    called = {**_ENDS, **STATING, **STEPS, **(MODES if model.has_modes else {}), **(LINEAR if linear else {})}
     modes = lane_parts_of(like.preset, "lane-modes") if model.has_modes else ()
     return Rehearsal(
         run,
@@ -166,7 +174,12 @@ def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsa
 
 
 def _is_linear(model: Model, camera: GroundCamera | None) -> bool:
-    return camera is None and model.is_linear(pack([TRACK], model))
+    return camera is None and _may_be_linear(model)
+
+
+def _may_be_linear(model: Model) -> bool:
+    """Whether the linear solution is all there is to find, with a camera of tracks without pixels."""
+    return model.is_linear(pack([TRACK], model))
 
 
 def graph_rehearsal(model: Model) -> Rehearsal:

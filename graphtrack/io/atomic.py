@@ -62,8 +62,9 @@ def _told_of(path: Path, temporary: Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if error.path == str(temporary):
-            error.path = str(path)
+        if error.path is not None and Path(error.path).is_relative_to(temporary):
+            error.path = str(path / Path(error.path).relative_to(temporary))
+            error.args = (str(error),)
         raise
 
 

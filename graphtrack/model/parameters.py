@@ -232,7 +232,7 @@ class LikelihoodParameters(_Group):
     def position_stds(self, given: FloatArray | float | None, n: int) -> FloatArray:
         """1-σ (n,) in metres of positions; ``given``: what the data say, NaN or None where they do not."""
         if given is None:
-            return np.full(n, self.position_std)
+            return np.full(n, self.position_std, dtype=float)
         stated = np.full(n, given, dtype=float)
         return np.where(np.isfinite(stated), self.position_scale * stated, self.position_std)
 

@@ -233,7 +233,8 @@ def test_covariances_of_many_tracks_are_stated_as_those_of_one() -> None:
 
 def test_positions_of_many_tracks_are_those_of_one_and_stated_as_such() -> None:
     """In one pass, from records of the linear terms alone: as in two, from those of all terms."""
-    tracks = [*scene(3), replace(walk(2, seed=4), position_std=np.array([0.03, np.nan]))]
+    unseen = replace(walk(3, seed=5), position=np.full((3, 2), np.nan))
+    tracks = [*scene(3), unseen, replace(walk(2, seed=4), position_std=np.array([0.03, np.nan]))]
     lasting = Parameters(MotionParameters(lasting_std=0.4))
     for parameters in (Model("position").parameters, lasting):
         model = Model("position", replace(parameters, likelihood=LikelihoodParameters(robust="none")))

@@ -30,7 +30,8 @@ from graphtrack.inference import (
     track_online,
     warm_up,
 )
-from graphtrack.inference.warm import linear_rehearsal, offline_rehearsal, online_rehearsal
+from graphtrack.inference.chain.lane_stating import solve_and_state
+from graphtrack.inference.warm import lane_rehearsal, linear_rehearsal, offline_rehearsal, online_rehearsal
 from graphtrack.learning import solving
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
 from graphtrack.simulation.party import party
@@ -42,12 +43,14 @@ ROBUST = Parameters(likelihood=LikelihoodParameters(robust="cauchy", outlier_pro
 def machine_code(model: Model) -> dict[str, list[object]]:
     """The signatures of everything that smoothing and tracking with a model call."""
     called = {**offline_rehearsal(model, steps=True).called, **online_rehearsal(model).called}
+    called |= linear_rehearsal().called
     return {kernel.py_func.__name__: list(kernel.signatures) for kernel in called}
 
 
 @pytest.mark.parametrize("preset", ["joint", "full"])
 def test_no_track_needs_more_than_was_made_ready(preset: str) -> None:
-    warm_up(preset)
+    for name in ("position", preset):
+        warm_up(name)
     before = machine_code(Model(preset))
     assert all(before.values())
     camera = lens_camera()
@@ -67,7 +70,8 @@ def test_no_track_needs_more_than_was_made_ready(preset: str) -> None:
 
 AS_CALLED = """
 from graphtrack.inference import warm_up
-from graphtrack.inference.chain import advance, modes, mode_spread, newton, restart, stating, window_kernels
+from graphtrack.inference.chain import advance, engine, modes, mode_spread, newton, restart, start, stating
+from graphtrack.inference.chain import window_kernels
 from graphtrack.inference.parts import compile_parts
 
 parts = {"descent": newton.minimise, "grid": restart.find_other_basin, "leaving": window_kernels.let_go,
@@ -78,6 +82,10 @@ if PRESET == "full":
               "memory": advance.memory_in, "adding": advance.add_newest, "judging": advance.judge_modes,
               "concluding": advance.conclude}
 compile_parts(PRESET, "start", *parts)
+parts |= {"initialise": start.initialise, "finish": engine.finish}
+if PRESET == "full":
+    beside = advance.memory_for, advance.problem_in, advance.go_on, advance.tell_modes
+    parts |= {function.__name__: function for function in beside}
 before = {name: list(function.signatures) for name, function in parts.items()}
 warm_up(PRESET)
 for name, function in parts.items():
@@ -97,6 +105,16 @@ def test_parts_are_compiled_as_they_are_called(preset: str, tmp_path: Path) -> N
         check=False,
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_where_the_linear_solution_may_do_it_is_made_ready_too() -> None:
+    """With a camera it does for tracks without pixels, and learning takes Newton's steps besides."""
+    model, camera = Model("position"), lens_camera()
+    assert linear_rehearsal().called.items() <= offline_rehearsal(model, camera).called.items()
+    assert linear_rehearsal().called.items() <= offline_rehearsal(model, steps=True).called.items()
+    assert solve_and_state in lane_rehearsal(model).called
+    assert solve_and_state in lane_rehearsal(model, camera).called
+    assert solve_and_state not in lane_rehearsal(Model("joint")).called
 
 
 def test_a_linear_model_needs_the_linear_solution_alone() -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import os
+import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -61,7 +64,8 @@ def test_spare_work_is_taken_over_as_far_as_it_came(made: ModuleType, tmp_path: 
     with compiled_beside([f"import {made.__name__} as made; made.twice(1.0)"], spare) as taken_over:
         taken_over()
         assert not is_cold(made.twice)
-        while not came.exists():
+        deadline = time.monotonic() + 60.0
+        while not came.exists() and time.monotonic() < deadline:
             time.sleep(0.01)
     # Nobody has waited ten minutes.
     assert made.thrice(4.0) == 12.0
@@ -75,3 +79,33 @@ def test_what_fails_there_is_compiled_here(made: ModuleType, tmp_path: Path) -> 
         assert is_cold(made.twice)
     assert made.twice(4.0) == 8.0
     assert [path.name for path in (tmp_path / "kept").glob("compiling-*")] == []
+
+
+def test_spare_work_ends_with_whoever_it_is_for(made: ModuleType, tmp_path: Path) -> None:
+    """A process that is killed has no time to end the other one."""
+    came = tmp_path / "came"
+    killed = f"""
+import os, signal, time
+from graphtrack.model.kernels import beside
+beside.processors = lambda: 2
+spare = ["import time; time.sleep(0.5)", "open({str(came)!r}, 'w').close()"]
+with beside.compiled_beside(["pass"], spare) as wait:
+    wait()
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    done = subprocess.run([sys.executable, "-c", killed], env=environment, check=False)
+    assert done.returncode == -signal.SIGKILL
+    time.sleep(1.0)
+    assert not came.exists()
+
+
+def test_what_killed_processes_left_is_removed_after_a_while(made: ModuleType, tmp_path: Path) -> None:
+    old, new = tmp_path / "kept" / "compiling-old", tmp_path / "kept" / "compiling-new"
+    for folder in (old, new):
+        folder.mkdir(parents=True)
+    (old / "code.nbc").touch()
+    os.utime(old, (0.0, 0.0))
+    with compiled_beside(["pass"]) as taken_over:
+        taken_over()
+    assert not old.exists() and new.exists()

@@ -210,5 +210,6 @@ def test_scales_are_of_what_the_data_declare_alone() -> None:
     likelihood = LikelihoodParameters(position_scale=2.0, body_scale=3.0)
     given = np.array([0.2, np.nan])
     np.testing.assert_allclose(likelihood.position_stds(given, 2), [0.4, 0.1])
+    assert replace(likelihood, position_std=1).position_stds(None, 2).dtype == float
     np.testing.assert_allclose(likelihood.kappas("body", np.array([9.0, np.nan]), 2), [1.0, 4.0])
     np.testing.assert_allclose(likelihood.kappas("head", None, 2), [4.0, 4.0])

@@ -1,4 +1,4 @@
-"""The chain engine: whole tracks solved by compiled Newton steps (see `chain_kernels`)."""
+"""The chain engine: whole tracks solved by compiled Newton steps (see `newton`)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def solve_packed(
 
     Parameters
     ----------
-    packed : from `initial.pack_to_solve`, with the same model, which is a chain
+    packed : from `initial.pack` or `initial.pack_to_solve`, with the same model, which is a chain
     max_iterations : Newton steps a track
     tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
     restart : search a grid of orientations for a better basin where there may be one
@@ -64,9 +64,9 @@ def solve_packed(
     -------
     Result
         States in the world's frame, angles not wrapped. Covariances are those of the exact curvature where
-        that is positive definite. NaN for what the model does not have. Where couplings have modes, they are
-        weighed by the modes' probabilities. Costs are those given these weights; covariances contain what
-        is not known of the modes (see `mode_spread`).
+        that is positive definite, or as ``stating`` has them. NaN for what the model does not have. Where
+        couplings have modes, they are weighed by the modes' probabilities. Costs are those given these
+        weights; covariances contain what is not known of the modes (see `mode_spread`).
     """
     result, longest = empty_result(packed), int(np.diff(packed.offsets).max())
     if model.is_linear(packed):

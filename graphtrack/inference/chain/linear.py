@@ -40,8 +40,10 @@ class Linear(NamedTuple):
 
 def linear_part(packed: PackedTracks) -> Linear:
     """What the linear solution reads of packed tracks."""
-    rows, names = packed.numbers.reshape(len(packed.records), -1), packed.records.dtype.names or ()
-    return Linear(rows, Places(*map(names.index, Places._fields)), packed.origin, packed.offsets)
+    rows, fields = packed.numbers.reshape(len(packed.records), -1), packed.records.dtype.fields
+    assert fields is not None
+    places = Places(*(fields[name][1] // rows.itemsize for name in Places._fields))
+    return Linear(rows, places, packed.origin, packed.offsets)
 
 
 @apart

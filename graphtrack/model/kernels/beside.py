@@ -7,8 +7,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numba
@@ -17,7 +18,13 @@ from numba.core.dispatcher import Dispatcher
 from graphtrack.model.kernels.compiled import cache_home
 
 _DONE = "machine code is there"
-"""What the other process writes where nobody may wait for it any more."""
+"""What the other process writes once all that is waited for is there."""
+
+
+_OWN = "compiling-"
+"""Begins the names of folders that another process writes to."""
+_LONG = 3600.0
+"""Seconds after which nobody compiles any more."""
 
 
 def processors() -> int:
@@ -42,13 +49,18 @@ def compiled_beside(statements: Sequence[str], spare: Sequence[str] = ()) -> Ite
         yield lambda: None
         return
     # A folder of its own: two processes that write about one function at once would spoil each other's work.
-    own = Path(tempfile.mkdtemp(prefix="compiling-", dir=home))
+    own = Path(tempfile.mkdtemp(prefix=_OWN, dir=home))
     try:
+        _remove_leftovers(home)
         _seed(home, own)
         # It ends soon: collecting its garbage would take a sixth of its time.
-        lines = (f"import gc, sys; gc.disable(); sys.path[:] = {sys.path!r}", *statements)
+        first = f"import gc, os, sys; gc.disable(); sys.path[:] = {sys.path!r}"
+        # Where this process has been killed, nobody takes over what is spare.
+        wanted = f"os.getppid() == {os.getpid()} or sys.exit()"
+        lines = (first, *statements, f"print({_DONE!r}, flush=True)")
+        lines += tuple(line for one in spare for line in (wanted, one))
         with subprocess.Popen(
-            [sys.executable, "-c", "\n".join((*lines, f"print({_DONE!r}, flush=True)", *spare))],
+            [sys.executable, "-c", "\n".join(lines)],
             env={**os.environ, "NUMBA_CACHE_DIR": str(own)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -64,6 +76,14 @@ def compiled_beside(statements: Sequence[str], spare: Sequence[str] = ()) -> Ite
         _take_over(own, home)
     finally:
         shutil.rmtree(own, ignore_errors=True)
+
+
+def _remove_leftovers(home: Path) -> None:
+    """Remove the folders of processes that were killed: those that nobody has begun within the hour."""
+    for folder in home.glob(f"{_OWN}*"):
+        with suppress(OSError):
+            if time.time() - folder.stat().st_mtime > _LONG:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _seed(home: Path, own: Path) -> None:
@@ -93,10 +113,11 @@ def _link(path: Path, to: Path) -> None:
 def _take_over(own: Path, home: Path) -> None:
     """Move the machine code of functions that have none in ``home``; an index last, which names the rest."""
     for index in own.rglob("*.nbi"):
-        to = home / index.relative_to(own)
-        if to.exists():
+        to, codes = home / index.relative_to(own), list(index.parent.glob(f"{index.stem}.*.nbc"))
+        # An index is written before the code that it names.
+        if to.exists() or not codes:
             continue
         to.parent.mkdir(parents=True, exist_ok=True)
-        for code in index.parent.glob(f"{index.stem}.*.nbc"):
+        for code in codes:
             code.replace(to.parent / code.name)
         index.replace(to)
