@@ -146,3 +146,9 @@ def test_an_error_names_the_place_that_was_given(tmp_path: Path) -> None:
     assert str(caught.value) == f"{path}: found no package mcap, expected the extra"
     with pytest.raises(InputError, match=r"^other\.csv: "), atomic_path(path):
         raise InputError("nothing", "something", path="other.csv")
+
+
+def test_an_error_names_the_file_of_a_folder_as_it_will_be(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught, atomic_path(tmp_path / "out", directory=True) as temporary:
+        raise InputError("a", "b", path=temporary / "x.csv")
+    assert caught.value.args == (f"{tmp_path / 'out' / 'x.csv'}: found a, expected b",)
