@@ -14,7 +14,6 @@ from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.model import Model, States
-from graphtrack.model.kernels.layout import DT, record_type
 from graphtrack.model.kernels.packing import PackedTracks, RecordTypes
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
@@ -40,9 +39,7 @@ def pack_to_solve(tracks: Sequence[Track], model: Model, camera: GroundCamera | 
     """
     terms = model.terms  # what holds first orientations has nothing to hold
     if camera is None and not (model.has_body or model.has_head):
-        shared = record_type(field for term in terms for field in term.shared)
-        of_terms = record_type((DT, *(field for term in terms for field in term.fields)))
-        packed = PackedTracks.of(tracks, camera, terms, RecordTypes(of_terms, shared))
+        packed = PackedTracks.of(tracks, camera, terms, RecordTypes.of(terms))
         if model.is_linear(packed):
             return packed
     return pack(tracks, model, camera)

@@ -11,7 +11,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.later import gtsam
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import DT, Field, record_type
+from graphtrack.model.kernels.layout import Field
 from graphtrack.model.kernels.packing import FramePacker, PackedTracks, RecordTypes
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.parameters import Parameters
@@ -88,7 +88,7 @@ class Term(ABC):
     @cached_property
     def packer(self) -> FramePacker:
         """Packs single frames for this term alone."""
-        return FramePacker((self,), RecordTypes(record_type((DT, *self.fields)), record_type(self.shared)))
+        return FramePacker((self,), RecordTypes.of((self,)))
 
     def states(self, name: str) -> bool:
         """Whether the class itself says what ``name`` is: a parent's word may not hold for it."""

@@ -10,15 +10,14 @@ from graphtrack.geometry.angles import class_centres, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model import States, Term
 from graphtrack.model.kernels.kernel import Kernel
-from graphtrack.model.kernels.layout import BODY, DT, HEAD, record_type
+from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.packing import PackedTracks, RecordTypes
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
 
 
 def packed_alone(term: Term, track: Track, camera: GroundCamera | None = None) -> PackedTracks:
     """A track packed by one term."""
-    types = RecordTypes(record_type((DT, *term.fields)), record_type(term.shared))
-    return PackedTracks.of([track], camera, [term], types)
+    return PackedTracks.of([track], camera, [term], RecordTypes.of([term]))
 
 
 def rows_of(states: States) -> np.ndarray:

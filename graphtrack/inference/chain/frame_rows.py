@@ -11,6 +11,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.model import Model, Observation, Step
+from graphtrack.model.kernels.layout import number_rows
 from graphtrack.model.kernels.packing import FramePacker, PackedTracks
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
@@ -57,7 +58,7 @@ class FrameRows:
     def take(self, problem: Problem) -> None:
         """Use arrays that there are."""
         self.problem = problem
-        self.rows = problem.records.view(float).reshape(len(problem.records), -1)
+        self.rows = number_rows(problem.records)
         problem.shared[:] = self._packer(Observation(0.0, position=(0.0, 0.0)), None, True, None).shared
 
     def put(self, row: int, step: Step) -> PackedTracks:

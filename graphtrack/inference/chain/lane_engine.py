@@ -12,7 +12,7 @@ from graphtrack.inference.chain.lane_solver import solve_lanes
 from graphtrack.inference.chain.programs import OF_PRESETS
 from graphtrack.inference.chain.result import Result
 from graphtrack.model import Model
-from graphtrack.model.kernels.layout import BODY, HEAD
+from graphtrack.model.kernels.layout import BODY, HEAD, number_rows
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import gait_of
 
@@ -34,7 +34,7 @@ def solve_in_lanes(
     """
     lengths = np.diff(problem.offsets)
     order, longest = np.argsort(-lengths, kind="stable"), int(lengths.max())
-    numbers = problem.records.view(float).reshape(len(problem.records), -1)
+    numbers = number_rows(problem.records)
     memory = lane_memory(longest, numbers.shape[1])
     if not model.has_modes:
         solve_lanes(problem, numbers, order, max_iterations, tolerances[1], restart, memory, result)

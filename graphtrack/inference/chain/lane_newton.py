@@ -28,15 +28,14 @@ from graphtrack.model.kernels.lanes import (
     row_of,
     store,
 )
-from graphtrack.model.kernels.layout import N
+from graphtrack.model.kernels.layout import N, place_in_row
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import FRAME
 
 
 def place_of(field: str) -> int:
     """Where a number stands in a frame's record, as one row of numbers."""
-    assert FRAME.fields is not None
-    return int(FRAME.fields[field][1]) // 8
+    return place_in_row(field, FRAME)
 
 
 class LaneMemory(NamedTuple):

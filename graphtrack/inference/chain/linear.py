@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE, Result
 from graphtrack.model.kernels.compiled import apart, inner
-from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
+from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y, number_rows, place_in_row
 from graphtrack.model.kernels.packing import PackedTracks
 
 
@@ -40,10 +40,8 @@ class Linear(NamedTuple):
 
 def linear_part(packed: PackedTracks) -> Linear:
     """What the linear solution reads of packed tracks."""
-    rows, fields = packed.numbers.reshape(len(packed.records), -1), packed.records.dtype.fields
-    assert fields is not None
-    places = Places(*(fields[name][1] // rows.itemsize for name in Places._fields))
-    return Linear(rows, places, packed.origin, packed.offsets)
+    places = Places(*(place_in_row(name, packed.records.dtype) for name in Places._fields))
+    return Linear(number_rows(packed.records), places, packed.origin, packed.offsets)
 
 
 @apart

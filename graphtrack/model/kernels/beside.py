@@ -19,8 +19,6 @@ from graphtrack.model.kernels.compiled import cache_home
 
 _DONE = "machine code is there"
 """What the other process writes once all that is waited for is there."""
-
-
 _OWN = "compiling-"
 """Begins the names of folders that another process writes to."""
 _LONG = 3600.0

@@ -47,3 +47,14 @@ DT = Field("dt", "seconds since the person's frame before; 0 at the first")
 def record_type(fields: Iterable[Field]) -> np.dtype:
     """Records of floats with such fields, each once."""
     return np.dtype([(f.name, float, f.shape) for f in dict.fromkeys(fields)])
+
+
+def number_rows(records: np.ndarray) -> np.ndarray:
+    """The same records (n,) as rows (n, numbers) of floats, in the same memory."""
+    return records.view(float).reshape(len(records), -1)
+
+
+def place_in_row(field: str, record: np.dtype) -> int:
+    """Where a number stands in such a row."""
+    assert record.fields is not None
+    return int(record.fields[field][1]) // 8

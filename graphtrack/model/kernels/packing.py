@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.model.kernels.layout import DT, record_type
 from graphtrack.model.observation import CHANNELS, Observation
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
 
@@ -168,6 +169,12 @@ class RecordTypes(NamedTuple):
 
     frame: np.dtype
     shared: np.dtype
+
+    @classmethod
+    def of(cls, terms: Sequence[Term]) -> RecordTypes:
+        """With the fields of some terms, and no others."""
+        frame = record_type((DT, *(field for term in terms for field in term.fields)))
+        return cls(frame, record_type(field for term in terms for field in term.shared))
 
 
 _KINDS = 256
