@@ -82,7 +82,7 @@ def solve_window(
             _, cost, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
     if status == NOT_FINITE:
         return False
-    again, prior = np.empty((last + 1, N)), problem.prior.copy()
+    again = np.empty((last + 1, N))
     if have_strayed(problem, track, here):
         # The loss is not convex: whoever has followed false positions may have to be looked for elsewhere.
         if kept > 0:
@@ -91,10 +91,12 @@ def solve_window(
         assign(again, here)
         find_by_squares(problem, track, again, max_iterations, tolerance, memory)
         leap = _LEAP * problem.shared[0].robust_threshold ** 2
+        prior = problem.prior  # stays as it is
         cost, exact = move_if_less(problem, here, again, cost, leap, prior, max_iterations, tolerance, memory)
     if search and find_other_basin(problem, track, here, AT_END, again):
         if kept > 0:
             cost, _ = sweep_forward(problem, track, here[0].copy(), here, full, memory)
+        prior = problem.prior.copy()
         turn_past(problem.prior, here, again)
         cost, exact = move_if_less(problem, here, again, cost, 0.0, prior, max_iterations, tolerance, memory)
     if not exact and not sweep_forward(problem, track, here[0].copy(), here, not full, memory)[1]:
