@@ -1,41 +1,83 @@
-"""The file that ``graphtrack track - --state`` goes on from: what was known at one row, and every row since.
+"""State file of ``graphtrack track - --state``: a snapshot at one row, and a journal of every row since.
 
-A line is a JSON value behind the checksum of its text. Lines are added one by one; a whole new content takes
-the place of the old one at once. What is added while that is being written is added to both.
+A line is a JSON value behind a digest of its text and of all lines before it, so that a line which is
+missing, repeated, moved or taken from another file is found. Lines are appended one by one; a new snapshot
+replaces the whole file at once. Lines that arrive while it is being written are appended to both files.
+
+A file that was cut between two lines of the journal is not damaged: a power failure leaves one like it. The
+reader reports the number of rows that the file holds, and the sender repeats the rows after them.
 """
 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import os
 import queue
 import re
 import stat
 import threading
-import zlib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from graphtrack.errors import InputError
 from graphtrack.io.json_lines import encoded
 
-_SEALED = re.compile(rb"[0-9a-f]{8} ")
+_DIGEST_BYTES = 8
+_SEALED = re.compile(rb"[0-9a-f]{%d} " % (2 * _DIGEST_BYTES))
+_OLD_SEAL = re.compile(rb"[0-9a-f]{8} ")
+"""Lines of version 0.1: a checksum of each line alone."""
 _EXPECTED = "a file that 'graphtrack track - --state' wrote"
+_REMEDY = "; restore a copy of the file, or remove it to start the stream from its first row"
 
 
-def seal(value: Any) -> bytes:
-    """A JSON-able value as a line of the file."""
-    text = encoded(value).encode()
-    return b"%08x %s\n" % (zlib.crc32(text), text)
+def to_line(value: Any) -> bytes:
+    """Encode a JSON-able value as the text of a line, without digest and line end."""
+    return encoded(value).encode()
 
 
-def unseal(line: bytes) -> Any:
-    """The inverse of `seal`, of a line without its end; ValueError if it is damaged."""
-    text = line[9:]
-    if not _SEALED.match(line) or int(line[:8], 16) != zlib.crc32(text):
-        raise ValueError("a line that is not as it was written")
-    return json.loads(text)
+class Seal:
+    """Running digest of the lines of one file."""
+
+    def __init__(self) -> None:
+        self._digest = b""
+
+    def close(self, texts: Iterable[bytes]) -> bytes:
+        """Return lines as they stand in the file, each behind its digest."""
+        sealed = bytearray()
+        for text in texts:
+            self._advance(text)
+            sealed += b"%s %s\n" % (self._digest, text)
+        return bytes(sealed)
+
+    def open(self, line: bytes) -> bytes:
+        """Return the text of the next line, given without its end; ValueError if the digest differs."""
+        text = line[2 * _DIGEST_BYTES + 1 :]
+        self._advance(text)
+        if line[: -len(text) or None] != self._digest + b" ":
+            raise ValueError("a line that is not as it was written")
+        return text
+
+    def _advance(self, text: bytes) -> None:
+        self._digest = hashlib.blake2b(self._digest + text, digest_size=_DIGEST_BYTES).hexdigest().encode()
+
+
+def sealed(values: Iterable[Any]) -> bytes:
+    """Return the content of a file that holds these values."""
+    return Seal().close(map(to_line, values))
+
+
+class _Content:
+    """An open file that lines are appended to."""
+
+    def __init__(self, file: int, seal: Seal) -> None:
+        self.file, self._seal = file, seal
+
+    def append(self, texts: Iterable[bytes]) -> None:
+        """Append lines; OSError if the file cannot take them."""
+        _write(self.file, self._seal.close(texts))
 
 
 class StateFile:
@@ -51,8 +93,8 @@ class StateFile:
 
     Attributes
     ----------
-    entries : what the file held, a value a line; empty if it was not there. A last line without its end, as
-        a killed process leaves it, is none.
+    entries : the values of the file's lines; empty if it was not there. A last line without its end, as a
+        killed process leaves it, is none; it is removed when the next line is appended.
 
     Raises
     ------
@@ -68,12 +110,14 @@ class StateFile:
             file, self._is_there = self._claim()
         except OSError as error:
             raise self._failure(error) from error
+        self._cut_at: int | None = None
         try:
-            self.entries = self._read(file) if self._is_there else []
+            seal = Seal()
+            self.entries = self._read(file, seal) if self._is_there else []
         except BaseException:
             os.close(file)
             raise
-        self._files = [file]
+        self._contents = [_Content(file, seal)]
         self._mutex = threading.Lock()
         self._since: list[bytes] | None = None
         self._jobs: queue.Queue[list[bytes] | None] = queue.Queue()
@@ -97,27 +141,30 @@ class StateFile:
         InputError
             If that failed, or flushing or replacing has since the last call.
         """
-        line = seal(value)
+        text = to_line(value)
         with self._mutex:
             try:
                 self._raise()
-                for file in self._files:
-                    _write(file, line)
+                if self._cut_at is not None:
+                    os.ftruncate(self._contents[0].file, self._cut_at)
+                    self._cut_at = None
+                for content in self._contents:
+                    content.append([text])
             except OSError as error:
                 raise self._failure(error) from error
             self._unsynced = True
             if self._since is not None:
-                self._since.append(line)
+                self._since.append(text)
 
     def mark(self) -> None:
-        """What is added from now on comes after the next new content too."""
+        """Keep what is appended from now on for the next new content too."""
         with self._mutex:
             self._since = []
 
-    def replace(self, lines: list[bytes]) -> None:
-        """Begin to write a new content, sealed, of what was known at the `mark`."""
+    def replace(self, texts: list[bytes]) -> None:
+        """Begin to write a new content: lines from `to_line`, of the state at the `mark`."""
         self._idle.clear()
-        self._jobs.put(lines)
+        self._jobs.put(texts)
 
     def wait(self) -> None:
         """Until the new content is in its place.
@@ -134,12 +181,12 @@ class StateFile:
             raise self._failure(error) from error
 
     def close(self) -> None:
-        """Let go of the file. It stays as it is."""
+        """Close the file and release its lock. Its content stays."""
         self._jobs.put(None)
         self._thread.join()
         if not self._is_there:
             self._new.unlink(missing_ok=True)
-        os.close(self._files[0])
+        os.close(self._contents[0].file)
 
     # -- the file ------------------------------------------------------------------------------------------
 
@@ -173,7 +220,7 @@ class StateFile:
                 raise InputError(found, "one process at a time", path=self.path) from error
             os.close(file)
 
-    def _read(self, file: int) -> list[Any]:
+    def _read(self, file: int, seal: Seal) -> list[Any]:
         with os.fdopen(os.dup(file), "rb") as stream:
             stream.seek(0)
             data = stream.read()
@@ -181,16 +228,19 @@ class StateFile:
         entries = []
         for number, line in enumerate(data[:end].split(b"\n")[:-1], 1):
             try:
-                entries.append(unseal(line))
-            except ValueError as error:
+                entries.append(json.loads(seal.open(line)))
+            except (ValueError, RecursionError) as error:
+                if number == 1 and _OLD_SEAL.match(line):
+                    found = "a state of an older version"
+                    raise InputError(found, "one of this version" + _REMEDY, path=self.path) from error
                 if number == 1 and not _SEALED.match(line):
                     raise InputError("no saved state", _EXPECTED, path=self.path) from error
-                found = "a damaged line (its checksum does not fit)"
-                expected = "the line as it was written; without the file a stream begins anew"
+                found = "a damaged line, or one before it is missing (their digest differs)"
+                expected = "the lines as they were written" + _REMEDY
                 raise InputError(found, expected, path=self.path, line=number) from error
         if not entries:
             raise InputError("no saved state", _EXPECTED, path=self.path)
-        os.ftruncate(file, end)
+        self._cut_at = end if end < len(data) else None
         return entries
 
     def _tend(self) -> None:
@@ -207,33 +257,35 @@ class StateFile:
                     self._write_anew(lines)
                 if self._unsynced:
                     self._unsynced = False
-                    os.fsync(self._files[0])
+                    os.fsync(self._contents[0].file)
             except OSError as error:
                 self._error = error
             if lines:
                 self._idle.set()
 
-    def _write_anew(self, lines: list[bytes]) -> None:
-        before = file = self._files[0]
+    def _write_anew(self, texts: list[bytes]) -> None:
+        before = self._contents[0]
+        file = before.file
         if self._is_there:
             file = os.open(self._new, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
             fcntl.flock(file, fcntl.LOCK_EX)
-            os.fchmod(file, stat.S_IMODE(os.fstat(before).st_mode))
+            os.fchmod(file, stat.S_IMODE(os.fstat(before.file).st_mode))
         os.ftruncate(file, 0)
-        for line in lines:
-            _write(file, line)
+        content = _Content(file, Seal())
+        for block in _blocks(texts):
+            content.append(block)
         os.fsync(file)
         with self._mutex:
-            _write(file, b"".join(self._since or ()))
+            content.append(self._since or ())
             self._since = None
-            # Whichever of the two has the name at a moment has every line; `append` need not wait.
-            self._files = [before, file] if self._is_there else [file]
+            # Both files get every line until the name has moved, so that `append` need not wait.
+            self._contents = [before, content] if self._is_there else [content]
         self._new.replace(self._final)
         with self._mutex:
-            self._files = [file]
+            self._contents = [content]
             self._is_there = self._unsynced = True
-        if before != file:
-            os.close(before)
+        if before.file != file:
+            os.close(before.file)
         folder = os.open(self._final.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -254,6 +306,12 @@ def _is_at(file: int, place: Path) -> bool:
         return os.path.samestat(os.fstat(file), place.stat())
     except FileNotFoundError:
         return False
+
+
+def _blocks(texts: list[bytes]) -> Iterator[list[bytes]]:
+    """Lines in groups of a hundred, so that large states are never in memory twice."""
+    for start in range(0, len(texts), 100):
+        yield texts[start : start + 100]
 
 
 def _write(file: int, data: bytes) -> None:
