@@ -226,7 +226,7 @@ def _parts(entries: list[Any]) -> tuple[dict[str, Any], list[dict[str, Any]], li
         raise InputError("a state of another version", f"version {_VERSION}")
     for name, kind in _HEADER.items():
         value = header.get(name)
-        if type(value) is not kind or (kind is int and value < 0):
+        if type(value) is not kind or (isinstance(value, int) and value < 0):
             expected = "an object" if kind is dict else "a whole number from 0 on"
             raise InputError(f"a header with {name} = {value!r}", expected)
     count = header["people"]

@@ -296,7 +296,7 @@ def _estimate(saved: dict[str, Any]) -> Estimate:
     aligned, offset = _nans(saved["modes"]).tolist()
     return Estimate(
         number(saved["t"]),
-        None if saved["frame"] is None else whole(saved["frame"]),
+        whole(saved["frame"]),
         state[:2],
         state[2:4],
         float(state[4]),
