@@ -129,6 +129,26 @@ def check_positive(name: str, value: float | None, highest: float) -> None:
         raise InputError(f"{name} = {value}", f"a positive number up to {highest:g}")
 
 
+def check_count(name: str, value: object) -> None:
+    """Raise InputError unless a setting is a whole number, 1 at least."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise InputError(f"{name} = {value!r}", "a whole number, at least 1")
+
+
+def real_numbers(given: Any) -> NDArray[np.float64]:
+    """An array of doubles, a copy; complex numbers are refused, whose imaginary part NumPy would drop.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything else than real numbers.
+    """
+    value = np.asarray(given)
+    if np.iscomplexobj(value):
+        raise TypeError("complex numbers, of which only real ones can be used")
+    return np.array(value, dtype=float)
+
+
 def check_frame_rate(fps: float | None) -> None:
     """Raise InputError unless frames a second are a number above 0, or None."""
     check_positive("fps", fps, 1e6)

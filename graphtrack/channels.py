@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from graphtrack.bounds import INPUT, bounds_of, out_of_bounds
+from graphtrack.bounds import INPUT, bounds_of, out_of_bounds, real_numbers
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.table import schema
@@ -24,7 +24,7 @@ def checked_channel(name: str, given: Any, shape: tuple[int, ...], track: Track)
         If it is none, or a number is out of its bounds.
     """
     try:
-        value = np.array(given, dtype=float)
+        value = real_numbers(given)
     except (TypeError, ValueError) as error:
         found = f"{name} of track {track.track_id} that is no array of numbers ({error})"
         raise InputError(found, f"shape {shape}") from error

@@ -37,7 +37,7 @@ def html_pairs(caption: str, pairs: Mapping[str, object]) -> str:
 
 def listed(names: Iterable[object], most: int = MOST) -> str:
     """Names with commas; of many the first and how many more."""
-    known = [str(name) for name in names]
+    known = [one if len(one := str(name)) <= 2 * LONGEST else f"{one[: LONGEST - 1]}…" for name in names]
     more = f" and {len(known) - most} more" if len(known) > most else ""
     return ", ".join(known[:most]) + more
 

@@ -8,8 +8,8 @@ import pytest
 from documents import ROOT, blocks, commands, run
 
 import graphtrack as gt
-from graphtrack.cli.main import app as graphtrack_app
-from perception.cli.main import app as perception_app
+from graphtrack.cli.commands import app as graphtrack_app
+from perception.cli.commands import app as perception_app
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = blocks("README.md")

@@ -9,8 +9,8 @@ import typer
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-from graphtrack.cli.main import app as graphtrack_app
-from perception.cli.main import app as perception_app
+from graphtrack.cli.commands import app as graphtrack_app
+from perception.cli.commands import app as perception_app
 
 PROGRAMS = {"graphtrack": graphtrack_app, "perception": perception_app}
 MARKS = re.compile(r"[*_|<\\]")

@@ -53,13 +53,19 @@ console = PlainConsole(stderr=True, soft_wrap=True)
 
 BAD_INPUT = 2
 
+_LONGEST = 2000
+"""Characters of an error message, beyond which its middle is left out."""
+
 WIDE = 160
 """Columns of a table that goes into a file or a pipe, where no terminal says how many there are."""
 
 
 def fail(message: str) -> None:
     """Print one line of error and end with status 2."""
-    print(f"error: {printable(message, one_line=True)}", file=sys.stderr)
+    message = printable(message, one_line=True)
+    if len(message) > _LONGEST:
+        message = f"{message[: _LONGEST // 2]} … {message[-_LONGEST // 2 :]}"
+    print(f"error: {message}", file=sys.stderr)
     raise SystemExit(BAD_INPUT)
 
 

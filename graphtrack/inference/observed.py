@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.bounds import FIELDS, FINITE, LARGEST_SECONDS, Bounds
+from graphtrack.bounds import FIELDS, FINITE, LARGEST_SECONDS, Bounds, real_numbers
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Observation
@@ -29,6 +29,9 @@ def checked(observation: Observation) -> Observation:
         Naming the channel: a value that is no number within the bounds of `graphtrack.bounds`, or several
         where there should be one or another number of them; or an input that has no numbers.
     """
+    if not isinstance(observation, Observation):
+        found = "None" if observation is None else f"a {type(observation).__name__}"
+        raise InputError(found, "an Observation; its channels are None where nothing was observed")
     if observation.inputs:
         observation = replace(observation, inputs=_checked_inputs(observation.inputs))
     try:
@@ -54,7 +57,7 @@ def _checked_inputs(inputs: Mapping[str, Any]) -> dict[str, float | tuple[float,
 
 def _numbers(value: object) -> FloatArray | None:
     try:
-        return np.asarray(value, dtype=float)
+        return real_numbers(value)
     except (TypeError, ValueError):
         return None
 

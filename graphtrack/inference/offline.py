@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 
+from graphtrack.bounds import check_count
 from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
@@ -18,6 +19,7 @@ from graphtrack.inference.chain.engine import is_chain, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
 from graphtrack.inference.chain.side_by_side import those_beside
 from graphtrack.inference.chain.stating import stating_of
+from graphtrack.inference.extremes import not_finite
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack_to_solve
 from graphtrack.inference.social import lacks_groups, solve_in_turn
@@ -139,6 +141,8 @@ def solve_tracks(
     ``n_frames``: person-frames of all the work that the tracks are a part of, if there are others.
     """
     options = SolverOptions() if options is None else options
+    if jobs is not None:
+        check_count("jobs", jobs)
     if model.has_groups and lacks_groups(tracks):
         again = partial(
             solve_tracks, model=model, engine=engine, jobs=jobs, options=options, progress=progress
@@ -321,7 +325,7 @@ def _solve_chains(
         if not positioned[m]:
             answers.append(Failure(track.track_id, NO_POSITION))
         elif status[m] == NOT_FINITE:
-            answers.append(Failure(track.track_id, "the estimate is not finite"))
+            answers.append(Failure(track.track_id, not_finite(track, model)))
         else:
             answers.append(
                 Solution(

@@ -22,6 +22,7 @@ from graphtrack.geometry.angles import FloatArray, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain
 from graphtrack.inference.chain.window import ChainWindow, extend_together
+from graphtrack.inference.extremes import with_extreme_of
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.guided import Guided
 from graphtrack.inference.graph.isam import Isam2
@@ -368,6 +369,9 @@ class OnlineSmoother:
 
     def _failed(self, observation: Observation, error: Exception) -> Estimate:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
+        steps = self._smoother.steps
+        seen = [*(step.observation for step in steps), observation]
+        reason = with_extreme_of(reason, seen, self.model)
         return replace(self._unchanged(observation, "failed"), reason=reason)
 
     def _waiting(self, observation: Observation) -> Estimate:

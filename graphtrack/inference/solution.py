@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -9,7 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.bounds import check_count
 from graphtrack.display import counted, html_pairs, line_of_track
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.sway import kept_shares, lagging, seconds_behind, swaying, turn_lags
@@ -36,6 +39,13 @@ class SolverOptions:
     relative_tolerance: float = 1e-9
     step_tolerance: float = 1e-6
     restart: bool = True
+
+    def __post_init__(self) -> None:
+        check_count("max_iterations", self.max_iterations)
+        for name in ("relative_tolerance", "step_tolerance"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < math.inf:
+                raise InputError(f"{name} = {value!r}", "a finite number that is not negative")
 
 
 @dataclass(frozen=True, eq=False)

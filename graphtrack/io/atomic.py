@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from graphtrack.errors import GraphtrackError, InputError
+from graphtrack.errors import InputError
+from graphtrack.io.library_errors import described, write_errors
 from graphtrack.io.places import check_place, destination
 
 _UNFINISHED = ".unfinished"
@@ -46,14 +47,15 @@ def atomic_path(path: str | Path, *, directory: bool = False) -> Iterator[Path]:
             temporary = scratch / path.name
             if directory:
                 temporary.mkdir()
-            with _told_of(given, temporary):
+            with write_errors(given, scratch), _told_of(given, temporary):
                 yield temporary
             _flush(temporary)
             _match_mode(temporary, path)
             temporary.replace(path)
             _flush_entry(path.parent)
     except OSError as error:
-        raise _cannot_write(given, error) from error
+        found = f"{described(error)} when writing"
+        raise InputError(found, "a place that can be written to", path=given) from error
 
 
 @contextmanager
@@ -66,10 +68,6 @@ def _told_of(path: Path, temporary: Path) -> Iterator[None]:
             error.path = str(path / Path(error.path).relative_to(temporary))
             error.args = (str(error),)
         raise
-
-
-def _cannot_write(path: Path, error: OSError) -> GraphtrackError:
-    return InputError(f"{error.strerror or error} when writing", "a place that can be written to", path=path)
 
 
 @contextmanager

@@ -100,6 +100,9 @@ class ReadOptions:
             object.__setattr__(self, "columns", parse_columns(self.columns))
         object.__setattr__(self, "delimiter", delimiter_of(self.delimiter))
         check_decimal(self.decimal)
+        if self.delimiter is not None and self.delimiter == self.decimal:
+            found = f"delimiter and decimal {self.delimiter!r}"
+            raise InputError(found, "two different marks, such as --delimiter ';' --decimal ,")
         check_encoding(self.encoding)
         self.layout()
 

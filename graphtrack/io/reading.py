@@ -18,9 +18,11 @@ from graphtrack.io.delimiters import other_delimiter
 from graphtrack.io.folders import sequence_file, table_in
 from graphtrack.io.hints import hinted
 from graphtrack.io.layout import Layout
+from graphtrack.io.library_errors import read_errors
 from graphtrack.io.marks import as_told
 from graphtrack.io.merging import merged_tracks
 from graphtrack.io.options import ReadOptions
+from graphtrack.io.readers.native_parquet import has_moments
 from graphtrack.io.registry import (
     Format,
     detect,
@@ -232,7 +234,8 @@ def _opened(path: str | Path, options: ReadOptions) -> Source:
     if options.topic is not None or options.fixed_frame is not None:
         found = "--topic or --fixed-frame with a file that is no ROS 2 recording"
         raise InputError(found, "a bag or MCAP file", path=path)
-    return as_told(Source.open(place), options.delimiter, options.decimal, options.encoding)
+    with read_errors(place):
+        return as_told(Source.open(place), options.delimiter, options.decimal, options.encoding)
 
 
 def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
@@ -257,7 +260,10 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
         if not source.data and chosen.name != BAG:
             raise InputError(f"format {chosen.name!r} of a ROS 2 recording", BAG, path=path)
         try:
-            return chosen.read(source, options)
+            with read_errors(source.path):
+                if chosen.name == "parquet" and has_moments(source):
+                    return rows_of_table(_cells(source, "parquet", Layout()), options)
+                return chosen.read(source, options)
         except InputError as error:
             if chosen.write_columns is None:  # what other formats hold cannot be told otherwise
                 raise
@@ -265,7 +271,8 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
     taking = format_taking(source, format)
     if taking is not None:
         _check_taken(taking, options, source.path)
-        return taking.read(source, options)
+        with read_errors(source.path):
+            return taking.read(source, options)
     return rows_of_table(_cells(source, format, layout), options)
 
 
@@ -286,7 +293,8 @@ def _answer(path: str | Path, format: str | None, options: ReadOptions) -> Cells
         if value is not None:
             raise InputError(f"{name} with sql", "one of them: a query has its own", path=path)
     assert options.sql is not None
-    return cells_of_query(place_of(path), options.sql)
+    with read_errors(place_of(path)):
+        return cells_of_query(place_of(path), options.sql)
 
 
 def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:

@@ -118,7 +118,7 @@ def detect(source: Source) -> Format:
     for candidate in formats():
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
-    is_text = b"\0" not in source.head or source.utf16 is not None
+    is_text = b"\0" not in source.head or source.wide is not None
     if is_text and (error := other_delimiter(source)) is not None:
         raise error
     known = ", ".join(f.name for f in formats() if f.is_read)

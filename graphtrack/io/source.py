@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import gzip
 import io
 import zlib
@@ -20,12 +22,25 @@ HEAD_BYTES = 8192
 """How much of a file the formats may look at to recognise it."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
-_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_MARKS = {
+    codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16, whose mark it begins with
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+"""Byte order marks, and the encoding of what begins with one."""
+
+_CHUNK = 2**20
+_HIGHEST_RATIO, _RATIO_FROM = 200, 2**26
+"""A packed file that has so many bytes, and so many for each packed one, is refused; tables have 3 to 30."""
+_SHORTEST, _LINES_FROM = 4, 10**6
+"""Characters of a line on the average, below which a text of so many lines is refused: a row has 9."""
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """One input file in memory, gunzipped if it was packed; UTF-16 with its mark at the beginning as UTF-8.
+    """One input file in memory, gunzipped if it was packed; UTF-16 and UTF-32 with
+    their mark at the beginning as UTF-8.
 
     Attributes
     ----------
@@ -61,8 +76,9 @@ class Source:
             raise InputError(str(error), "a readable file", path=path) from error
         if data.startswith(_GZIP_MAGIC):
             data = _gunzip(data, path)
-        if data.startswith(_UTF16_MARKS):
-            data = _from_utf16(data)
+        encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), None)
+        if encoding is not None:
+            data = _decoded(data, encoding)
         if not data:
             raise InputError("an empty file", "rows", path=path)
         return cls(path, data)
@@ -73,9 +89,16 @@ class Source:
         return self.data[:HEAD_BYTES]
 
     @cached_property
-    def utf16(self) -> str | None:
-        """The name of the UTF-16 encoding that the content seems to have, without a mark; None for others."""
-        # Of most characters one byte is null, and always the same one.
+    def wide(self) -> str | None:
+        """The UTF-16 or UTF-32 encoding that the content seems to have, without a mark; None for others."""
+        for name in ("UTF-32LE", "UTF-32BE"):
+            # No UTF-16 text and hardly any binary file is valid UTF-32.
+            whole = self.head[: len(self.head) // 4 * 4]
+            if len(whole) >= 8:
+                with contextlib.suppress(UnicodeError):
+                    if "\0" not in whole.decode(name):
+                        return name
+        # Of most characters in UTF-16 one byte is null, and always the same one.
         first, second = self.head[::2], self.head[1::2]
         for nulls, others, name in ((second, first, "UTF-16LE"), (first, second, "UTF-16BE")):
             if nulls.count(0) > 0.8 * len(nulls) and 0 not in others:
@@ -91,9 +114,10 @@ class Source:
         InputError
             On binary files and other encodings, with the line of the first bad byte.
         """
-        if self.utf16 is not None:
-            expected = f"UTF-8 text, or UTF-16 with a mark at its beginning; --encoding {self.utf16} reads it"
-            raise InputError("UTF-16 text", expected, path=self.path, line=1)
+        if self.wide is not None:
+            kind = self.wide[:6]
+            expected = f"UTF-8 text, or {kind} with a mark at its beginning; --encoding {self.wide} reads it"
+            raise InputError(f"{kind} text", expected, path=self.path, line=1)
         null = self.data.find(b"\0")
         if null >= 0:
             raise InputError("a null byte (a binary file?)", "text", path=self.path, line=self._line(null))
@@ -117,7 +141,12 @@ class Source:
         InputError
             For a carriage return within a line, which some readers take for an end and others do not.
         """
-        lines = [line.removesuffix("\r") for line in self.text.split("\n")]
+        text = self.text
+        count = text.count("\n")
+        if count >= _LINES_FROM and len(text) < (1 + _SHORTEST) * count:
+            found = f"{count} lines of fewer than {_SHORTEST} characters on the average"
+            raise InputError(found, "rows of a table", path=self.path)
+        lines = [line.removesuffix("\r") for line in text.split("\n")]
         if "\r" in self.text:
             for number, line in enumerate(lines, 1):
                 if "\r" in line:
@@ -149,19 +178,30 @@ def _read_limited(stream: io.BufferedIOBase, path: Path) -> bytes:
     return data
 
 
-def _from_utf16(data: bytes) -> bytes:
+def _decoded(data: bytes, encoding: str) -> bytes:
     """The text as UTF-8; as it is where it is none, and where it is XML, which says its encoding itself."""
     try:
-        text = data.decode("utf-16")
+        text = data.decode(encoding)
         return data if text.lstrip().startswith("<") else text.encode()
     except UnicodeError:
         return data
 
 
 def _gunzip(data: bytes, path: Path) -> bytes:
+    """The unpacked content; of a file that unpacks without end as much as says so."""
+    chunks: list[bytes] = []
+    size = 0
     try:
         with gzip.open(io.BytesIO(data)) as stream:
-            return _read_limited(stream, path)
+            while chunk := stream.read(_CHUNK):
+                chunks.append(chunk)
+                size += len(chunk)
+                if size > _RATIO_FROM and size > _HIGHEST_RATIO * len(data):
+                    found = f"a gzip file that unpacks to more than {_HIGHEST_RATIO} times its size"
+                    raise InputError(found, "a table; unpack it first if it is one", path=path)
+                if size > MAX_BYTES:
+                    raise InputError(f"more than {MAX_BYTES} bytes", "a smaller file", path=path)
     except (EOFError, zlib.error, OSError) as error:
         found = f"a cut or damaged gzip file ({error})"
         raise InputError(found, "a whole one", path=path) from error
+    return b"".join(chunks)

@@ -10,7 +10,7 @@ from typing import Any
 
 import tomli_w
 
-from graphtrack.display import html_table, listed
+from graphtrack.display import html_table, listed, shortened
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
@@ -267,6 +267,8 @@ class Model:
             return model
         if isinstance(model, str) and model in presets:
             return cls(model)
-        if Path(model).suffix == ".toml":
+        if isinstance(model, str | Path) and Path(model).suffix == ".toml":
             return cls.load(model)
-        raise InputError(f"model {str(model)!r}", f"one of {', '.join(presets)}, or a model file (.toml)")
+        raise InputError(
+            f"model {shortened(str(model))}", f"one of {', '.join(presets)}, or a model file (.toml)"
+        )

@@ -96,7 +96,7 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
     Raises
     ------
     InputError
-        For a value that cannot be right; its line is the number of the row in the data set, from 0. Or if the
+        For a value that cannot be right; its line is the number of the row in the data set, from 1. Or if the
         worker has another version of this package than the one that sent the job.
     """
     here = version("graphtrack")
@@ -114,7 +114,7 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
         path=work.path,
         format="parquet",
         fps=work.read_options.fps,
-        line_of=lambda row: int(number[row]),
+        line_of=lambda row: int(number[row]) + 1,
     )
     tracks = TrackSet.from_rows(place_pixels(native, work.read_options))
     speeds = Speeds.of(tracks)

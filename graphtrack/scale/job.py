@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.bounds import INPUT
+from graphtrack.display import listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
@@ -181,14 +182,14 @@ def _write(
         except InputError as error:
             if error.path != str(dataset.path) or error.line is None:
                 raise
-            raise dataset.fail(error.found, error.expected, error.line, error.column) from error
+            raise dataset.fail(error.found, error.expected, error.line - 1, error.column) from error
     if not n_tracks:
         wanted = " or ".join(work.select)
         raise InputError(f"no track that matches {wanted}", "a label or id that is there", path=dataset.path)
     if n_sorted:
         said[f"the frames of {n_sorted} of the tracks were out of order and have been sorted"] = None
     if dataset.ignored:
-        said[f"ignored columns {', '.join(dataset.ignored)}"] = None
+        said[f"ignored columns {listed(dataset.ignored)}"] = None
     if speeds.note is not None:
         said[speeds.note] = None
     return Outcome(n_tracks, writer.n_rows, work.engine, tuple(failures), tuple(unconverged), tuple(said))

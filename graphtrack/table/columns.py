@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.bounds import INPUT, SHAPES, STATE, check_frame_rate
+from graphtrack.display import listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.table import schema
@@ -79,7 +80,7 @@ def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = N
     check_frame_rate(fps)
     table = frame_of(table)
     names = [str(name) for name in table.columns]
-    twice = next((name for name in names if names.count(name) > 1), None)
+    twice = schema.repeated(names)
     if twice is not None:
         raise InputError(f"column {twice!r} twice", "each column once")
     columns, notes = {}, []
@@ -152,8 +153,9 @@ def _seconds(times: pd.Series[Any]) -> pd.Series[Any]:
 def _numbers(column: pd.Series[Any], name: str) -> FloatArray:
     import pandas as pd
 
-    if column.dtype.kind in "mM":
-        raise InputError("dates or times", "numbers", column=name)
+    if column.dtype.kind in "mMc":
+        kind = "complex numbers" if column.dtype.kind == "c" else "dates or times"
+        raise InputError(kind, "numbers", column=name)
     try:
         return column.to_numpy(dtype=float, na_value=np.nan)
     except (TypeError, ValueError):
@@ -207,7 +209,7 @@ def from_columns(
     for group in schema.together(tuple(columns)):
         _check_group({name: columns[name] for name in group}, fail)
     if ignored:
-        notes = (*notes, f"ignored columns {', '.join(ignored)}")
+        notes = (*notes, f"ignored columns {listed(ignored)}")
     track_id = columns["track_id"].astype(np.int64)
     rows = Rows(
         path,

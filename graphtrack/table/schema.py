@@ -114,6 +114,16 @@ _OF_TABLE = frozenset(NAMES)
 _KNOWN = frozenset((*NAMES, *BOX_COLUMNS, TILT_COLUMN, *ANSWER_COLUMNS))
 
 
+def repeated(names: Iterable[str]) -> str | None:
+    """The first name that comes again; None if each comes once."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
+
+
 def unknown(names: Iterable[str]) -> list[str]:
     """The columns of a file that are neither of the native table nor known to say nothing of a track."""
     return [name for name in names if name not in _KNOWN and numeric(name) is None]
@@ -168,7 +178,8 @@ def in_order(names: Collection[str]) -> tuple[str, ...]:
     """Those of some names that are columns of the native table, in the order of writing."""
     inputs = [column for name in names if name not in _OF_TABLE and (column := numeric(name))]
     inputs.sort(key=lambda column: (column.field, column.index))
-    known = [name for name in NAMES if name in names]
+    there = set(names)
+    known = [name for name in NAMES if name in there]
     place = len(known) - ("label" in known)
     return (*known[:place], *(column.name for column in inputs), *known[place:])
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from walks import walk
 
 from graphtrack.baselines.intentional import IntentionalParameters
-from graphtrack.cli.main import app
+from graphtrack.cli.commands import app
 from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings
 from graphtrack.evaluation.reproduce.baxter_caviar import METHODS, gains, spread
 from graphtrack.evaluation.reproduce.caviar_controls import CONTROLS, control_gains, shuffled

@@ -13,7 +13,7 @@ from walks import walk, without
 
 from graphtrack.baselines.intentional import IntentionalParameters, intentional_filter
 from graphtrack.baselines.kalman import filter_states, kalman_filter
-from graphtrack.cli.main import app
+from graphtrack.cli.commands import app
 from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce import EXPERIMENTS, Settings, Table, all_experiments
 from graphtrack.evaluation.reproduce.baxter_occlusion import Case, WindowErrors, trajectories

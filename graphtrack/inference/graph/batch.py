@@ -12,6 +12,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import PASSES, is_chain
 from graphtrack.inference.chain.restart import AT_END, AT_START
+from graphtrack.inference.extremes import not_finite, with_extreme
 from graphtrack.inference.graph.chain_view import ChainView, is_ambiguous
 from graphtrack.inference.initial import initial_states
 from graphtrack.inference.solution import Solution, SolverOptions, estimated_tracks, seconds_to_ends, stated
@@ -150,13 +151,15 @@ def smooth_graph(
             values, costs, converged = descent.lowest(values)
         covariance = marginal_covariances(graph, values, steps, model)
     except (RuntimeError, ArithmeticError) as error:
-        raise SolveError(track.track_id, " ".join(str(error).split())[:200]) from error
+        raise SolveError(
+            track.track_id, with_extreme(" ".join(str(error).split())[:200], track, model)
+        ) from error
     states = descent.states(values)
     if view is not None and model.has_modes:
         view.widen(states, covariance)
     stated(covariance, states[:, 2:4], model.parameters, seconds_to_ends(track.t))
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
-        raise SolveError(track.track_id, "the estimate is not finite")
+        raise SolveError(track.track_id, not_finite(track, model))
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
     modes = np.full((len(track), 2), np.nan) if view is None else view.modes

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.bounds import INPUT, LARGEST_ID, SHAPES
+from graphtrack.display import listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io import layout as told
@@ -62,7 +63,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
     unit = read.unit(layout, options)
     variables, ignored = read.variables()
     if ignored:
-        notes.append(f"ignored variables {', '.join(ignored)}")
+        notes.append(f"ignored variables {listed(ignored)}")
     channels = dict(variables)
     in_image = unit is None
     if unit is not None:
@@ -196,7 +197,7 @@ class _Reading:
         """The track ids of the individuals, and those of them that have names that are no numbers."""
         names = self.names(INDIVIDUALS, "id_")
         if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
+            twice = schema.repeated(names)
             raise self.fail(f"the individual {twice!r} twice", "each once")
         if "track_id" not in self.dataset.coords or self.dataset["track_id"].dims != (INDIVIDUALS,):
             return numbered_names(names)

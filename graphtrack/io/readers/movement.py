@@ -63,7 +63,8 @@ def _loaded(xarray: Any, source: Source, engine: str) -> Any:
 def write(tracks: TrackSet, path: Path) -> None:
     """Write `to_movement`'s dataset as netCDF 4."""
     _check_packages()
-    to_movement(tracks).to_netcdf(path, engine="h5netcdf")
+    # In memory first: HDF5 ends the process where the disk is full as it closes a file.
+    path.write_bytes(to_movement(tracks).to_netcdf(engine="h5netcdf"))
 
 
 FORMAT = Format(

@@ -7,6 +7,7 @@ for the message or to accept it after all (such as a quoted label with a line br
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -73,9 +74,9 @@ def _header(source: Source) -> list[str]:
         raise InputError(str(error), "a header", path=source.path, line=1) from error
     if len(set(header) & set(schema.NAMES)) < 2 and (other := other_delimiter(source)) is not None:
         raise other
-    for name in header:
-        if header.count(name) > 1:
-            raise InputError(f"column {name!r} twice", "each column once", path=source.path, line=1)
+    twice = schema.repeated(header)
+    if twice is not None:
+        raise InputError(f"column {twice!r} twice", "each column once", path=source.path, line=1)
     return header
 
 
@@ -191,13 +192,11 @@ def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
 
     table = pa.table({name: arrow_array(_clean(values)) for name, values in columns.items()})
     options = arrow_csv.WriteOptions(include_header=False)
-    with pa.OSFile(str(path), "wb") as raw:
-        packed = path.name.lower().endswith(".gz")
-        stream = pa.CompressedOutputStream(raw, "gzip") if packed else raw
+    # Python's own gzip, since Arrow's prints a line of its own where the disk is full.
+    packed = path.name.lower().endswith(".gz")
+    with gzip.open(path, "wb") if packed else path.open("wb") as stream:
         stream.write((",".join(columns) + "\n").encode())
-        arrow_csv.write_csv(table, stream, options)
-        if packed:
-            stream.close()
+        arrow_csv.write_csv(table, pa.PythonFile(stream, mode="w"), options)
 
 
 def _clean(values: NDArray[Any]) -> NDArray[Any]:

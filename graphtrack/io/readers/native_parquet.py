@@ -63,6 +63,19 @@ def read(source: Source, options: ReadOptions) -> Rows:
     return place_pixels(rows, options)
 
 
+def has_moments(source: Source) -> bool:
+    """Whether the column ``t`` holds dates or durations, by Arrow's types."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with damage_told(source.path):
+        schema_arrow = pq.ParquetFile(io.BytesIO(source.data)).schema_arrow
+        if schema_arrow.names.count("t") != 1:
+            return False
+        kind = schema_arrow.field("t").type
+    return bool(pa.types.is_timestamp(kind) or pa.types.is_date(kind) or pa.types.is_duration(kind))
+
+
 @contextmanager
 def damage_told(path: Path) -> Iterator[None]:
     """What pyarrow raises for a file that it cannot read becomes an `InputError`."""
@@ -102,7 +115,12 @@ def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDA
         return column.to_numpy(zero_copy_only=False).astype(object)
     number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
     if not (number or pa.types.is_null(column.type)):
-        raise InputError(f"values of type {column.type}", "numbers", path=path, column=name)
+        hint = ""
+        if name == "t" and pa.types.is_string(column.type):
+            hint = "; --time-unit iso reads dates and times as text"
+        elif name == "t" and pa.types.is_temporal(column.type):
+            hint = " (seconds); --no-stream reads dates and times"
+        raise InputError(f"values of type {column.type}", f"numbers{hint}", path=path, column=name)
     values = column.to_numpy(zero_copy_only=False).astype(float)
     infinite = np.isinf(values)
     if infinite.any():

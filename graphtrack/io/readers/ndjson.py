@@ -112,8 +112,7 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
     """
     given = dict(pairs)
     if len(given) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
+        twice = schema.repeated(name for name, _ in pairs)
         raise InputError(f"the key {_cut(repr(twice))} twice", "each key once")
     cells: dict[str, Any] = {
         name: _whole(name, given.get(name))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.bounds import LARGEST_FRAME
+from graphtrack.display import listed, shortened
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.layout import Layout
@@ -71,7 +72,8 @@ def rows_of_cells(
     if layout.metre != 1.0:
         columns |= {key: columns[key] * layout.metre for key in LENGTHS if key in columns}
     with_frames(columns, cells, named, fps, notes)
-    ignored = [name for name in cells.columns if name not in named.values()]
+    used = set(named.values())
+    ignored = [name for name in cells.columns if name not in used]
     try:
         rows = from_columns(
             columns,
@@ -94,7 +96,7 @@ def _named(cells: Cells, layout: Layout) -> dict[str, str]:
     """Meaning → column: what the layout says, and columns that have names of the native table."""
     for key, name in layout.columns.items():
         if name not in cells.columns:
-            there = ", ".join(map(repr, list(cells.columns)[:20]))
+            there = listed(map(shortened, cells.columns), 20)
             raise cells.fail(f"no column {name!r} for {key}", f"one of those there: {there}")
     named = dict(layout.columns)
     degrees = DEGREES[0] in named

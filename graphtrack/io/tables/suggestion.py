@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from graphtrack.display import listed, shortened
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.io.delimiters import SEP_LINE
 from graphtrack.io.marks import as_told
@@ -101,8 +102,8 @@ def _marks(source: Source) -> Suggestion:
     found = Suggestion()
     if source.head.startswith(b"PAR1"):
         return found
-    if source.utf16 is not None:
-        found = found.with_option("encoding", source.utf16.lower(), "every other byte is null, as in UTF-16")
+    if source.wide is not None:
+        found = found.with_option("encoding", source.wide.lower(), f"bytes are null as in {source.wide[:6]}")
     else:
         try:
             source.data.decode("utf-8-sig")
@@ -154,7 +155,7 @@ def _columns(path: Path, found: Suggestion) -> Suggestion:
         pairs = {} if {"x", "lat"} & chosen.keys() else wide(names)
         chosen = {key: name for key, name in chosen.items() if not (pairs and key == "id")} | pairs
     if not ({"x", "y"} <= chosen.keys() or {"lat", "lon"} <= chosen.keys()):
-        there = ", ".join(map(repr, names[:20]))
+        there = listed(map(shortened, names), 20)
         raise InputError(f"no columns that are places, among {there}", "--columns x=NAME,y=NAME", path=path)
     if "t" not in chosen and "frame" not in chosen:
         raise InputError("no column that is a time or a frame", "--columns t=NAME", path=path)

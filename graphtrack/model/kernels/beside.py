@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import numba
 from numba.core.dispatcher import Dispatcher
 
 from graphtrack.model.kernels.compiled import cache_home
@@ -43,7 +42,7 @@ def compiled_beside(statements: Sequence[str], spare: Sequence[str] = ()) -> Ite
     code is kept in.
     """
     home = cache_home()
-    if not statements or home is None or not sys.executable or processors() < 2 or numba.config.DISABLE_JIT:
+    if not statements or home is None or not sys.executable or processors() < 2:
         yield lambda: None
         return
     # A folder of its own: two processes that write about one function at once would spoil each other's work.

@@ -10,6 +10,7 @@ from typing import Literal, TypeVar, cast
 
 import numba
 
+from graphtrack.errors import InputError
 from graphtrack.model.kernels.dispatch import Apart, Inner, Linked
 from graphtrack.model.kernels.fingerprint import fingerprint, source_file
 
@@ -60,7 +61,8 @@ def _dispatched(
     function: Function, kind: type[Apart | Linked], inline: Literal["never", "always"] = "never"
 ) -> Function:
     if numba.config.DISABLE_JIT:
-        return function
+        expected = "the environment variable NUMBA_DISABLE_JIT unset: the engines are compiled"
+        raise InputError("a numba that is told not to compile", expected)
     options = {
         "nopython": True,
         "nogil": True,

@@ -1,0 +1,91 @@
+"""The input that makes an estimate fail numerically: the value farthest from what people and cameras give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.model import Model, Observation
+from graphtrack.tracks import Track
+
+_USUAL = {"position_std": (1e-4, 1e3), "body_kappa": (0.0, 1e6), "head_kappa": (0.0, 1e6)}
+"""Values of the channels with which the solvers are well conditioned."""
+
+_SHORTEST, _FARTHEST = 1e-5, 1e6
+"""Seconds between frames, and metres from the origin, likewise."""
+
+NOT_FINITE = "the estimate is not finite"
+
+
+def not_finite(track: Track, model: Model) -> str:
+    """Reason why a track has no finite estimate, with the input that is the likeliest cause."""
+    return with_extreme(NOT_FINITE, track, model)
+
+
+def with_extreme(reason: str, track: Track, model: Model) -> str:
+    """A reason why a track could not be estimated, with its most extreme input, if there is one."""
+    channels = {name: getattr(track, name) for name in _USUAL}
+    found = list(_of_channels(track.t, track.frame, track.position, channels))
+    return _joined(reason, [*found, *_of_model(model)])
+
+
+def with_extreme_of(reason: str, seen: Sequence[Observation], model: Model) -> str:
+    """`with_extreme` of the observations of a window and the newest."""
+    t = np.array([one.t for one in seen], dtype=float)
+    frame = np.array([one.frame for one in seen])
+    position = np.array([(math.nan, math.nan) if one.position is None else one.position for one in seen])
+    channels = {
+        name: np.array([getattr(one, name) for one in seen], dtype=float)  # None becomes NaN
+        for name in _USUAL
+    }
+    found = list(_of_channels(t, frame, position, channels))
+    return _joined(reason, [*found, *_of_model(model)])
+
+
+def _of_channels(
+    t: FloatArray, frame: Sequence[int], position: FloatArray, channels: dict[str, FloatArray | None]
+) -> Iterator[tuple[float, str]]:
+    """How many times each extreme input is beyond what is usual, and the input in words."""
+    dt = np.diff(t)
+    if dt.size and 0.0 < dt.min() < _SHORTEST:
+        k = int(dt.argmin())
+        words = f"{dt[k]:.3g} s between the frames {frame[k]} and {frame[k + 1]}"
+        yield _SHORTEST / dt[k], f"{words}, expected at least {_SHORTEST:g} s"
+    far = np.abs(position).max(axis=1)
+    yield from _outside(far, frame, (0.0, _FARTHEST), "a coordinate of {} m")
+    for name, values in channels.items():
+        if values is not None:
+            yield from _outside(values, frame, _USUAL[name], f"{name} = {{}}")
+
+
+def _outside(
+    values: FloatArray, frame: Sequence[int], usual: tuple[float, float], words: str
+) -> Iterator[tuple[float, str]]:
+    low, high = usual
+    known = np.flatnonzero(np.isfinite(values))
+    if not known.size:
+        return
+    k, m = int(known[values[known].argmin()]), int(known[values[known].argmax()])
+    expected = f", expected {low:g} to {high:g}" if low else f", expected at most {high:g}"
+    if low and values[k] < low:
+        factor = low / values[k] if values[k] > 0.0 else math.inf
+        yield factor, f"{words.format(f'{values[k]:.3g}')} in frame {frame[k]}{expected}"
+    if values[m] > high:
+        yield values[m] / high, f"{words.format(f'{values[m]:.3g}')} in frame {frame[m]}{expected}"
+
+
+def _of_model(model: Model) -> Iterator[tuple[float, str]]:
+    std, (low, high) = model.parameters.likelihood.position_std, _USUAL["position_std"]
+    if not low <= std <= high:
+        yield (
+            max(low / std, std / high),
+            f"position_std = {std:.3g} of the model, expected {low:g} to {high:g}",
+        )
+
+
+def _joined(reason: str, extremes: Iterable[tuple[float, str]]) -> str:
+    worst = max(extremes, default=None)
+    return reason if worst is None else f"{reason}: {worst[1]}"

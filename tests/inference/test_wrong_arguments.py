@@ -1,0 +1,119 @@
+"""Arguments that cannot be used are one `InputError`; estimates that fail name the input that made them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import graphtrack as gt
+from graphtrack.inference.extremes import with_extreme
+
+N = 20
+POSITION = np.column_stack([np.arange(N) * 0.1, np.zeros(N)])
+
+
+def track(t: np.ndarray | None = None, **channels: np.ndarray) -> gt.Track:
+    given = {"position": POSITION, **channels}
+    return gt.Track(0, frame=np.arange(N), t=np.arange(N) * 0.1 if t is None else t, **given)
+
+
+def test_a_model_that_is_a_number_is_refused() -> None:
+    with pytest.raises(gt.InputError, match="model '5'"):
+        gt.smooth(track(), 5)
+
+
+@pytest.mark.parametrize("jobs", [-1, 0, 1.5, True, "2"])
+@pytest.mark.parametrize("engine", ["chain", "gtsam"])
+def test_jobs_are_a_whole_number_of_one_at_least(jobs: object, engine: str) -> None:
+    with pytest.raises(gt.InputError, match="jobs = "):
+        gt.smooth(track(), "position", jobs=jobs, engine=engine)
+
+
+@pytest.mark.parametrize("given", [None, 3.0, {"t": 0.0}])
+def test_an_observation_that_is_none_is_refused(given: object) -> None:
+    smoother = gt.OnlineSmoother("position", engine="fixed-lag")
+    with pytest.raises(gt.InputError, match="an Observation"):
+        smoother.update(given)
+
+
+def test_complex_positions_are_refused_everywhere() -> None:
+    with pytest.raises(gt.InputError, match="complex"):
+        track(position=POSITION + 1j)
+    smoother = gt.OnlineSmoother("position", engine="fixed-lag")
+    with pytest.raises(gt.InputError, match="position"):
+        smoother.update(gt.Observation(t=0.0, position=np.array([1j, 2.0])))
+    n = np.arange(N)
+    table = {"track_id": n * 0, "frame": n, "t": n / 10, "x": n * (1 + 1j), "y": n * 0.0}
+    with pytest.raises(gt.InputError, match="complex"):
+        gt.smooth(table, "position")
+    with pytest.raises(gt.InputError):
+        gt.read(table)
+
+
+@pytest.mark.parametrize(
+    "options", [{"max_iterations": 0}, {"max_iterations": 1.5}, {"step_tolerance": np.nan}]
+)
+def test_solver_options_are_checked(options: dict[str, float]) -> None:
+    with pytest.raises(gt.InputError, match=next(iter(options))):
+        gt.SolverOptions(**options)
+
+
+def test_an_estimate_that_is_not_finite_names_the_input_that_made_it_so() -> None:
+    (failed,) = gt.solve(track(position_std=np.full(N, 1e8)), "joint")
+    assert failed.reason == (
+        "the estimate is not finite: position_std = 1e+08 in frame 0, expected 0.0001 to 1000"
+    )
+    model, t = gt.Model("joint"), np.arange(N) * 0.1
+    t[10] = t[9] + 1e-9
+    assert "1e-09 s between the frames 9 and 10" in with_extreme("failed", track(t), model)
+    assert with_extreme("failed", track(), model) == "failed"
+    (failed,) = gt.solve(track(np.arange(N) * 1e-9), model, engine="gtsam")
+    assert "1e-09 s between the frames" in failed.reason
+
+
+def test_an_online_estimate_that_fails_names_the_input_that_made_it_so() -> None:
+    smoother = gt.OnlineSmoother("joint", engine="isam2")
+    estimates = [
+        smoother.update(gt.Observation(t=1e-9 * k, frame=k, position=(k * 0.1, 0.0))) for k in range(6)
+    ]
+    assert "1e-09 s between the frames 0 and 1" in next(e.reason for e in estimates if e.status == "failed")
+
+
+def test_interrupts_at_any_time_end_quietly(tmp_path: Path) -> None:
+    rows = "".join(f"1,{k},{k / 10},0,0\n" for k in range(5))
+    (tmp_path / "a.csv").write_text("track_id,frame,t,x,y\n" + rows)
+    code = "import sys; from graphtrack.cli import main; print('ready', flush=True); main()"
+    line = [sys.executable, "-c", code, "smooth", str(tmp_path / "a.csv"), "-o", str(tmp_path / "b.csv")]
+    for wait in (0.0, 0.02, 0.05, 0.1, 0.2, 0.3):
+        with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            process.stdout.readline()
+            time.sleep(0.03 + wait)
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=120)
+        assert process.returncode == 130, said
+        assert "Traceback" not in said and said.count("\n") <= 2
+
+
+@pytest.mark.parametrize("command", ["smooth", "track"])
+def test_numba_that_does_not_compile_is_one_error(tmp_path: Path, command: str) -> None:
+    (tmp_path / "a.csv").write_text("track_id,frame,t,x,y\n1,0,0,0,0\n1,1,0.1,0,0\n")
+    line = [
+        sys.executable,
+        "-m",
+        "graphtrack",
+        command,
+        str(tmp_path / "a.csv"),
+        "-o",
+        str(tmp_path / "b.csv"),
+    ]
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(line, capture_output=True, text=True, timeout=300, env=environment, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1 and "NUMBA_DISABLE_JIT" in done.stderr

@@ -1,0 +1,161 @@
+"""Files that are made to break a reader or a writer: one error each, in bounded time and memory."""
+
+from __future__ import annotations
+
+import datetime
+import gzip
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import graphtrack as gt
+from graphtrack.errors import InputError
+
+HEADER = "track_id,frame,t,x,y"
+ROWS = [HEADER, *(f"1,{k},{k / 10},{k / 20},0" for k in range(20))]
+TEXT = "\n".join(ROWS) + "\n"
+
+
+def command(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
+    line = [sys.executable, "-m", "graphtrack", *map(str, arguments)]
+    return subprocess.run(line, capture_output=True, text=True, timeout=300, check=False, **options)
+
+
+def test_a_table_of_a_million_columns_is_read_and_its_names_are_not_all_listed(tmp_path: Path) -> None:
+    n = 10**6
+    path = tmp_path / "wide.csv"
+    names = ",".join(f"c{k}" for k in range(n))
+    path.write_text(f"{HEADER},{names}\n" + "".join(row + ",1" * n + "\n" for row in ROWS[1:3]))
+    done = command("info", path)  # it ran for more than half an hour
+    assert done.returncode == 0
+    assert len(done.stdout + done.stderr) < 2000
+    assert "999990 more" in done.stderr
+
+
+@pytest.mark.parametrize("text", [b"\n" * 2**20, b"1" * 2**20], ids=["blank", "endless"])
+def test_a_gzip_bomb_is_refused_in_little_memory(tmp_path: Path, text: bytes) -> None:
+    path = tmp_path / "bomb.csv.gz"
+    with gzip.open(path, "wb") as stream:
+        stream.write(HEADER.encode() + b"\n")
+        for _ in range(300):
+            stream.write(text)
+
+    def bounded() -> None:
+        resource.setrlimit(resource.RLIMIT_DATA, (2**31, 2**31))
+
+    done = command("info", path, preexec_fn=bounded)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "more than 200 times its size" in done.stderr
+
+
+def test_a_file_of_blank_lines_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "blank.csv"
+    path.write_bytes(HEADER.encode() + b"\r\n" * 2_000_000)
+    with pytest.raises(InputError, match="2000000 lines"):
+        gt.read(path)
+
+
+@pytest.mark.parametrize("ending", ["csv", "csv.gz", "ndjson", "ndjson.gz", "parquet", "sqlite", "txt", "nc"])
+def test_a_full_disk_is_one_error_in_every_format(tmp_path: Path, ending: str) -> None:
+    if ending == "nc":
+        pytest.importorskip("h5netcdf")
+    source, output = tmp_path / "in.csv", tmp_path / "out" / f"o.{ending}"
+    output.parent.mkdir()
+    x = np.random.default_rng(0).normal(size=20_000)
+    rows = (f"1,{k},{k / 10},{value:.9f},{-value:.9f}\n" for k, value in enumerate(x))
+    source.write_text(HEADER + "\n" + "".join(rows))
+
+    def full() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+
+    done = command("convert", source, "-o", output, preexec_fn=full)
+    assert done.returncode == 2, done.stderr
+    said = [line for line in done.stderr.splitlines() if str(source) not in line and "note" not in line]
+    assert len(said) == 1, done.stderr
+    assert said[0].startswith(f"error: {output}: found File too large when writing")
+    assert not list(output.parent.iterdir())
+
+
+@pytest.mark.parametrize("name", ["öut.csv", os.fsdecode(b"\xff\xfeo.csv")])
+def test_terminals_that_are_not_utf8_show_escapes(tmp_path: Path, name: str) -> None:
+    (tmp_path / "in.csv").write_text(TEXT)
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = command("convert", tmp_path / "in.csv", "-o", tmp_path / name, env=environment)
+    assert done.returncode == 0, done.stderr
+    done = command("info", tmp_path / name, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "1 track" in done.stdout and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "utf-32-le", "utf-32-be", "utf-16-le", "utf-16-be"])
+def test_wide_encodings_are_read_or_the_hint_reads_them(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(TEXT.encode(encoding))
+    options: dict[str, str] = {}
+    if encoding[-2:] in ("le", "be"):
+        with pytest.raises(InputError, match="--encoding") as caught:
+            gt.read(path)
+        options["encoding"] = str(caught.value).split("--encoding ")[1].split()[0]
+    assert gt.read(path, **options).n_frames == 20
+
+
+def test_one_mark_cannot_separate_cells_and_decimals(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(TEXT)
+    with pytest.raises(InputError, match="two different marks"):
+        gt.read(path, delimiter=",", decimal=",")
+    with pytest.raises(InputError, match="two different marks"):
+        gt.read(path, delimiter="comma", decimal=",")
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+@pytest.mark.parametrize("zone", [None, "UTC"])
+def test_parquet_with_timestamps_is_read(tmp_path: Path, unit: str, zone: str | None) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path, n = tmp_path / "a.parquet", 10
+    first = datetime.datetime(2026, 3, 1, 12)
+    moments = pa.array([first + datetime.timedelta(seconds=k) for k in range(n)], pa.timestamp(unit, zone))
+    x = np.arange(n) * 0.5
+    columns = {"track_id": np.ones(n, int), "frame": np.arange(n), "t": moments, "x": x, "y": x}
+    pq.write_table(pa.table(columns), path)
+    (track,) = gt.read(path)
+    assert track.t == pytest.approx(12 * 3600.0 + np.arange(n))  # from midnight, as texts of CSV
+    with pytest.raises(InputError, match="--no-stream"):
+        _stream(path, tmp_path)
+
+
+def _stream(path: Path, folder: Path) -> None:
+    from graphtrack.scale import open_dataset, smooth_dataset
+
+    smooth_dataset(open_dataset(path), folder / "o.parquet", model=gt.Model("position"))
+
+
+@pytest.mark.parametrize("bad", [np.inf, 1e12])
+def test_streamed_or_not_an_error_names_the_same_line(tmp_path: Path, bad: float) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path, n = tmp_path / "a.parquet", 400
+    frame = np.arange(n) // 7
+    columns = {
+        "track_id": np.arange(n) % 7,
+        "frame": frame,
+        "t": frame / 10,
+        "x": frame / 10,
+        "y": frame / 10,
+    }
+    columns["x"][333] = bad
+    pq.write_table(pa.table(columns), path, row_group_size=50)
+    with pytest.raises(InputError) as whole:
+        gt.read(path)
+    with pytest.raises(InputError) as streamed:
+        _stream(path, tmp_path)
+    assert streamed.value.line == whole.value.line == 334
