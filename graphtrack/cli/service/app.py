@@ -27,6 +27,7 @@ from graphtrack.cli.service.stream import Stream, open_stream, prepare
 _NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
 """HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
 _BROKEN = 1011
+_NO_TEXT = 1007
 _UNREAD = 1008
 _NOTICED = 2.0
 """Seconds within which it is noticed that a client went."""
@@ -100,7 +101,7 @@ class Streams:
             raise Refused(409, f"stream {name} has a connection; expected one at a time")
         if len(self._open) >= self.service.limits.streams:
             raise Refused(429, f"{len(self._open)} streams are open, as many as may be")
-        self._open[name] = asyncio.Event()
+        left = self._open[name] = asyncio.Event()
         self.metrics.streams.inc()
         try:
             stream = await open_stream(name, self.service, self.metrics)
@@ -109,25 +110,26 @@ class Streams:
                 yield stream
             finally:
                 try:
-                    await asyncio.shield(self._ended(stream))
+                    await asyncio.shield(self._ended(stream, left))
                 finally:
                     self._running.discard(stream)
         finally:
-            self._close(name)
+            self._close(name, left)
 
-    async def _ended(self, stream: Stream) -> None:
+    async def _ended(self, stream: Stream, left: asyncio.Event) -> None:
         """End a stream; until that is done, who asks for it again waits."""
         name = stream.name
         self._ending[name] = asyncio.Event()
-        self._close(name)
+        self._close(name, left)
         try:
             await stream.end()
         finally:
             self._ending.pop(name).set()
 
-    def _close(self, name: str) -> None:
-        if name in self._open:
-            self._open.pop(name).set()
+    def _close(self, name: str, left: asyncio.Event) -> None:
+        if self._open.get(name) is left:  # and not that of the next client
+            del self._open[name]
+            left.set()
             self.metrics.streams.dec()
 
     async def _left(self, name: str) -> None:
@@ -193,15 +195,19 @@ async def by_websocket(websocket: WebSocket) -> None:
 async def _exchange(websocket: WebSocket, stream: Stream, patience: float, together: bool) -> tuple[int, str]:
     """Pass rows and answers on until either side is done; the code and reason to close with."""
 
-    async def rows() -> bool:
-        """Whether the client is there to hear the rest."""
+    async def rows() -> tuple[int, str] | None:
+        """The code and reason to close with at once; None if the rest is to be answered first."""
         while True:
             message = await websocket.receive()
             if message["type"] == "websocket.disconnect":
-                return False
+                return 1000, ""
             data = message.get("bytes") or (message.get("text") or "").encode()
+            try:
+                data.decode()
+            except UnicodeDecodeError as error:
+                return _NO_TEXT, f"byte {error.start + 1} of a message is no UTF-8; expected rows as JSON"
             if not data.strip():
-                return True
+                return None
             await stream.take(data.splitlines())
 
     async def answers() -> tuple[int, str]:
@@ -231,8 +237,8 @@ async def _exchange(websocket: WebSocket, stream: Stream, patience: float, toget
             if status:
                 return _BROKEN, f"the stream's process ended with status {status}; connect again"
             return await outgoing
-        if not incoming.result():
-            return 1000, ""
+        if closing := incoming.result():
+            return closing
         stream.no_more()
         return await outgoing
     finally:
