@@ -10,6 +10,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import console
+from graphtrack.errors import InputError
 
 TOKEN = "GRAPHTRACK_TOKEN"
 
@@ -65,6 +66,24 @@ def serve(
             dir_okay=False,
         ),
     ] = None,
+    allow_host: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--allow-host",
+            metavar="NAME",
+            help="Name in clients' URLs, besides localhost and --host; '*': any. Repeatable.",
+            show_default=False,
+        ),
+    ] = None,
+    allow_origin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--allow-origin",
+            metavar="ORIGIN",
+            help="Web pages that may use the service, as https://site.example; '*': any. Repeatable.",
+            show_default=False,
+        ),
+    ] = None,
     max_streams: Annotated[int, typer.Option("--max-streams", min=1, help="Open at once.")] = 64,
     max_people: Annotated[
         int, typer.Option("--max-people", min=1, help="With identities, at once in a stream.")
@@ -88,7 +107,6 @@ def serve(
 ) -> None:
     """Serve streams of rows over WebSocket and HTTP, with health and metrics."""
     from graphtrack.cli.track import asked_of, horizon_of
-    from graphtrack.errors import InputError
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.inference.online_engines import check_lag, online_engine
     from graphtrack.io.cameras import read_homography
@@ -98,7 +116,7 @@ def serve(
         from graphtrack.cli.service.run import run
     except ModuleNotFoundError as error:
         raise InputError(f"no {error.name}", "pip install 'graphtrack[serve]'") from error
-    from graphtrack.cli.service.settings import Answers, Limits, Service
+    from graphtrack.cli.service.settings import Answers, Limits, Service, clients_of, is_wildcard
 
     chosen = Model.named(model)
     check_lag(lag, online_engine(chosen, engine))
@@ -115,9 +133,21 @@ def serve(
         save_every=save_every,
     )
     limits = Limits(max_streams, max_people, forget_after, max_rate, max_line, patience)
-    token = os.environ.get(TOKEN) if token_file is None else token_file.read_text("utf-8").strip()
+    token = os.environ.get(TOKEN) if token_file is None else _read_token(token_file)
     if token == "":
         raise InputError("an empty token", "some characters, or none at all", path=token_file)
     if token is None and host not in ("127.0.0.1", "::1", "localhost"):
         console.print(f"note: no token: whoever reaches {host} may open streams", markup=False)
-    run(Service(answers, limits, state, token), host, port)
+    clients = clients_of(host, allow_host or [], allow_origin or [])
+    if not allow_host and is_wildcard(host):
+        said = "note: requests are taken for localhost alone; --allow-host NAME adds a name"
+        console.print(said, markup=False, soft_wrap=True)
+    run(Service(answers, limits, state, token, clients), host, port)
+
+
+def _read_token(path: Path) -> str:
+    try:
+        return path.read_text("utf-8").strip()
+    except UnicodeDecodeError as error:
+        found = f"byte {error.start + 1} is no UTF-8"
+        raise InputError(found, "a token as text, in one line", path=path) from error

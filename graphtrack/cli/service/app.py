@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
-from contextlib import aclosing, asynccontextmanager, suppress
+import json
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any
 
 from starlette.applications import Starlette
-from starlette.requests import HTTPConnection, Request
-from starlette.responses import JSONResponse, Response
+from starlette.middleware import Middleware
+from starlette.middleware.cors import CORSMiddleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from graphtrack.cli.service.connections import Connection, Connections, Requests, TrustedOrigin
 from graphtrack.cli.service.metrics import Metrics
 from graphtrack.cli.service.settings import STREAM_NAME, Service
 from graphtrack.cli.service.stream import Stream, open_stream, prepare
@@ -21,9 +27,25 @@ from graphtrack.cli.service.stream import Stream, open_stream, prepare
 _NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
 """HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
 _BROKEN = 1011
+_NO_TEXT = 1007
 _UNREAD = 1008
 _NOTICED = 2.0
 """Seconds within which it is noticed that a client went."""
+_DROPPED, _TERMINATED = 2.0, 3.0
+"""Seconds after which a service that stops drops its connections, and terminates its processes."""
+_PAGE = """graphtrack serve: streams of positions in, estimates out.
+
+POST   /v1/streams/NAME  rows as NDJSON in the body, answers as NDJSON
+WS     /v1/streams/NAME  a row a message, an answer a message
+GET    /v1/streams       names of the open streams
+DELETE /v1/streams/NAME  remove a stream's state
+GET    /health           whether the service is up
+GET    /metrics          counters for Prometheus
+
+  curl --data-binary @rows.ndjson http://HOST:PORT/v1/streams/hall
+
+Documentation: docs/serve.md of the source; graphtrack serve --help
+"""
 
 
 class Refused(Exception):
@@ -45,6 +67,9 @@ class Streams:
 
     def __init__(self, service: Service, metrics: Metrics) -> None:
         self.service, self.metrics = service, metrics
+        self.connections = Connections(service.limits.patience)
+        self.stopping = asyncio.Event()
+        self._running: set[Stream] = set()
         self._open: dict[str, asyncio.Event] = {}
         self._ending: dict[str, asyncio.Event] = {}
 
@@ -76,30 +101,35 @@ class Streams:
             raise Refused(409, f"stream {name} has a connection; expected one at a time")
         if len(self._open) >= self.service.limits.streams:
             raise Refused(429, f"{len(self._open)} streams are open, as many as may be")
-        self._open[name] = asyncio.Event()
+        left = self._open[name] = asyncio.Event()
         self.metrics.streams.inc()
         try:
             stream = await open_stream(name, self.service, self.metrics)
+            self._running.add(stream)
             try:
                 yield stream
             finally:
-                await asyncio.shield(self._ended(stream))
+                try:
+                    await asyncio.shield(self._ended(stream, left))
+                finally:
+                    self._running.discard(stream)
         finally:
-            self._close(name)
+            self._close(name, left)
 
-    async def _ended(self, stream: Stream) -> None:
+    async def _ended(self, stream: Stream, left: asyncio.Event) -> None:
         """End a stream; until that is done, who asks for it again waits."""
         name = stream.name
         self._ending[name] = asyncio.Event()
-        self._close(name)
+        self._close(name, left)
         try:
             await stream.end()
         finally:
             self._ending.pop(name).set()
 
-    def _close(self, name: str) -> None:
-        if name in self._open:
-            self._open.pop(name).set()
+    def _close(self, name: str, left: asyncio.Event) -> None:
+        if self._open.get(name) is left:  # and not that of the next client
+            del self._open[name]
+            left.set()
             self.metrics.streams.dec()
 
     async def _left(self, name: str) -> None:
@@ -109,6 +139,17 @@ class Streams:
                 await asyncio.wait_for(self._open[name].wait(), _NOTICED)
         while name in self._ending:
             await self._ending[name].wait()
+
+    def stop(self) -> None:
+        """End all streams, and after some seconds those that would not end."""
+        self.stopping.set()
+        loop = asyncio.get_running_loop()
+        loop.call_later(_DROPPED, self.connections.drop)
+        loop.call_later(_TERMINATED, self._terminate)
+
+    def _terminate(self) -> None:
+        for stream in self._running:
+            stream.terminate()
 
     async def forget(self, name: str) -> None:
         """Remove what is kept of a stream that nobody is connected to."""
@@ -154,15 +195,19 @@ async def by_websocket(websocket: WebSocket) -> None:
 async def _exchange(websocket: WebSocket, stream: Stream, patience: float, together: bool) -> tuple[int, str]:
     """Pass rows and answers on until either side is done; the code and reason to close with."""
 
-    async def rows() -> bool:
-        """Whether the client is there to hear the rest."""
+    async def rows() -> tuple[int, str] | None:
+        """The code and reason to close with at once; None if the rest is to be answered first."""
         while True:
             message = await websocket.receive()
             if message["type"] == "websocket.disconnect":
-                return False
+                return 1000, ""
             data = message.get("bytes") or (message.get("text") or "").encode()
+            try:
+                data.decode()
+            except UnicodeDecodeError as error:
+                return _NO_TEXT, f"byte {error.start + 1} of a message is no UTF-8; expected rows as JSON"
             if not data.strip():
-                return True
+                return None
             await stream.take(data.splitlines())
 
     async def answers() -> tuple[int, str]:
@@ -180,73 +225,128 @@ async def _exchange(websocket: WebSocket, stream: Stream, patience: float, toget
                 return 1000, ""
         return 1000, ""
 
+    connection: Connection = websocket.state.connection
     incoming, outgoing = asyncio.create_task(rows()), asyncio.create_task(answers())
+    gone = asyncio.create_task(connection.gone.wait())
     try:
-        done, _ = await asyncio.wait({incoming, outgoing}, return_when=asyncio.FIRST_COMPLETED)
-        if incoming not in done:
+        await asyncio.wait({incoming, outgoing, gone}, return_when=asyncio.FIRST_COMPLETED)
+        if gone.done():
+            return 1000, ""
+        if not incoming.done():
             status = await stream.status() if not outgoing.result()[1] else 0
             if status:
                 return _BROKEN, f"the stream's process ended with status {status}; connect again"
             return await outgoing
-        if not incoming.result():
-            return 1000, ""
+        if closing := incoming.result():
+            return closing
         stream.no_more()
         return await outgoing
     finally:
-        for task in (incoming, outgoing):
-            task.cancel()
-            with suppress(asyncio.CancelledError, OSError, WebSocketDisconnect):
-                await task
+        await _cancel(incoming, outgoing, gone)
 
 
-class Answered(Response):
-    """Lines as they come. Starlette's own streams look for a disconnection where the body still comes in."""
+class Exchange(Response):
+    """The response of a stream over HTTP: rows in the request's body, answers in the response's.
+
+    Starlette's own streaming responses look for a disconnection where the body still comes in.
+
+    Parameters
+    ----------
+    request : the request
+    name : of the stream
+    """
 
     media_type = "application/x-ndjson"
 
-    def __init__(self, lines: AsyncGenerator[bytes, None]) -> None:
+    def __init__(self, request: Request, name: str) -> None:
         super().__init__()
         del self.headers["content-length"]
-        self._lines = lines
+        self._request, self._name = request, name
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send head and lines."""
-        async with aclosing(self._lines) as lines:
-            await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
-            async for line in lines:
-                await send({"type": "http.response.body", "body": line, "more_body": True})
-            await send({"type": "http.response.body"})
+        """Send answers until all are sent, the client left or is silent, or the service stops."""
+        streams: Streams = self._request.app.state.streams
+        connection: Connection = self._request.state.connection
+        patience = streams.service.limits.patience
+        async with streams.opened(self._name) as stream:
+            outgoing = asyncio.create_task(self._answers(stream, send, patience))
+            incoming = asyncio.create_task(self._rows(stream, patience))
+            gone = asyncio.create_task(connection.gone.wait())
+            stopping = asyncio.create_task(streams.stopping.wait())
+            tasks = (outgoing, incoming, gone, stopping)
+            try:
+                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                reason = "the service is stopping; connect again" if stopping.done() else ""
+                if incoming.done() and not gone.done():
+                    reason = incoming.result() or reason
+                if reason:
+                    incoming.cancel()
+                    stream.no_more()
+                await asyncio.wait((outgoing, gone), return_when=asyncio.FIRST_COMPLETED)
+                if gone.done() or not outgoing.result():
+                    connection.drop()
+                else:
+                    told = json.dumps({"error": reason}) + "\n" if reason else ""
+                    async with asyncio.timeout(patience):
+                        await send({"type": "http.response.body", "body": told.encode()})
+            except TimeoutError:
+                connection.drop()
+            finally:
+                await _cancel(*tasks)
 
-
-async def by_http(request: Request) -> Response:
-    """A whole stream, or its next piece where states are kept: NDJSON in the body, NDJSON back as it goes."""
-    streams: Streams = request.app.state.streams
-    opened = streams.opened(streams.checked_name(request))
-    stream = await opened.__aenter__()
-
-    async def rows() -> None:
-        left, longest = b"", streams.service.limits.line_bytes
-        async for chunk in request.stream():
+    async def _rows(self, stream: Stream, patience: float) -> str:
+        """Hand the body's rows on; a text if the body did not end: why no more rows are taken."""
+        left, longest = b"", self._request.app.state.streams.service.limits.line_bytes
+        body = self._request.stream()
+        while True:
+            try:
+                async with asyncio.timeout(patience):
+                    chunk = await anext(body)
+            except StopAsyncIteration:
+                break
+            except ClientDisconnect:  # a row that is cut off is no row
+                stream.no_more()
+                return ""
+            except TimeoutError:
+                return f"no row came for {patience:g} s; connect again"
             *lines, left = (left + chunk).split(b"\n")
             await stream.take(lines)
             if len(left) > longest:
                 break  # the row is answered by an error, and what follows is not read
         await stream.take([left])
         stream.no_more()
+        return ""
 
-    async def answers() -> AsyncGenerator[bytes, None]:
-        feeding = asyncio.create_task(rows())
+    async def _answers(self, stream: Stream, send: Send, patience: float) -> bool:
+        """Send answers; False if they stayed unread."""
         try:
+            async with asyncio.timeout(patience):
+                await send({"type": "http.response.start", "status": 200, "headers": self.raw_headers})
             async for lines in stream.answers():
-                yield "".join(f"{line}\n" for line in lines).encode()
-            await feeding
-        finally:
-            feeding.cancel()
-            with suppress(asyncio.CancelledError, OSError):
-                await feeding
-            await opened.__aexit__(None, None, None)
+                body = "".join(f"{line}\n" for line in lines).encode()
+                async with asyncio.timeout(patience):
+                    await send({"type": "http.response.body", "body": body, "more_body": True})
+        except TimeoutError:
+            return False
+        return True
 
-    return Answered(answers())
+
+async def by_http(request: Request) -> Response:
+    """A whole stream, or its next piece where states are kept: NDJSON in the body, NDJSON back as it goes."""
+    streams: Streams = request.app.state.streams
+    return Exchange(request, streams.checked_name(request))
+
+
+async def _cancel(*tasks: asyncio.Task[Any]) -> None:
+    for task in tasks:
+        task.cancel()
+        with suppress(asyncio.CancelledError, OSError, WebSocketDisconnect):
+            await task
+
+
+async def page(request: Request) -> Response:
+    """A page for who opens the service in a browser."""
+    return PlainTextResponse(_PAGE)
 
 
 async def listed(request: Request) -> Response:
@@ -276,17 +376,21 @@ async def metrics(request: Request) -> Response:
     return Response(streams.metrics.text(), media_type="text/plain; version=0.0.4")
 
 
-def application(service: Service, ready: Callable[[], None]) -> Starlette:
-    """The service as an ASGI application, which says when it takes streams."""
+def application(streams: Streams, ready: Callable[[], None]) -> Starlette:
+    """Return the service as an ASGI application; it calls `ready` when it takes streams."""
+    service = streams.service
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         await asyncio.to_thread(prepare, service)
+        watching = asyncio.create_task(streams.connections.watch())
         ready()
         yield
+        await _cancel(watching)
 
     one = "/v1/streams/{name}"
     routes = [
+        Route("/", page),
         Route("/health", health),
         Route("/metrics", metrics),
         Route("/v1/streams", listed),
@@ -294,6 +398,23 @@ def application(service: Service, ready: Callable[[], None]) -> Starlette:
         Route(one, forgotten, methods=["DELETE"]),
         WebSocketRoute(one, by_websocket),
     ]
-    app = Starlette(routes=routes, lifespan=lifespan, exception_handlers={Refused: refusal})
-    app.state.streams = Streams(service, Metrics())
+    clients = service.clients
+    middleware = [
+        Middleware(Requests),
+        Middleware(TrustedHostMiddleware, allowed_hosts=clients.hosts, www_redirect=False),
+        Middleware(TrustedOrigin, origins=clients.origins),
+    ]
+    if clients.origins:
+        middleware.append(
+            Middleware(
+                CORSMiddleware,
+                allow_origins=clients.origins,
+                allow_methods=("GET", "POST", "DELETE"),
+                allow_headers=("authorization", "content-type"),
+            )
+        )
+    app = Starlette(
+        routes=routes, middleware=middleware, lifespan=lifespan, exception_handlers={Refused: refusal}
+    )
+    app.state.streams = streams
     return app

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import socket
 from collections.abc import Iterator
@@ -10,16 +11,32 @@ from contextlib import contextmanager
 import uvicorn
 
 from graphtrack.cli.console import console
-from graphtrack.cli.service.app import application
+from graphtrack.cli.service.app import Streams, application
+from graphtrack.cli.service.metrics import Metrics
 from graphtrack.cli.service.settings import Service
 from graphtrack.errors import InputError
 
-_GRACE = 20
-"""Seconds that streams have, when the service stops, to say and keep what they know."""
+_GRACE = 4
+"""Seconds after which a service that stops cancels what still runs; `Streams.stop` ends all before that."""
 
 
 class Server(uvicorn.Server):
-    """A server for which it is no failure to be told to stop."""
+    """A server that ends its streams when it stops, and exits with status 0 then.
+
+    Parameters
+    ----------
+    config : of the server
+    streams : of the service
+    """
+
+    def __init__(self, config: uvicorn.Config, streams: Streams) -> None:
+        super().__init__(config)
+        self._streams = streams
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End streams and connections."""
+        self._streams.stop()
+        await super().shutdown(sockets)
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -44,8 +61,11 @@ def run(service: Service, host: str, port: int) -> None:
     address, bound = listening.getsockname()[:2]
     shown = f"[{address}]" if ":" in address else address
     said = f"serving ws://{shown}:{bound}/v1/streams/NAME, http://{shown}:{bound}/health"
+    logging.getLogger("uvicorn.error").addFilter(_is_ours)
+    streams = Streams(service, Metrics())
     config = uvicorn.Config(
-        application(service, lambda: console.print(said, markup=False, soft_wrap=True)),
+        application(streams, lambda: console.print(said, markup=False, soft_wrap=True)),
+        http=streams.connections.protocol(),
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",
@@ -56,7 +76,12 @@ def run(service: Service, host: str, port: int) -> None:
         timeout_graceful_shutdown=_GRACE,
         lifespan="on",
     )
-    Server(config).run(sockets=[listening])
+    Server(config, streams).run(sockets=[listening])
+
+
+def _is_ours(record: logging.LogRecord) -> bool:
+    """Return False for a text message that is no UTF-8: an error of the client, which gets code 1007."""
+    return not (record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError))
 
 
 def _listen(host: str, port: int) -> socket.socket:

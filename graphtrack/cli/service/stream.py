@@ -107,6 +107,10 @@ class Stream:
             self._metrics.broken.inc()
         return status
 
+    def terminate(self) -> None:
+        """Terminate the process; a kept state stays valid."""
+        self._process.terminate()
+
     async def status(self) -> int:
         """The process's exit status, when it has ended."""
         await asyncio.to_thread(self._process.join)

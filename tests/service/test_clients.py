@@ -1,0 +1,239 @@
+"""Clients that vanish, stay silent or are foreign web pages."""
+
+import http.client
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+import pytest
+from test_service import OPTIONS, everything, rows, serving, wait_until
+from websockets.exceptions import InvalidStatus
+
+HEAD = b"POST /v1/streams/%s HTTP/1.1\r\nHost: localhost\r\n"
+CHUNKED = b"Transfer-Encoding: chunked\r\n\r\n"
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    options = ("--state", str(tmp_path_factory.mktemp("states")), "--patience", "3", "--max-rate", "1e6")
+    with serving(*options) as running:
+        yield running
+        running.process.send_signal(signal.SIGTERM)
+        log = running.process.stderr.read()
+        assert "Traceback" not in log and "ERROR" not in log
+
+
+def begin(service, name, headers=CHUNKED):
+    client = socket.create_connection(("127.0.0.1", service.port))
+    client.sendall(HEAD % name + headers)
+    return client
+
+
+def chunk(lines):
+    text = "".join(f"{line}\n" for line in lines).encode()
+    return b"%x\r\n%s\r\n" % (len(text), text)
+
+
+def is_open(service, name):
+    return name in json.loads(service.request("GET", "/v1/streams")[1])["streams"]
+
+
+def ended(service, name, seconds):
+    """The stream of a client that asked for it a moment ago."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        if not is_open(service, name):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def flood(client):
+    """Send 60,000 rows and read no answers; until nothing more is taken."""
+    client.settimeout(1.0)
+    with suppress(TimeoutError):
+        for first in range(0, 30_000, 100):
+            client.sendall(chunk(rows(100, first=first)))
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_client_that_leaves_in_the_middle_of_its_body_ends_its_stream(service, reset):
+    client = begin(service, b"left")
+    client.sendall(chunk(rows(3)) + b'20\r\n{"track_id": 0, ')
+    wait_until(lambda: is_open(service, "left"))
+    if reset:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    client.close()
+    assert ended(service, "left", 3.0)
+    status, body = service.request("POST", "/v1/streams/left", "")
+    assert status == 200 and json.loads(body.splitlines()[0])["rows"] % 6 == 0  # none that was cut off
+
+
+def test_many_clients_that_leave_leave_room(service):
+    for k in range(8):
+        client = begin(service, b"many%d" % k, b"Content-Length: 1000\r\n\r\n")
+        wait_until(lambda k=k: is_open(service, f"many{k}"))
+        client.close()
+    wait_until(lambda: not json.loads(service.request("GET", "/v1/streams")[1])["streams"])
+
+
+@pytest.mark.parametrize("headers", [CHUNKED, b"Content-Length: 1000\r\n\r\n"])
+def test_headers_without_a_body_end_after_the_patience(service, headers):
+    with begin(service, b"silent", headers) as client:
+        wait_until(lambda: is_open(service, "silent"))
+        assert ended(service, "silent", 6.0)
+        client.settimeout(10.0)
+        found = client.recv(1 << 16)
+        while b"\r\n0\r\n" not in found:
+            found += client.recv(1 << 16)
+        assert b"no row came for 3 s" in found
+
+
+def test_answers_that_are_never_read_end_after_the_patience(service):
+    with begin(service, b"unread") as client:
+        flood(client)
+        assert ended(service, "unread", 6.0)
+
+
+def test_a_client_that_leaves_with_answers_unread_ends_its_stream(service):
+    client = begin(service, b"flood")
+    flood(client)
+    client.close()
+    assert ended(service, "flood", 3.0)
+
+
+def test_a_client_that_is_slowed_down_may_leave(tmp_path):
+    with serving("--state", str(tmp_path), "--max-rate", "1") as slow:
+        client = begin(slow, b"slow")
+        client.sendall(chunk(rows(3000)))
+        wait_until(lambda: is_open(slow, "slow"))
+        client.close()
+        assert ended(slow, "slow", 3.0)
+        with slow.connect("slow") as websocket:
+            for line in rows(50):
+                websocket.send(line)
+            websocket.socket.shutdown(socket.SHUT_RDWR)
+        assert ended(slow, "slow", 3.0)
+
+
+def test_a_request_that_is_never_finished_is_dropped(service):
+    with socket.create_connection(("127.0.0.1", service.port)) as client:
+        client.sendall(b"GET /health HTTP/1.1\r\nHost: loc")
+        client.settimeout(10.0)
+        with suppress(ConnectionError):
+            assert client.recv(1) == b""
+
+
+@pytest.mark.parametrize("body", [b"", chunk(rows(3)), None])
+def test_the_service_stops_within_seconds(body, tmp_path):
+    with serving("--state", str(tmp_path)) as running:
+        client, gone = begin(running, b"open"), begin(running, b"gone")
+        with client, running.connect("socket") as websocket:
+            websocket.send(rows(1)[0])
+            if body is None:
+                flood(client)
+            else:
+                client.sendall(body)
+            wait_until(lambda: is_open(running, "open"))
+            gone.close()
+            running.process.send_signal(signal.SIGTERM)
+            began = time.monotonic()
+            assert running.process.wait(timeout=60) == 0
+            assert time.monotonic() - began < 5.0
+        log = running.process.stderr.read()
+        assert "Traceback" not in log and "ERROR" not in log
+
+
+@pytest.mark.parametrize("as_text", [False, True])
+def test_bytes_that_are_no_text_are_answered_at_once(service, as_text):
+    with service.connect(f"bytes{as_text}") as connection:
+        connection.send(b"\xff\xfe\xfd", text=as_text)
+        assert everything(connection)[1].code == 1007
+
+
+def test_a_token_file_that_is_no_text_is_one_error(tmp_path):
+    (tmp_path / "token").write_bytes(b"\xff\xfe\x00secret")
+    command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, "--token-file", "token"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "token" in done.stderr and "UTF-8" in done.stderr
+
+
+FOREIGN = {"Origin": "http://evil.example"}
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": "evil.example"}, 400),
+        ({"Host": "evil.example:8765", "Origin": "http://evil.example:8765"}, 400),
+        ({"Host": "localhost.evil.example"}, 400),
+        (FOREIGN, 403),
+        ({**FOREIGN, "Content-Type": "text/plain"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": "http://localhost:1"}, 403),
+        ({"Host": "localhost"}, 200),
+        ({"Host": "[::1]:8765"}, 200),
+        ({"Host": "localhost:8765", "Origin": "http://localhost:8765"}, 200),
+    ],
+)
+def test_foreign_pages_do_nothing(service, headers, status):
+    assert service.request("POST", "/v1/streams/mine", rows(1)[0], **headers)[0] == status
+    assert service.request("GET", "/v1/streams", **headers)[0] == status
+    expected = 204 if status == 200 else status
+    if status != 200:
+        service.request("POST", "/v1/streams/mine", rows(1)[0])
+    assert service.request("DELETE", "/v1/streams/mine", **headers)[0] == expected
+
+
+def test_foreign_pages_open_no_websocket(service):
+    with pytest.raises(InvalidStatus) as refused:
+        service.connect("page", origin="http://evil.example")
+    assert refused.value.response.status_code == 403
+    with service.connect("page", origin=f"http://127.0.0.1:{service.port}") as connection:
+        connection.send(rows(1)[0])
+        assert "x" in json.loads(connection.recv(timeout=60))
+
+
+def test_hosts_and_origins_may_be_allowed(tmp_path):
+    named = ("--allow-host", "camera.example", "--allow-origin", "https://view.example")
+    with serving(*named, "--state", str(tmp_path)) as service:
+        for headers in ({"Host": "camera.example:80"}, {"Origin": "https://view.example"}):
+            assert service.request("POST", "/v1/streams/one", rows(1)[0], **headers)[0] == 200
+        asked = {"Origin": "https://view.example", "Access-Control-Request-Method": "DELETE"}
+        assert service.request("OPTIONS", "/v1/streams/one", **asked)[0] == 200
+        assert service.request("GET", "/", Host="other.example")[0] == 400
+        assert service.request("GET", "/", Origin="http://view.example")[0] == 403
+        with service.connect("one", origin="https://view.example"):
+            pass
+
+
+@pytest.mark.parametrize(
+    "options", [("--allow-host", "http://x"), ("--allow-host", "x:80"), ("--allow-origin", "x.example/a")]
+)
+def test_hosts_and_origins_are_checked(options):
+    command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, *options]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2 and options[0] in done.stderr and "expected" in done.stderr
+
+
+def test_the_root_names_the_endpoints(service):
+    status, page = service.request("GET", "/")
+    assert status == 200
+    for address in ("/v1/streams/NAME", "/health", "/metrics", "serve.md"):
+        assert address in page
+
+
+def test_a_client_that_reads_slowly_gets_every_answer(service):
+    """Closing waits for who still reads."""
+    asking = http.client.HTTPConnection("127.0.0.1", service.port, timeout=60)
+    asking.request("POST", "/v1/streams/reader", "\n".join(rows(1000)), {"Connection": "close"})
+    answer, found = asking.getresponse(), b""
+    while data := answer.read(20_000):
+        found += data
+        time.sleep(0.1)
+    assert len(found.splitlines()) == 2000
