@@ -31,7 +31,6 @@ def drawn(seed: int) -> Track:
     velocity = rng.normal(0.0, 0.8, 2) + np.cumsum(rng.normal(0.0, 0.4 * math.sqrt(dt), (n, 2)), axis=0)
     position = np.cumsum(velocity * dt, axis=0) + rng.normal(0.0, 5.0, 2)
     head = rng.uniform(-np.pi, np.pi) + np.cumsum(rng.normal(0.0, 0.5 * math.sqrt(dt), n))
-
     head += rng.normal(0.0, 0.6, n)
     head[rng.random(n) < 0.2] = np.nan
     seen = position + rng.normal(0.0, 0.1, (n, 2))

@@ -122,7 +122,7 @@ class PackedTracks:
     def t(self) -> FloatArray:
         """(N,) seconds since the first frame of the same track.
 
-        All that the solvers read of time comes from here: a shift of all times changes them by rounding alone.
+        The solvers read time from here alone: a shift of all times changes it by no more than rounding.
         """
         return np.concatenate([track.t - track.t[:1] for track in self.tracks])
 
