@@ -106,7 +106,7 @@ def solve(
     tracks : observations: a `TrackSet`, a `Track` or several, the path of a file, or a table as for
         `TrackSet.from_table`
     model : a `Model`, a preset's name or a model file; by default "full"
-    engine : "auto", "chain" or "gtsam"; both find the same optimum
+    engine : "auto", "chain" or "gtsam"; they minimise one cost, and may reach different minima of it
     jobs : threads of the chain engine, by default one for each processor; processes with GTSAM, which holds
         the interpreter's lock, by default one
     options : tolerances of the solver

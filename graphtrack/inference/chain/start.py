@@ -10,13 +10,13 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.linear import Linear, solve_linear
 from graphtrack.model.kernels.compiled import apart, compiled
-from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY
+from graphtrack.model.kernels.layout import BODY, HEAD, TIME_TOLERANCE, VX, VY
 
 
 class Seen(NamedTuple):
     """What the first orientations are made of."""
 
-    t: FloatArray  # (N,) seconds
+    t: FloatArray  # (N,) seconds since the first frame of the track
     body: FloatArray  # (N, 2) vectors to where the body was seen to point, or NaN; no rows: no body
     head: FloatArray  # (N, 2) the same of the head
     moving: float  # m/s above which the direction of travel stands in
@@ -30,13 +30,13 @@ def running_mean(t: FloatArray, vectors: FloatArray, window: float, angle: Float
     low = high = count = 0
     x = y = 0.0
     for k in range(n):
-        while high < n and t[high] <= t[k] + window:
+        while high < n and t[high] - t[k] <= window + TIME_TOLERANCE:
             if math.isfinite(vectors[high, 0]):
                 x += vectors[high, 0]
                 y += vectors[high, 1]
                 count += 1
             high += 1
-        while t[low] < t[k] - window:
+        while t[k] - t[low] > window + TIME_TOLERANCE:
             if math.isfinite(vectors[low, 0]):
                 x -= vectors[low, 0]
                 y -= vectors[low, 1]
@@ -59,7 +59,10 @@ def headings(states: FloatArray, threshold: float, angle: FloatArray) -> None:
 
 @compiled
 def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
-    """Put the fallback where an angle is NaN, else the nearest in time of either, else 0."""
+    """Put the fallback where an angle is NaN, else the nearest in time of either, else 0.
+
+    Of two that are as near as `TIME_TOLERANCE` can tell, the earlier one.
+    """
     n = len(t)
     last = -1
     for k in range(n):
@@ -67,7 +70,7 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
             angle[k] = fallback[k]
         if math.isfinite(angle[k]):
             for gap in range(last + 1, k):
-                earlier = last >= 0 and t[gap] - t[last] <= t[k] - t[gap]
+                earlier = last >= 0 and t[gap] - t[last] <= t[k] - t[gap] + TIME_TOLERANCE
                 angle[gap] = angle[last] if earlier else angle[k]
             last = k
     for gap in range(last + 1, n):

@@ -19,7 +19,7 @@ from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_v
 from graphtrack.inference.state import FAILURES, Angles, Newest, Window
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import COUPLED
-from graphtrack.model.kernels.layout import N
+from graphtrack.model.kernels.layout import TIME_TOLERANCE, N
 from graphtrack.model.terms.gait import Gait, gait_of
 
 _FACTORISATION = ("inverse", "link", "trigonometry", "message", "factored")
@@ -275,7 +275,7 @@ class ChainWindow:
 
     def _leaving(self, newest: Step) -> int:
         """How many steps leave the window when there is a newest one."""
-        horizon, n, last = newest.observation.t - self._lag, 0, len(self._steps) - 1
+        horizon, n, last = newest.observation.t - self._lag - TIME_TOLERANCE, 0, len(self._steps) - 1
         while n <= last and self._steps[n].observation.t < horizon:
             n += 1
         return n

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from graphtrack.errors import SolveError
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import PASSES, is_chain
 from graphtrack.inference.chain.restart import AT_END, AT_START
@@ -140,6 +140,8 @@ def smooth_graph(
             # Without couplings first: from there both the modes and the states are found.
             view.decouple()
             values, _, _ = descent.lowest(values)
+            # Without couplings nothing holds an orientation that was never observed, and it drifts.
+            values = _with_guesses(values, steps, model, initial, view.guessed())
             # Class likelihoods have basins that only the couplings tell apart.
             again = descent.lower if any(map(is_ambiguous, steps)) else descent
             for _ in range(PASSES - 1):
@@ -221,6 +223,19 @@ class _Descent:
         """The values with the orientations of a better course on the grid; None where there is none."""
         states = None if self._view is None else self._view.other(self.states(values), near)
         return None if states is None else _turned(values, self._steps, self._model, states)
+
+
+def _with_guesses(
+    values: gtsam.Values, steps: Sequence[Step], model: Model, initial: States, guessed: BoolArray
+) -> gtsam.Values:
+    """The values with the initial orientations where ``guessed`` (n, 2), of body and head, is true."""
+    found = gtsam.Values(values)
+    for k, step in enumerate(steps):
+        if model.has_body and guessed[k, 0]:
+            found.update(step.body_key, gtsam.Rot2(initial.body[k]))
+        if model.has_head and guessed[k, 1]:
+            found.update(step.head_key, gtsam.Rot2(initial.head[k]))
+    return found
 
 
 def _turned(values: gtsam.Values, steps: Sequence[Step], model: Model, states: FloatArray) -> gtsam.Values:

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray
+from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.elimination import workspace
+from graphtrack.inference.chain.engine import never_seen
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.graph.couplings import couplings_of
-from graphtrack.inference.initial import pack, problem_of
+from graphtrack.inference.initial import pack, problem_of, seen_in
 from graphtrack.model import Model, Step
 from graphtrack.model.terms.gait import gait_of
 from graphtrack.tracks import Track
@@ -58,6 +59,10 @@ class ChainView:
         for gate in program_of(self._model).switched:
             self._problem.records[gate] = 0.0
         self._note()
+
+    def guessed(self) -> BoolArray:
+        """(n, 2) orientations of body and head that only couplings hold (see `never_seen`)."""
+        return never_seen(self._packed, seen_in(self._packed, self._model))
 
     def renew(self, states: FloatArray) -> None:
         """Set the couplings by the modes that the states (n, 6) imply."""

@@ -14,6 +14,7 @@ from graphtrack.inference.state import Angles, Newest, Window, finite, insert_st
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
+from graphtrack.model.kernels.layout import TIME_TOLERANCE
 
 _MAX_HALVINGS = 20
 # Metres, m/s or radians. Only larger steps can overshoot; the others are spared two evaluations of the cost.
@@ -210,7 +211,7 @@ class FixedLag:
         return values, bayes_net
 
     def _slide(self, chain: _Chain) -> _Chain:
-        horizon = chain.links[-1].step.observation.t - self._lag
+        horizon = chain.links[-1].step.observation.t - self._lag - TIME_TOLERANCE
         while chain.links[0].step.observation.t < horizon:
             gone, first, *rest = chain.links
             graph = gtsam.NonlinearFactorGraph(gone.own)

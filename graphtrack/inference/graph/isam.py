@@ -24,7 +24,7 @@ from graphtrack.inference.warm import has_own_kernels
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
-from graphtrack.model.kernels.layout import BODY, HEAD
+from graphtrack.model.kernels.layout import BODY, HEAD, TIME_TOLERANCE
 
 _NEVER = 10**9
 _RECOUPLED = 0.1
@@ -268,7 +268,7 @@ class Isam2:
 
     def _slide(self) -> None:
         links = self._links
-        horizon = links[-1].step.observation.t - self._lag
+        horizon = links[-1].step.observation.t - self._lag - TIME_TOLERANCE
         while links[0].step.observation.t < horizon:
             gone = gtsam.KeyList()
             gone.push_back(links[0].key)

@@ -16,6 +16,9 @@ N = 6
 LANES = 8
 """Tracks that are solved side by side."""
 
+TIME_TOLERANCE = 1e-6
+"""Seconds up to which two durations are equal: times of 10⁹ s are rounded to 10⁻⁷ s."""
+
 PLACES: dict[str, slice] = {
     "position": slice(X, Y + 1),
     "velocity": slice(VX, VY + 1),

@@ -120,8 +120,11 @@ class PackedTracks:
 
     @cached_property
     def t(self) -> FloatArray:
-        """(N,) seconds."""
-        return np.concatenate([track.t for track in self.tracks])
+        """(N,) seconds since the first frame of the same track.
+
+        The solvers read time from here alone: a shift of all times changes it by no more than rounding.
+        """
+        return np.concatenate([track.t - track.t[:1] for track in self.tracks])
 
     @cached_property
     def is_first(self) -> NDArray[np.bool_]:

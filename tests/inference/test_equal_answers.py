@@ -1,0 +1,108 @@
+"""Equal problems have equal answers: turned, at other times, and with another engine.
+
+The draw: 15 to 60 frames at 2.5, 5 or 10 Hz, a velocity that wanders (0.8 m/s each axis at first, 0.4 m/s
+after a second), positions with noise of 0.1 m, a head that drifts from any direction and is observed in four
+frames of five with noise of 0.6 rad, and a body that is not observed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graphtrack import OnlineSmoother, TrackSet, smooth
+from graphtrack.geometry.angles import difference, wrap
+from graphtrack.model.observation import observations
+from graphtrack.tracks import Track
+
+FAR = 1e9
+"""Seconds by which time is shifted: such times are rounded to 10⁻⁷ s."""
+
+SAME = math.radians(1.0)
+
+
+def drawn(seed: int) -> Track:
+    rng = np.random.default_rng(seed)
+    n, dt = int(rng.integers(15, 61)), float(rng.choice([0.1, 0.2, 0.4]))
+    velocity = rng.normal(0.0, 0.8, 2) + np.cumsum(rng.normal(0.0, 0.4 * math.sqrt(dt), (n, 2)), axis=0)
+    position = np.cumsum(velocity * dt, axis=0) + rng.normal(0.0, 5.0, 2)
+    head = rng.uniform(-np.pi, np.pi) + np.cumsum(rng.normal(0.0, 0.5 * math.sqrt(dt), n))
+    head += rng.normal(0.0, 0.6, n)
+    head[rng.random(n) < 0.2] = np.nan
+    seen = position + rng.normal(0.0, 0.1, (n, 2))
+    return Track(seed, np.arange(n), np.arange(n) * dt, seen, head=wrap(head))
+
+
+def later(track: Track) -> Track:
+    return replace(track, t=track.t + FAR)
+
+
+def turned(track: Track, angle: float) -> Track:
+    assert track.head is not None
+    c, s = math.cos(angle), math.sin(angle)
+    position = track.position @ np.array([[c, s], [-s, c]])
+    return replace(track, position=position, head=wrap(track.head + angle))
+
+
+def apart(a: Sequence[Track], b: Sequence[Track], turn: float = 0.0) -> np.ndarray:
+    """Greatest difference of body and head (m, 2) of each pair of tracks, where ``b`` is turned."""
+    found = []
+    for one, other in zip(a, b, strict=True):
+        assert one.body is not None and one.head is not None
+        assert other.body is not None and other.head is not None
+        found.append(
+            [
+                np.abs(difference(other.body - turn, one.body)).max(),
+                np.abs(difference(other.head - turn, one.head)).max(),
+            ]
+        )
+    return np.array(found)
+
+
+def solved(tracks: Sequence[Track], engine: str = "auto") -> Sequence[Track]:
+    found = smooth(TrackSet(list(tracks)), "full", engine=engine)  # type: ignore[arg-type]
+    assert isinstance(found, TrackSet)
+    return list(found.tracks)
+
+
+@pytest.fixture(scope="module")
+def tracks() -> list[Track]:
+    return [drawn(seed) for seed in range(150)]
+
+
+@pytest.fixture(scope="module")
+def answers(tracks: list[Track]) -> Sequence[Track]:
+    return solved(tracks)
+
+
+@pytest.mark.parametrize("degrees", [180.0, 90.0, 37.0])
+def test_turned_input_turns_the_answer(tracks: list[Track], answers: Sequence[Track], degrees: float) -> None:
+    angle = math.radians(degrees)
+    assert apart(answers, solved([turned(track, angle) for track in tracks]), angle).max() < SAME
+
+
+def test_the_answer_does_not_depend_on_the_origin_of_time(
+    tracks: list[Track], answers: Sequence[Track]
+) -> None:
+    assert apart(answers, solved([later(track) for track in tracks])).max() < SAME
+
+
+def test_gtsam_keeps_orientations_that_only_couplings_hold(
+    tracks: list[Track], answers: Sequence[Track]
+) -> None:
+    assert apart(answers[:25], solved(tracks[:25], "gtsam")).max() < SAME
+
+
+@pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"])
+def test_online_estimates_do_not_depend_on_the_origin_of_time(tracks: list[Track], engine: str) -> None:
+    for track in tracks[:12]:
+        found = []
+        for given in (track, later(track)):
+            smoother = OnlineSmoother("full", engine=engine)  # type: ignore[arg-type]
+            estimates = [smoother.update(one) for one in observations(given)]
+            found.append([[estimate.body, estimate.head] for estimate in estimates])
+        assert np.abs(difference(np.array(found[0]), np.array(found[1]))).max() < SAME
