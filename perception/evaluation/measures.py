@@ -47,7 +47,8 @@ class PoseScores:
 
     @property
     def rates(self) -> tuple[FloatArray, FloatArray]:
-        """True and false positive rates (n_pan,) of each pan class (000 Fig. 3); NaN for classes unseen."""
+        """True and false positive rates (n_pan,) of each pan class (Baxter et al. 2014, Fig. 3); NaN for
+        classes unseen."""
         of_class, said = self.confusion.sum(axis=1), self.confusion.sum(axis=0)
         hits = np.diag(self.confusion)
         with np.errstate(invalid="ignore", divide="ignore"):
