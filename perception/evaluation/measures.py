@@ -96,7 +96,7 @@ def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, n
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(4.2 + 3.4 * len(scores), 3.9), layout="constrained")
+    figure = Figure(figsize=(4.2 + 3.4 * len(scores), 3.9 + 0.16 * len(scores)), layout="constrained")
     curves, *squares = figure.subplots(1, 1 + len(scores), width_ratios=[1.2] + [1.0] * len(scores))
     curves.plot([0, 1], [0, 1], color="#8A8F98", lw=1, ls="--")
     for (name, found), colour in zip(scores.items(), _COLOURS * len(scores), strict=False):
@@ -108,7 +108,10 @@ def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, n
         )
     curves.set(xlim=(0, 1), ylim=(0, 1), xlabel="likelihood of the most likely class", ylabel="share right")
     curves.set_title("Reliability (area of a dot: images)", fontsize=10)
-    curves.legend(fontsize=7.5, loc="upper left", frameon=False)
+    # Below the axes: inside, it would cover curves of classifiers that are too modest.
+    curves.legend(
+        fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.16), borderaxespad=0.0, frameon=False
+    )
     for (name, found), axes in zip(scores.items(), squares, strict=True):
         _confusion(axes, found, degrees[name], name)
     return figure
