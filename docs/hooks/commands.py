@@ -25,7 +25,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def page() -> str:
     """A heading for every command, with what it does and a table of what it takes."""
-    lines = ["# Commands", "", "`--help` after any of them says the same.", ""]
+    lines = [
+        "# Commands",
+        "",
+        "`--help` prints the same text. Papers are cited by author and year: [references](../references.md).",
+        "",
+    ]
     for program, app in PROGRAMS.items():
         group: Any = typer.main.get_command(app)
         for name, command in sorted(commands_of(group, program).items()):

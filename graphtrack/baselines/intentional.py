@@ -1,6 +1,6 @@
 """The intentional tracker: a Kalman filter whose control input is where the head points.
 
-Source: Baxter et al. 2014 (000), §III. Time is counted in steps and velocity in units of length a step, as
+Source: Baxter et al. 2014, §III. Time is counted in steps and velocity in units of length a step, as
 in the paper; `intentional_continuous` is the same idea in seconds.
 
 The paper's eq. 4–5 add α·d to the velocity but leave its rows of F at 1, so that the velocity grows at every
@@ -31,12 +31,12 @@ Displacement = Literal["smoothed", "velocity"]
 BinDifference = Literal["circular", "numbered"]
 
 N_BINS = 8
-"""Sectors of 45° for the deviation of the head from the direction of travel (000, §III-B)."""
+"""Sectors of 45° for the deviation of the head from the direction of travel (Baxter et al. 2014, §III-B)."""
 
 
 @dataclass(frozen=True)
 class IntentionalParameters:
-    """Parameters of 000, with its values as defaults.
+    """Parameters of Baxter et al. 2014, with its values as defaults.
 
     Attributes
     ----------
@@ -85,12 +85,13 @@ class IntentionalParameters:
 
 
 PRINTED = IntentionalParameters(variant="printed", bin_difference="numbered")
-"""000 to the letter: eq. 2 with the numbers of the bins, eq. 4–5 with a velocity that accumulates."""
+"""Baxter et al. 2014 to the letter: eq. 2 with the numbers of the bins, eq. 4–5 with a velocity that
+accumulates."""
 
 OWN_FILTERS: Mapping[str, IntentionalParameters] = MappingProxyType(
     {"printed": PRINTED, "consistent": IntentionalParameters()}
 )
-"""Name in tables and figures → parameters of 000's own filter."""
+"""Name in tables and figures → parameters of Baxter et al.'s own filter."""
 
 
 def bin_number(angle: FloatArray) -> FloatArray:
@@ -161,7 +162,7 @@ def intentional_filter(
 
 
 def step_tracker(track: Track, parameters: IntentionalParameters | None = None) -> Track:
-    """Online estimates of 000's own filter for one track, each from the past alone.
+    """Online estimates of Baxter et al.'s own filter for one track, each from the past alone.
 
     The filter counts frames, whatever the times between them. Lengths are metres; the velocity a step is
     returned in m/s, by the step that led to it.

@@ -3,7 +3,7 @@
 The velocity is drawn to where the head points at the rate λ: dv = −λ·(v − s·u(head))·dt + noise of density q,
 with s the estimated speed. Over a step the velocity keeps exp(−λΔt) of itself, as the variant ``consistent``
 of `intentional` keeps γ; the noise is integrated exactly, so that two half steps are one whole step. λ = 0 is
-white-noise acceleration (MODEL terms 1 and 5).
+white-noise acceleration (docs/model.md, the terms `Motion` and `IntentionalMotion`).
 """
 
 from __future__ import annotations

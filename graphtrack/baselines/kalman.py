@@ -1,4 +1,4 @@
-"""Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part (MODEL terms 1 and 6).
+"""Kalman filter and Rauch–Tung–Striebel smoother on the model's linear part (motion and positions seen).
 
 What the graph is compared with: the same motion, the same position noise, the same prior on the velocity.
 """

@@ -98,7 +98,8 @@ class OnlineGraph:
 
 @dataclass(frozen=True)
 class StepFilter:
-    """000's own filter (eq. 2–6), which takes frames for steps and has parameters of its own, no model."""
+    """Baxter et al.'s own filter (eq. 2–6), which takes frames for steps and has parameters of its own, no
+    model."""
 
     name: str
     parameters: IntentionalParameters
@@ -170,9 +171,9 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
 )
 """Name → factory of the method for a model. All get its parameters; kf and rts use its linear part.
 
-``intentional`` is 000's tracker in continuous time; ``intentional-printed`` and ``intentional-consistent``
-are its own filter (eq. 2–6) with its own parameters, whatever the model. ``particle`` is 002's filter and
-``ffbs`` its smoother."""
+``intentional`` is Baxter et al.'s tracker in continuous time; ``intentional-printed`` and
+``intentional-consistent`` are its own filter (eq. 2–6) with its own parameters, whatever the model.
+``particle`` is Chen et al.'s filter and ``ffbs`` its smoother."""
 
 
 _OWN = {

@@ -1,4 +1,5 @@
-"""How far people look from where they go (000, §II), and whether a head column tells the future."""
+"""How far people look from where they go (Baxter et al. 2014, §II), and whether a head column tells the
+future."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from graphtrack.simulation.degrade import MOVING_SPEED
 from graphtrack.tracks import Track
 
 WINDOW_FRAMES = 24
-"""Frames over which 000 averages the velocity."""
+"""Frames over which Baxter et al. (2014) average the velocity."""
 
 HISTOGRAM_EDGES = np.radians(np.arange(-180.0, 181.0, 10.0))
 """Edges (37,) of the histogram's bins in radians."""
@@ -61,7 +62,7 @@ class DeviationStatistics:
 
 
 def travel_velocity(track: Track, window: int = WINDOW_FRAMES) -> FloatArray:
-    """Velocity (n, 2) in m/s, the mean over a window of frames, as 000 §II smooths it.
+    """Velocity (n, 2) in m/s, the mean over a window of frames, as Baxter et al. (2014, §II) smooth it.
 
     Differences of neighbouring frames are averaged over ``window`` frames about each; at the ends over what
     there is. NaN where none is known.

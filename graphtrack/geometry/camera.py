@@ -1,6 +1,6 @@
 """The camera above a ground plane: pixels ↔ metres, and pose angles in the image ↔ angles in the world.
 
-Source for the angles: Chen, Heili & Odobez 2011 (002), §3.
+Source for the angles: Chen, Heili & Odobez 2011, §3.
 """
 
 from __future__ import annotations
@@ -290,7 +290,8 @@ class GroundCamera:
 
         A pose angle in the image frame is 0 when the person faces the camera and grows counter-clockwise as
         seen from above, so that at +π/2 the person faces the right of the image. Hence world angle =
-        image angle + bearing of the ray + π (002 §3); on a mirrored ground the image angle counts negative.
+        image angle + bearing of the ray + π (Chen et al. 2011, §3); on a mirrored ground the image angle
+        counts negative.
         """
         sign = -1.0 if self.is_mirrored else 1.0
         return wrap(sign * np.asarray(image_angle, dtype=float) + self.ray_bearing(position) + np.pi)

@@ -64,9 +64,10 @@ presets: dict[str, tuple[type[Term], ...]] = {
     ),
 }
 """Name → the terms of the model: positions only; orientations too, each for itself; the body coupled to the
-motion, but not the head to the body (what 002 calls separate, κ₂ = 0); all coupled (002); positions and the
-head that steers them (000); all of these; `joint` whose couplings have modes; `joint` with a place that
-people are drawn to or kept from; `full` whose people face those whom they stand in conversation with."""
+motion, but not the head to the body (what Chen et al. (2011) call separate, κ₂ = 0); all coupled (Chen et
+al. 2011); positions and the head that steers them (Baxter et al. 2014); all of these; `joint` whose
+couplings have modes; `joint` with a place that people are drawn to or kept from; `full` whose people face
+those whom they stand in conversation with."""
 
 
 def every_term() -> tuple[type[Term], ...]:

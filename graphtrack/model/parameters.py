@@ -1,8 +1,8 @@
 """Parameters of the model, with their units. They are what a model file holds.
 
 The defaults of motion, orientation and coupling were fitted to motion capture of people who walk, turn and
-run (30 Hz; 0.1 m of noise on positions, body κ = 1.2, head κ = 2.3, as in 002's Table 2), on every other
-clip: q by the likelihood of the true positions under the smoother's covariance, the others by the mean
+run (30 Hz; 0.1 m of noise on positions, body κ = 1.2, head κ = 2.3, as in Chen et al.'s Table 2), on every
+other clip: q by the likelihood of the true positions under the smoother's covariance, the others by the mean
 angular errors of `separate` and `joint`. docs/model.md has the errors on the clips that were left out.
 """
 
@@ -64,7 +64,8 @@ def scale_of(group: Any, name: str) -> Scale | None:
 
 @dataclass(frozen=True)
 class MotionParameters(_Group):
-    """White-noise acceleration and intentional motion (MODEL terms 1 and 5).
+    """White-noise acceleration and intentional motion (the terms motion and motion that the head steers of
+    docs/model.md).
 
     Attributes
     ----------
@@ -92,7 +93,8 @@ class MotionParameters(_Group):
 
 @dataclass(frozen=True)
 class OrientationParameters(_Group):
-    """Rotational diffusion of body and head (MODEL term 2): κ of a step is 1/(diffusion·Δt).
+    """Rotational diffusion of body and head (the terms body turns and head turns of docs/model.md): κ of a
+    step is 1/(diffusion·Δt).
 
     Attributes
     ----------
@@ -116,7 +118,8 @@ class OrientationParameters(_Group):
 
 @dataclass(frozen=True)
 class CouplingParameters(_Group):
-    """Body follows motion and head follows body (MODEL terms 3 and 4; 002 eq. 8–10).
+    """Body follows motion and head follows body (the terms of those names in docs/model.md; Chen et al.
+    2011, eq. 8–10).
 
     Attributes
     ----------
@@ -125,7 +128,7 @@ class CouplingParameters(_Group):
     head_body_kappa : κ₂, dimensionless
     correlation_time : seconds over which deviations from a coupling persist. Frames closer than that carry
         the same evidence again, so a step of Δt counts min(1, Δt/correlation_time) times; 0: each frame
-        counts once, as in 002.
+        counts once, as in Chen et al. 2011.
     """
 
     motion_body_kappa: float = _number(38.0, 0.0, 1e6, "(m/s)⁻²")
@@ -143,7 +146,7 @@ class CouplingParameters(_Group):
 
 @dataclass(frozen=True)
 class GaitParameters(_Group):
-    """Modes of the couplings (MODEL, "Where the papers need care"): aligned, or free with an offset.
+    """Modes of the couplings (docs/model.md, "Modes of the couplings"): aligned, or free with an offset.
 
     Attributes
     ----------
@@ -193,13 +196,15 @@ class GaitParameters(_Group):
 
 @dataclass(frozen=True)
 class LikelihoodParameters(_Group):
-    """Position and orientation likelihoods (MODEL terms 6 and 7).
+    """Position and orientation likelihoods (the terms position seen and body, head seen as an angle of
+    docs/model.md).
 
     Attributes
     ----------
     position_std : metres, 1-σ of each axis where the data do not say
     pixel_std : pixels, 1-σ of each axis of the foot point, where the pixel likelihood is used
-    image_frame : judge positions in the image (002 eq. 12) where the track has pixels and a camera
+    image_frame : judge positions in the image (Chen et al. 2011, eq. 12) where the track has pixels and a
+        camera
     robust : "none", "huber" or "cauchy" position likelihood
     robust_threshold : standard deviations beyond which a position counts less
     body_kappa, head_kappa : von Mises concentration of observed angles where the data do not say

@@ -1,4 +1,5 @@
-"""Simulated people who walk straight or around an obstacle: the corpus of Baxter et al. 2014 (000, §IV-A).
+"""Simulated people who walk straight or around an obstacle: the corpus of Baxter et al.
+(2014, §IV-A).
 
 The paper gives the numbers of tracks and steps, and all noise. It leaves open how fast people walk and what
 the manoeuvres look like, so these are arguments here. Its Fig. 4 shows somebody who leaves a line, passes an
@@ -18,12 +19,12 @@ from graphtrack.geometry.angles import FloatArray, direction, unit, wrap
 from graphtrack.tracks import Track, TrackSet
 
 NUMERALS = ("i", "ii", "iii", "iv", "v", "vi", "vii")
-"""The behaviours, as 000 numbers them: i is straight, ii–vii avoid an obstacle."""
+"""The behaviours, as Baxter et al. (2014) number them: i is straight, ii–vii avoid an obstacle."""
 
 
 @dataclass(frozen=True)
 class CorpusParameters:
-    """What the corpus is made of. Starred numbers are 000's, the others are choices.
+    """What the corpus is made of. Starred numbers are Baxter et al.'s, the others are choices.
 
     Attributes
     ----------

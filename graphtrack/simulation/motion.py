@@ -33,7 +33,8 @@ def sample_motion(
 ) -> tuple[FloatArray, FloatArray]:
     """Positions and velocities (n_tracks, n, 2) of white-noise acceleration at the times ``t`` (n,) seconds.
 
-    Without a ``pace`` in m/s exact: each step has the covariance Q(Δt) of MODEL term 1, whatever Δt.
+    Without a ``pace`` in m/s exact: each step has the covariance Q(Δt) of the model's term `Motion`,
+    whatever Δt.
     """
     velocity = sample_velocity(t, n_tracks, parameters.motion, rng, pace=pace)
     return sample_positions(t, velocity, parameters.motion, rng), velocity

@@ -49,7 +49,7 @@ class Modes(NamedTuple):
 
 
 def without_modes(n_tracks: int, n: int) -> Modes:
-    """Couplings as 002 has them: at rest at 0, without a lead."""
+    """Couplings as Chen et al. (2011) have them: at rest at 0, without a lead."""
     one = ModeCourse(np.ones((n_tracks, n), bool), np.zeros((n_tracks, n)), np.ones((n_tracks, n)), 0.0)
     return Modes(one, one)
 

@@ -63,7 +63,7 @@ def scenario(
     occlusion : seconds for which nothing is seen of the last person, in a turn; at most 5
     position_std : metres, 1-σ of each axis
     body_kappa, head_kappa : concentration of the observed angles; mean errors of 52° and 35° at the
-        defaults, somewhat more than the 41.7° and 30.3° of 002's observations (its Table 2)
+        defaults, somewhat more than the 41.7° and 30.3° of Chen et al.'s observations (its Table 2)
 
     Returns
     -------

@@ -24,10 +24,13 @@ def evaluate(
     tables: Annotated[
         list[str] | None,
         typer.Argument(
-            help="pose (errors and calibration of all classifiers; 000 Fig. 3), localisation (002 Table 1), "
-            "recognition (004 Tables 1-3), joint (002 Table 2), published (002's perception as printed "
+            help="pose (errors and calibration of all classifiers; Baxter et al. 2014, Fig. 3), "
+            "localisation (Chen et al. 2011, Table 1), "
+            "recognition (Ba & Odobez 2003, Tables 1-3), joint (Chen et al. 2011, Table 2), "
+            "published (Chen et al.'s perception as printed "
             "beside ours), keypoints (body and head by keypoints); these by default. Of recordings in "
-            "--data: sigma-pi (003's tracker on CAVIAR's people), heads (004's trackers on Town Centre's "
+            "--data: sigma-pi (Yan et al.'s tracker on CAVIAR's people), heads (Ba & Odobez's "
+            "trackers on Town Centre's "
             "heads), lobby (adapted to CAVIAR's lobby), street (adapted to Town Centre, by every method), "
             "people (found in Town Centre: how often detections are right).",
             metavar="[TABLE]...",
@@ -132,7 +135,7 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -
     network = scores["deep_belief"]
     hits, false_alarms = network.rates
     show(
-        "deep_belief, heads of 16-32 pixels: confusion in percent and rates (000 Fig. 3)",
+        "deep_belief, heads of 16-32 pixels: confusion in percent and rates (Baxter et al. 2014, Fig. 3)",
         [
             {
                 "true_deg": f"{degree:.0f}",
@@ -176,7 +179,7 @@ def _localisation(count: int, train: int, rng: np.random.Generator, show: Show) 
         _published("differential, paper (real pictures)", 0.60, 0.64, 2.3),
         _published("Fisher, paper (real pictures)", 0.58, 0.65, 3.0),
     ]
-    show(f"Head localisation on {count} rendered people (002 Table 1)", rows)
+    show(f"Head localisation on {count} rendered people (Chen et al. 2011, Table 1)", rows)
 
 
 def _published(name: str, first: float, best: float, candidates: float) -> dict[str, Any]:
@@ -188,7 +191,7 @@ def _published_forms(count: int, train: int, rng: np.random.Generator, show: Sho
     from perception.evaluation.published import published_beside_ours
 
     for name, rows in published_beside_ours(train, count, rng).items():
-        title = f"{name}: ours and 002's as printed, both trained on {train} rendered images"
+        title = f"{name}: ours and Chen et al.'s as printed, both trained on {train} rendered images"
         show(title, rows)
 
 
@@ -204,8 +207,8 @@ def _recognition(rng: np.random.Generator, show: Show) -> None:
     from perception.evaluation.recognition import recognition_table
 
     for title, people, exemplars, repetitions in (
-        ("34 people train, 34 test (004 Table 1)", 68, (1, 2), 1),
-        ("70 people train, 70 test, 5 splits (004 Table 3)", 140, (1, 2, 3, 4), 5),
+        ("34 people train, 34 test (Ba & Odobez 2003, Table 1)", 68, (1, 2), 1),
+        ("70 people train, 70 test, 5 splits (Ba & Odobez 2003, Table 3)", 140, (1, 2, 3, 4), 5),
     ):
         rows, confusion = recognition_table(people, exemplars, rng, repetitions=repetitions)
         show(
@@ -223,7 +226,7 @@ def _recognition(rng: np.random.Generator, show: Show) -> None:
         if repetitions == 1:
             pans = [f"{degree:g}" for degree in np.arange(-90.0, 91.0, 22.5)]
             show(
-                "Confusion in percent, 2 exemplars, saturated (004 Table 2)",
+                "Confusion in percent, 2 exemplars, saturated (Ba & Odobez 2003, Table 2)",
                 [
                     {"true_deg": pan, **dict(zip(pans, row.tolist(), strict=True))}
                     for pan, row in zip(pans, confusion, strict=True)
@@ -244,7 +247,7 @@ def _joint(count: int, head_pose: str, rng: np.random.Generator, show: Show) -> 
         of_paper = dict(zip(("body_deg", "head_deg"), values, strict=True))
         blank = dict.fromkeys(rows[0], "")
         rows.append({**blank, "estimate": f"paper, {name}", "group": "online", **of_paper})
-    show(f"Mean errors on {count} rendered clips, heads by {head_pose} (002 Table 2)", rows)
+    show(f"Mean errors on {count} rendered clips, heads by {head_pose} (Chen et al. 2011, Table 2)", rows)
     console.print("  the paper's separate filtering is joint-body (κ₂ = 0); ±: standard error", markup=False)
 
 

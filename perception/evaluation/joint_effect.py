@@ -1,4 +1,5 @@
-"""What estimating body and head together makes of what is seen frame by frame, from pixels (002 Table 2)."""
+"""What estimating body and head together makes of what is seen frame by frame, from pixels (Chen et al.
+2011, Table 2)."""
 
 from __future__ import annotations
 

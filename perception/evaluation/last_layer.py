@@ -1,4 +1,5 @@
-"""The network's last layer learned anew on a part of heads and judged on the rest (000 §III-C, Fig. 3)."""
+"""The network's last layer learned anew on a part of heads and judged on the rest (Baxter et al. 2014,
+§III-C, Fig. 3)."""
 
 from __future__ import annotations
 

@@ -47,7 +47,8 @@ class PoseScores:
 
     @property
     def rates(self) -> tuple[FloatArray, FloatArray]:
-        """True and false positive rates (n_pan,) of each pan class (000 Fig. 3); NaN for classes unseen."""
+        """True and false positive rates (n_pan,) of each pan class (Baxter et al. 2014, Fig. 3); NaN for
+        classes unseen."""
         of_class, said = self.confusion.sum(axis=1), self.confusion.sum(axis=0)
         hits = np.diag(self.confusion)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -95,7 +96,7 @@ def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, n
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(4.2 + 3.4 * len(scores), 3.9), layout="constrained")
+    figure = Figure(figsize=(4.2 + 3.4 * len(scores), 3.9 + 0.16 * len(scores)), layout="constrained")
     curves, *squares = figure.subplots(1, 1 + len(scores), width_ratios=[1.2] + [1.0] * len(scores))
     curves.plot([0, 1], [0, 1], color="#8A8F98", lw=1, ls="--")
     for (name, found), colour in zip(scores.items(), _COLOURS * len(scores), strict=False):
@@ -107,7 +108,10 @@ def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, n
         )
     curves.set(xlim=(0, 1), ylim=(0, 1), xlabel="likelihood of the most likely class", ylabel="share right")
     curves.set_title("Reliability (area of a dot: images)", fontsize=10)
-    curves.legend(fontsize=7.5, loc="upper left", frameon=False)
+    # Below the axes: inside, it would cover curves of classifiers that are too modest.
+    curves.legend(
+        fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.16), borderaxespad=0.0, frameon=False
+    )
     for (name, found), axes in zip(scores.items(), squares, strict=True):
         _confusion(axes, found, degrees[name], name)
     return figure

@@ -1,4 +1,5 @@
-"""002's perception as printed beside ours, learned from the same rendered images and judged on the same."""
+"""Chen et al.'s perception as printed beside ours, learned from the same rendered images and judged on the
+same."""
 
 from __future__ import annotations
 

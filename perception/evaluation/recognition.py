@@ -1,4 +1,4 @@
-"""Recognition of nine pans as 004 measures it, on rendered heads."""
+"""Recognition of nine pans as Ba & Odobez (2003) measure it, on rendered heads."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ALIGNED = HeadVariation(size=(64, 64), offset=0.0, scale=0.0, roll=0.0, elevatio
 
 @dataclass(frozen=True)
 class RecognitionRow:
-    """One cell of 004's Tables 1 and 3: recognition rate (mean and 1-σ over the repetitions)."""
+    """One cell of Ba & Odobez's Tables 1 and 3: recognition rate (mean and 1-σ over the repetitions)."""
 
     exemplars: int
     density: Density
@@ -35,14 +35,14 @@ def recognition_table(
     *,
     repetitions: int = 1,
 ) -> tuple[list[RecognitionRow], FloatArray]:
-    """004's Table 1 (68 people, 1 or 2 exemplars) and Table 3 (140 people, several splits), rendered.
+    """Ba & Odobez's Table 1 (68 people, 1 or 2 exemplars) and Table 3 (140 people, several splits), rendered.
 
     Half of the people train, the other half test; each is seen once at the nine pans −90° … 90°.
 
     Returns
     -------
-    The rows, and the confusion matrix (9, 9) in percent (004's Table 2) of two exemplars (or the last number
-    asked for) with the saturated density, over all repetitions.
+    The rows, and the confusion matrix (9, 9) in percent (Ba & Odobez's Table 2) of two exemplars (or the
+    last number asked for) with the saturated density, over all repetitions.
     """
     classes = PoseClasses.half_circle()
     persons = [random_appearance(rng) for _ in range(people)]

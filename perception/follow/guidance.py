@@ -242,7 +242,7 @@ class GraphGuide:
 
 
 def _moved(estimate: Estimate, dt: float, acceleration_density: float) -> tuple[FloatArray, FloatArray]:
-    """Position (2,) and its covariance (2, 2) ``dt`` seconds after an estimate (MODEL term 1)."""
+    """Position (2,) and its covariance (2, 2) ``dt`` seconds after an estimate by the term Motion."""
     step = transition_matrix(dt)
     state = np.concatenate([estimate.position, estimate.velocity])
     covariance = step @ estimate.covariance[:4, :4] @ step.T + process_noise(dt, acceleration_density)

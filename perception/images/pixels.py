@@ -108,7 +108,8 @@ def enlarged(boxes: FloatArray, factor: float) -> FloatArray:
 
 
 def intersection_over_union(boxes: ArrayLike, box: ArrayLike) -> FloatArray:
-    """Overlap (...,) of boxes (..., 4) with boxes (..., 4): left, top, width, height (002 eq. 15)."""
+    """Overlap (...,) of boxes (..., 4) with boxes (..., 4): left, top, width, height (Chen et al. 2011, eq.
+    15)."""
     a, b = np.asarray(boxes, float), np.asarray(box, float)
     low = np.maximum(a[..., :2], b[..., :2])
     high = np.minimum(a[..., :2] + a[..., 2:], b[..., :2] + b[..., 2:])

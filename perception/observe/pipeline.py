@@ -312,8 +312,8 @@ def to_track(
     items : what was seen in n frames, on this side of the horizon
     heads : (n,) which candidate is the head
     head_classes, camera, fps : as for `to_tracks`
-    in_image : whether the likelihoods are left in the image frame, for filters that judge them there (002
-        eq. 13–14)
+    in_image : whether the likelihoods are left in the image frame, for filters that judge them there (Chen
+        et al. 2011, eq. 13–14)
     projection : of what people look like; None: tracks do not say
     """
     known = channels_of(items, heads, head_classes, camera, fps, in_image=in_image, projection=projection)

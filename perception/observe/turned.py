@@ -19,8 +19,8 @@ def world_likelihood(
 ) -> FloatArray:
     """Class likelihoods (n, n_wanted) in the world of those (n, n_pan) in the image, for people at (n, 2).
 
-    The classes of the world are seen at other angles in the image, by the ray to each person (002 §3);
-    there the likelihood is interpolated linearly. Rows sum to 1.
+    The classes of the world are seen at other angles in the image, by the ray to each person (Chen et al.
+    2011, §3); there the likelihood is interpolated linearly. Rows sum to 1.
     """
     p = np.exp(np.asarray(log_likelihood, float))
     at = np.stack([camera.image_angle(np.full(len(p), pan), position) for pan in wanted.pan], axis=1)

@@ -1,4 +1,5 @@
-"""Body pose in eight directions: multi-level HoG and sparse representation over samples (002 §2.1)."""
+"""Body pose in eight directions: multi-level HoG and sparse representation over samples (Chen et al. 2011,
+§2.1)."""
 
 from __future__ import annotations
 
@@ -35,8 +36,8 @@ class BodyPose(FeatureClassifier):
     classes : by default 8 directions
     samples : of each class in the dictionary
     penalty : of the sum of the weights, for samples of unit length
-    projection : of the features, "fisher" or "none" (002 represents the HoG itself)
-    floor : share of the weights that every class gets, so that none is impossible; 0 in 002
+    projection : of the features, "fisher" or "none" (Chen et al. (2011) represent the HoG itself)
+    floor : share of the weights that every class gets, so that none is impossible; 0 in Chen et al. 2011
     calibrated : as in `FeatureClassifier`
     """
 
@@ -66,7 +67,8 @@ class BodyPose(FeatureClassifier):
 
     @classmethod
     def as_published(cls, *, seed: int = 0) -> Self:
-        """002 §2.1 as printed: the normalised weights of the classes, of the HoG itself, and nothing else."""
+        """Chen et al. 2011, §2.1 as printed: the normalised weights of the classes, of the HoG itself, and
+        nothing else."""
         return cls(seed=seed, projection="none", floor=0.0, calibrated=False)
 
     def settings(self) -> dict[str, Any]:

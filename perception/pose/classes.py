@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from graphtrack.geometry.angles import FloatArray, difference, direction, unit, wrap
 
 TILT_EDGE = float(np.pi / 6.0)
-"""Radians: beyond it a head looks up or down (002 §2.3)."""
+"""Radians: beyond it a head looks up or down (Chen et al. 2011, §2.3)."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class PoseClasses:
 
     @classmethod
     def half_circle(cls) -> PoseClasses:
-        """−90° to 90° in steps of 22.5° (004 §2.1)."""
+        """−90° to 90° in steps of 22.5° (Ba & Odobez 2003, §2.1)."""
         return cls(-np.pi / 2.0, np.pi / 8.0, 9)
 
     def __len__(self) -> int:

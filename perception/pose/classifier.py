@@ -56,9 +56,9 @@ class FeatureClassifier(Stored):
 
     A fifth of the images is held out of the fit; on it the two are chosen and the figures of the card are
     measured, for the pans, since tilts are summed out before use. The other images are taken with their
-    reflections, so that left and right come equally often (000 §III-C). The model is not fitted to all
-    images afterwards: measured on rendered people, the temperature of the first fit then no longer suits it
-    (expected calibration error 0.08 in place of 0.05).
+    reflections, so that left and right come equally often (Baxter et al. 2014, §III-C). The model is not
+    fitted to all images afterwards: measured on rendered people, the temperature of the first fit then no
+    longer suits it (expected calibration error 0.08 in place of 0.05).
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""Boosted detectors of heads, by two directions of a block or by its Fisher discriminant (002 §2.2)."""
+"""Boosted detectors of heads, by two directions of a block or by its Fisher discriminant (Chen et al. 2011,
+§2.2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the head is in the box of a person (002 §2.2)."""
+"""Where the head is in the box of a person (Chen et al. 2011, §2.2)."""
 
 from __future__ import annotations
 
@@ -55,10 +55,11 @@ class HeadLocaliser(Stored):
 
     Parameters
     ----------
-    weak : "differential" (eq. 1) or "fisher" (the comparison in 002's Table 1)
+    weak : "differential" (eq. 1) or "fisher" (the comparison in Chen et al.'s Table 1)
     rounds : of AdaBoost
     seed : of the choice of training windows
-    plain : 002 §2.2 as printed: windows all over the box, each judged by all weak classifiers alone, and the
+    plain : Chen et al. 2011, §2.2 as printed: windows all over the box, each judged by all weak classifiers
+        alone, and the
         best one of a heap is its head. By default heads lie in the upper part, their place costs, the first
         30 classifiers choose the 250 windows that the others judge, and those about the best are averaged.
     """

@@ -23,8 +23,8 @@ from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
 
 METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
-"""The graph's smoother; 002's joint particle filter, smoothed (``ffbs``) or online (``particle``); the graph
-online."""
+"""The graph's smoother; Chen et al.'s joint particle filter, smoothed (``ffbs``) or online (``particle``);
+the graph online."""
 FILTERS = ("ffbs", "particle")
 """What a camera teaches itself of the graph's share of outliers is none of theirs: they forget as they go."""
 

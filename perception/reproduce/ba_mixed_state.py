@@ -1,4 +1,5 @@
-"""004: identification of still heads, and tracking and pose together against tracking, then pose."""
+"""Ba & Odobez 2003: identification of still heads, and tracking and pose together against tracking, then
+pose."""
 
 from __future__ import annotations
 
@@ -110,24 +111,28 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     notes = (
         "e(t) is the mean share that the two boxes do not have in common; lost: no overlap in some frame.",
         "All methods have the same frames, first box (the true one), 200 particles, motion and exemplars; in "
-        "the rows −90° to 90° all know that the head faces the camera, as 004's model does. The memory of "
+        "the rows −90° to 90° all know that the head faces the camera, as Ba & Odobez's model does. "
+        "The memory of "
         "colours is the same for the colour tracker and for mixed-state.",
-        "Pan: error of the mean of the distribution, and of its mode (eq. 10, 004's estimate). Level: error "
+        "Pan: error of the mean of the distribution, and of its mode (eq. 10, Ba & Odobez's "
+        "estimate). Level: error "
         "of the tilt that is always 0.",
-        f"Badly placed: e(t) of at least {_BADLY:g}, in frames where the box still touches the head's; 004 "
+        f"Badly placed: e(t) of at least {_BADLY:g}, in frames where the box still touches the "
+        f"head's; Ba & Odobez 2003 "
         "shows one such frame (Fig. 4).",
         "Graph on top: the tracker's boxes and pans, smoothed offline by the preset full; errors of the "
         "centre are in widths of the head.",
         f"Hidden: a wall hides the head for {_HIDDEN} frames while the person walks on; survived: the box "
         "overlaps the head's in 90 % of the frames from the tenth after it is seen again.",
-        "004 gives its tracking errors as a curve only (Fig. 3), for one sequence.",
+        "Ba & Odobez (2003) give its tracking errors as a curve only (Fig. 3), for one sequence.",
     )
     figure = page(_median(facing), failures([result for _, result in facing]), confusion)
     return Reproduction("ba-mixed-state", tables, figure, notes)
 
 
 def _by_place(facing: Done) -> Table:
-    """004 Fig. 4 as numbers: how wrong the pan is where the box is placed well, and where it is not."""
+    """Ba & Odobez 2003, Fig. 4 as numbers: how wrong the pan is where the box is placed well, and where it
+    is not."""
     records: list[dict[str, Cell]] = []
     for name in METHODS:
         error = np.concatenate([result[1][name].error for _, result in facing])
@@ -145,7 +150,9 @@ def _by_place(facing: Done) -> Table:
                     "pan error (°)": float(pan[chosen].mean()) if chosen.any() else None,
                 }
             )
-    return Table.of("Pan by how well the head is located, heads that face the camera (004, Fig. 4)", records)
+    return Table.of(
+        "Pan by how well the head is located, heads that face the camera (Ba & Odobez 2003, Fig. 4)", records
+    )
 
 
 def _on_top(facing: Done) -> Table:
@@ -255,7 +262,7 @@ def _median(facing: Done) -> ClipRuns:
 
 EXPERIMENT = Experiment(
     "ba-mixed-state",
-    "004: identification, and tracking and pose together",
+    "Ba & Odobez 2003: identification, and tracking and pose together",
     work,
     run,
     "2 sequences of 40 frames of each kind",

@@ -1,4 +1,5 @@
-"""000 Fig. 3 and 5(b): the network's confusion by split, and prediction with the heads that it says."""
+"""Baxter et al. 2014, Fig. 3 and 5(b): the network's confusion by split, and prediction with the heads that
+it says."""
 
 from __future__ import annotations
 
@@ -37,10 +38,10 @@ if TYPE_CHECKING:
 
 RATES = (1.0, 0.8, 0.6)
 SHARES = {"80:20": 0.8, "50:50": 0.5}
-"""000's split for Benfold's heads, and for CAVIAR's."""
+"""Baxter et al.'s split for Benfold's heads, and for CAVIAR's."""
 
 PAPER_GAIN = 1.158
-"""000 §IV-C: the median gain in CLL on CAVIAR with the network's heads."""
+"""Baxter et al. 2014, §IV-C: the median gain in CLL on CAVIAR with the network's heads."""
 
 _PICTURE = "in the picture of Fig. 3 alone"
 
@@ -89,7 +90,7 @@ def splits(
 
 
 def gains(people: Sequence[PersonWithHeads], model: DeepBelief, settings: Settings) -> Table:
-    """MSE and CLL gains over 000's Kalman filter with labelled heads and with the network's."""
+    """MSE and CLL gains over Baxter et al.'s Kalman filter with labelled heads and with the network's."""
     records: list[dict[str, Cell]] = []
     seen = {"labelled": [person.track for person in people]}
     seen["network"] = [network_heads(model, person) for person in people]
@@ -130,7 +131,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     people = _people(settings)
     found = splits(model, people, settings, progress)
     notes = [
-        "000 trains the last layer on 80 % of Benfold's heads and 50 % of CAVIAR's, and shows the confusion "
+        "Baxter et al. (2014) train the last layer on 80 % of Benfold's heads and 50 % of CAVIAR's, "
+        "and shows the confusion "
         "as a picture, without numbers in its text. Here the package's network, learned from rendered heads, "
         "keeps its hidden layers, and its last layer is learned anew on each part; TPR and FPR are means "
         "over the classes that occur. Reflections are learned too.",
@@ -140,9 +142,11 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         frames = ", ".join(f"{person.name} {len(person.track)}" for person in people)
         notes += [
             f"CAVIAR: frames with pixels and labelled heads are at hand for {frames}. Successive frames are "
-            "nearly alike: split one by one, a head's own neighbours are learned from, as 000's may have "
+            "nearly alike: split one by one, a head's own neighbours are learned from, as Baxter et "
+            "al.'s may have "
             "been; the other split keeps people apart.",
-            "Fig. 5(b): stretches of a second, predicted with 000's filters and parameters, heads at the "
+            "Fig. 5(b): stretches of a second, predicted with Baxter et al.'s filters and "
+            "parameters, heads at the "
             "labelled points. Who is not detected shows no head. baxter-caviar says what such gains are made "
             "of.",
         ]
@@ -245,7 +249,7 @@ def work(settings: Settings) -> int:
 
 EXPERIMENT = Experiment(
     "baxter-network",
-    "000 Fig. 3 and 5(b): the network's heads, by split and in the tracker",
+    "Baxter et al. 2014, Fig. 3 and 5(b): the network's heads, by split and in the tracker",
     work,
     run,
     "300 rendered heads and 2 splits",

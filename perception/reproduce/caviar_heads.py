@@ -1,4 +1,5 @@
-"""Heads of CAVIAR's lobby cut out of its frames at the labelled points, as 000 does (§IV-C)."""
+"""Heads of CAVIAR's lobby cut out of its frames at the labelled points, as Baxter et al. (2014) do
+(§IV-C)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""002 Table 2 from pixels, online beside online, with estimates drawn on the frames as in its Fig. 6–9.
+"""Chen et al. 2011, Table 2 from pixels, online beside online, with estimates drawn on the frames as in its
+Fig. 6–9.
 
-Then people of motion capture, whose poses are rendered and answered for by 002's classifiers.
+Then people of motion capture, whose poses are rendered and answered for by Chen et al.'s classifiers.
 """
 
 from __future__ import annotations
@@ -34,9 +35,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEADS = ("deep_belief", "templates")
-"""Head pose classifiers: ours, and 002's with distances after a Fisher projection."""
+"""Head pose classifiers: ours, and Chen et al.'s with distances after a Fisher projection."""
 
-BESIDE = "Paper / ours: mean error in degrees (002 on CHIL with its particle filter; ours on rendered people)"
+BESIDE = "Paper / ours: mean error in degrees (Chen et al. 2011 on CHIL with its particle filter; "
+"ours on rendered people)"
 
 GROUPS = {name: method.group for name, method in METHODS.items()}
 
@@ -76,9 +78,11 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "of the particle filter the mean of 3 seeds. Every method has the package's parameters and the same "
         "observations, with heads chosen from the past alone, but for the last smoother, whose heads are "
         f"chosen along the whole track. Online estimates use the past alone; the graphs keep {LAG:g} s open.",
-        "joint-body is what 002 calls separate (κ₂ = 0 in eq. 10); in separate the body does not follow the "
+        "joint-body is what Chen et al. (2011) call separate (κ₂ = 0 in eq. 10); in separate the "
+        "body does not follow the "
         "motion either. eq. 12–14: the closest class in the image, at each particle's own position.",
-        "The frames show who of the first clip is seen longest, as 002 Fig. 5: circles of 50 cm at feet "
+        "The frames show who of the first clip is seen longest, as Chen et al. 2011, Fig. 5: "
+        "circles of 50 cm at feet "
         "(red: body) and head (yellow); thin lines: the likeliest class of the frame alone; arrows: "
         "estimates; green ticks: the truth. From above, as Fig. 7, enlarged circles: speed (grey, outside), "
         "body (colour), head (black).",
@@ -89,7 +93,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     whole, effect, table_2 = detail(found, GROUPS, rng), _effect(found, rng), beside(found, GROUPS, BESIDE)
     of_posed = replace(
         detail(posed, chen_classes.GROUPS, settings.rng(98)),
-        title="Known poses: body and head of motion capture from the answers of 002's classifiers",
+        title="Known poses: body and head of motion capture from the answers of Chen et al.'s classifiers",
     )
     tables = (whole, effect, of_posed, *known_poses.confusions(answers, head.classes), table_2)
     return Reproduction("chen-pixels", tables, _figure(found, first, rng), notes)
@@ -150,7 +154,7 @@ def work(settings: Settings) -> int:
 
 EXPERIMENT = Experiment(
     "chen-pixels",
-    "002 Table 2 and Fig. 6–9, from pixels, online beside online",
+    "Chen et al. 2011, Table 2 and Fig. 6–9, from pixels, online beside online",
     work,
     run,
     "1 clip of 8 frames with at most 3 people",

@@ -1,4 +1,5 @@
-"""Estimates drawn on the frames, separately and jointly, and seen from above (002 Fig. 6, 7 and 9)."""
+"""Estimates drawn on the frames, separately and jointly, and seen from above (Chen et al. 2011, Fig. 6, 7
+and 9)."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ ROWS = (
     *(("particle", "joint-body"), ("particle", "joint")),
     *(("graph, chain", "joint"), ("graph, isam2", "joint")),
 )
-"""Method and preset of the sheet's rows: 002's separate and joint filtering, and the graph online."""
+"""Method and preset of the sheet's rows: Chen et al.'s separate and joint filtering, and the graph online."""
 
 _SPEED, _HEAD = "#666666", "#111111"
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
@@ -123,7 +124,8 @@ def cell(sheet: Sheet, person: ObservedPerson, estimate: Track, row: int) -> tup
 
 
 def _from_above(axes: Axes, found: list[Track], t: float) -> None:
-    """As 002 Fig. 7: two circles and three arrows each, from outer to inner speed, body and head."""
+    """As Chen et al. 2011, Fig. 7: two circles and three arrows each, from outer to inner speed, body and
+    head."""
     every = np.concatenate([track.position for track in found])
     (left, low), (right, high) = every.min(axis=0) - 2.0, every.max(axis=0) + 2.0
     half = max(right - left, high - low) / 2.0

@@ -1,4 +1,4 @@
-"""The page of figures of ba-mixed-state: 004's Figs. 3 and 4, and Table 2."""
+"""The page of figures of ba-mixed-state: Ba & Odobez's Figs. 3 and 4, and Table 2."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _curves(figure: SubFigure, clip: HeadClip, runs: Mapping[str, Run]) -> None:
             bottom.plot(time, np.degrees(runs[name].pan), color=colour, label=name, linewidth=width)
     bottom.plot(time, np.degrees(clip.pan), color=_TRUTH, linestyle="--", label="truth", linewidth=1.1)
     top.set(ylabel="e(t)", ylim=(-0.02, 1.02))
-    top.set_title("The sequence of the median error, as 004 Fig. 3", loc="left", fontsize=10)
+    top.set_title("The sequence of the median error, as Ba & Odobez 2003, Fig. 3", loc="left", fontsize=10)
     bottom.set(ylabel="pan (°)", yticks=range(-90, 91, 45), xlabel="time (s)")
     bottom.legend(frameon=False, fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
     for axes in (top, bottom):
@@ -98,7 +98,8 @@ def _pictures(figure: SubFigure, failed: Sequence[Failure]) -> None:
     for row, method in zip(grid, (SEQUENTIAL, JOINT), strict=True):
         row[0].set_ylabel(method, fontsize=9)
     figure.suptitle(
-        "As 004 Fig. 4: the pan fails where the box does. White: the head's box; arrows: pan, down is to the "
+        "As Ba & Odobez 2003, Fig. 4: the pan fails where the box does. White: the head's box; "
+        "arrows: pan, down is to the "
         "camera (dashed: truth)",
         x=0.02,
         ha="left",

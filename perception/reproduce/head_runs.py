@@ -1,4 +1,5 @@
-"""The head trackers on rendered sequences before things of the head's own colours, scored as in 004 §4.2."""
+"""The head trackers on rendered sequences before things of the head's own colours, scored as in Ba & Odobez
+2003, §4.2."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ METHODS: Mapping[str, Callable[[HeadExemplars, int], Tracker]] = {
 is that of the mixed-state tracker; as in the paper: `MixedStateParameters.of_the_paper`."""
 
 PAN_LIMIT = float(np.pi / 2.0)
-"""004 knows heads that face the camera by 90° at most; in its experiment all methods do."""
+"""Ba & Odobez (2003) know heads that face the camera by 90° at most; in its experiment all methods do."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,8 @@ def mean_pan(distribution: FloatArray, classes: PoseClasses) -> FloatArray:
 
 
 def tracking_error(boxes: ArrayLike, truth: ArrayLike) -> FloatArray:
-    """e(t) (n,) of boxes (n, 4): mean share of the two boxes that they do not have in common (004 §4.2)."""
+    """e(t) (n,) of boxes (n, 4): mean share of the two boxes that they do not have in common (Ba & Odobez
+    2003, §4.2)."""
     a, b = np.asarray(boxes, float), np.asarray(truth, float)
     low = np.maximum(a[:, :2], b[:, :2])
     high = np.minimum(a[:, :2] + a[:, 2:], b[:, :2] + b[:, 2:])

@@ -77,7 +77,7 @@ def _bars(axes: Axes, success: Mapping[str, Mapping[str, np.ndarray]], paper: Ma
             if len(values) > 1:
                 axes.plot([x, x], [values.min(), values.max()], color="#222222", lw=1.0, zorder=3)
         if name in paper:
-            label = "003, Table 1" if k == 0 else None
+            label = "Yan et al. 2011, Table 1" if k == 0 else None
             axes.plot([k - 0.4, k + 0.4], [paper[name]] * 2, color="#D55E00", lw=1.6, zorder=4, label=label)
     many = len(success) > 6
     names = [name if many else name.replace(" and ", "\nand ") for name in success]

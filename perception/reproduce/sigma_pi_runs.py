@@ -1,4 +1,4 @@
-"""The Sigma-Pi tracker on rendered ceilings and on real frames, scored as in 003's Table 1."""
+"""The Sigma-Pi tracker on rendered ceilings and on real frames, scored as in Yan et al.'s Table 1."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ METHODS: Mapping[str, SigmaPiParameters] = {
     FIXED: SigmaPiParameters(fixed=("motion",)),
     MOTION: SigmaPiParameters(cues=("motion",)),
 }
-"""The tracker; the same with a reliability of motion that is not adaptive, as 003 has it; and the same with
-the motion cue only, 003's comparison."""
+"""The tracker; the same with a reliability of motion that is not adaptive, as Yan et al. (2011) have it; and
+the same with the motion cue only, Yan et al.'s comparison."""
 
 FROM_BOXES: Mapping[str, SigmaPiParameters] = {
     OURS: METHODS[OURS],

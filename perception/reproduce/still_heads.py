@@ -1,4 +1,5 @@
-"""004 Tables 1 to 3: identification of the pan of still heads, and which pans are taken for which."""
+"""Ba & Odobez 2003, Tables 1 to 3: identification of the pan of still heads, and which pans are taken for
+which."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from perception.evaluation.recognition import RecognitionRow, recognition_table
 from perception.pose.head_pose.exemplars import Density
 
 PANS = (90.0, 67.5, 45.0, 22.5, 0.0, -22.5, -45.0, -67.5, -90.0)
-"""Degrees, in the order of 004's Table 2."""
+"""Degrees, in the order of Ba & Odobez's Table 2."""
 
 CONFUSION = np.array(
     [
@@ -27,7 +28,8 @@ CONFUSION = np.array(
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 100.0],
     ]
 )
-"""004 Table 2, as printed: per cent of the heads of each pan (rows) that are taken for each pan (columns)."""
+"""Ba & Odobez 2003, Table 2, as printed: per cent of the heads of each pan (rows) that are taken for each
+pan (columns)."""
 
 _PAPER: dict[tuple[int, Density, int], str] = {
     (68, "gaussian", 1): "90",
@@ -37,10 +39,11 @@ _PAPER: dict[tuple[int, Density, int], str] = {
     (140, "gaussian", 3): "67.2 ± 2.4",
     (140, "saturated", 4): "70.5 ± 2.3",
 }
-"""004 Tables 1 and 3: identification in per cent, by people (half of them learned from) and exemplars."""
+"""Ba & Odobez 2003, Tables 1 and 3: identification in per cent, by people (half of them learned from) and
+exemplars."""
 
 FIRST = 68
-"""People of 004's Tables 1 and 2."""
+"""People of Ba & Odobez's Tables 1 and 2."""
 _EXEMPLARS = {68: (1, 2), 140: (1, 2, 3, 4)}
 
 
@@ -56,7 +59,7 @@ def still_heads(settings: Settings) -> tuple[Table, Table, FloatArray]:
         records += [_record(people, row) for row in rows]
         if k == 0:
             confusion = found[::-1, ::-1]
-    named = Table.of("Identification of nine pans (004, Tables 1 and 3)", records)
+    named = Table.of("Identification of nine pans (Ba & Odobez 2003, Tables 1 and 3)", records)
     return named, _confusions(confusion), confusion
 
 
@@ -77,7 +80,9 @@ def _confusions(ours: FloatArray) -> Table:
         for k, pan in enumerate(PANS)
         for name, matrix in (("paper", CONFUSION), ("ours", ours))
     ]
-    return Table.of("Confusions of pans in per cent, 2 exemplars, saturated density (004, Table 2)", records)
+    return Table.of(
+        "Confusions of pans in per cent, 2 exemplars, saturated density (Ba & Odobez 2003, Table 2)", records
+    )
 
 
 def _cells(row: Sequence[float] | FloatArray) -> dict[str, Cell]:

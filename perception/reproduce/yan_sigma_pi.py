@@ -1,4 +1,4 @@
-"""003 Table 1: a person under a ceiling camera, tracked by three cues, and by motion alone."""
+"""Yan et al. 2011, Table 1: a person under a ceiling camera, tracked by three cues, and by motion alone."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ PAPER: Mapping[str, tuple[int, int, int, float]] = dict(
         strict=True,
     )
 )
-"""003 Table 1: frames, missing, mismatch, success in per cent, for each kind."""
+"""Yan et al. 2011, Table 1: frames, missing, mismatch, success in per cent, for each kind."""
 PAPER_MEAN, PAPER_MOTION = 90.28, 69.0
-"""003: success on average, and by motion alone (per cent)."""
+"""Yan et al. 2011: success on average, and by motion alone (per cent)."""
 _TITLE = "Paper / ours: Table 1 in per cent; motion: success by motion alone; means over frames, over kinds"
 REAL = ("wk1gt", "wk2gt")
 _FEWEST = 100
@@ -104,8 +104,10 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "is there and not found. Mismatch: found, but the centre is outside the box.",
         f"Ours are {counted(seeds, 'rendered sequence')} of {frames} frames of each kind, with another room "
         "and other people for every seed; nobody tells the tracker where the person is.",
-        "Motion not adaptive: the reliability of the linear term of motion stays at 1, as 003 has it (§2.2).",
-        "003 tracks a person or a mobile robot (§4) and has figures of the person only: the means are "
+        "Motion not adaptive: the reliability of the linear term of motion stays at 1, as Yan et "
+        "al. (2011) have it (§2.2).",
+        "Yan et al. (2011) track a person or a mobile robot (§4) and has figures of the person "
+        "only: the means are "
         "without the robot.",
         "Parameters were chosen on rendered sequences of other seeds, none on the real frames.",
     ]
@@ -205,7 +207,7 @@ def _figure(drawn: Runs, real: Runs) -> Figure:
 
 EXPERIMENT = Experiment(
     "yan-sigma-pi",
-    "003 Table 1: a person under a ceiling camera, by motion, colour and shape",
+    "Yan et al. 2011, Table 1: a person under a ceiling camera, by motion, colour and shape",
     work,
     run,
     "1 sequence of 120 frames of each kind",

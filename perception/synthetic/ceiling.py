@@ -42,12 +42,12 @@ KINDS: Mapping[str, CeilingKind] = MappingProxyType(
         ),
     }
 )
-"""Name of the kind, as in 003's Table 1 → what happens."""
+"""Name of the kind, as in Yan et al.'s Table 1 → what happens."""
 
 ALL_KINDS: Mapping[str, CeilingKind] = MappingProxyType(
     {**KINDS, "robot moving": CeilingKind(0.6, (0.5, 2.0), target="robot")}
 )
-"""Those, and a mobile robot, which 003 means to track as well (§4) and gives no figures of."""
+"""Those, and a mobile robot, which Yan et al. (2011) mean to track as well (§4) and gives no figures of."""
 
 
 @dataclass(frozen=True, eq=False)

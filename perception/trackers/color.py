@@ -34,7 +34,8 @@ class ColourParameters:
     least_similarity : Bhattacharyya coefficient of the estimate below which the target is not found
     resample_below : share of the particles; resampling is systematic, below this effective sample size
     rate : share of the remembered histogram that a frame replaces while the target is found; 0: the first
-        box's stays, as in Pérez et al. and so in 004's baseline. `MixedStateTracker` has the same memory.
+        box's stays, as in Pérez et al. and so in Ba & Odobez's baseline. `MixedStateTracker` has the same
+        memory.
     """
 
     particles: int = 200
@@ -54,7 +55,7 @@ class ColourParameters:
 
     @classmethod
     def of_the_paper(cls, particles: int = 200) -> ColourParameters:
-        """004's baseline, Pérez et al. 2002: the histogram of the first box stays."""
+        """Ba & Odobez's baseline, Pérez et al. 2002: the histogram of the first box stays."""
         return cls(particles, rate=0.0)
 
 
@@ -145,7 +146,8 @@ class ColourTracker:
         )
 
     def _pose(self, image: Image, box: Box) -> tuple[FloatArray | None, float | None]:
-        """Distribution (n_pan,) of the pan and expected tilt, by this box of this frame alone (004 §4.2)."""
+        """Distribution (n_pan,) of the pan and expected tilt, by this box of this frame alone (Ba & Odobez
+        2003, §4.2)."""
         if self.exemplars is None:
             return None, None
         patch = equalised(cut(grey(image), enlarged(np.array([box]), PATCH_MARGIN), SIDE))

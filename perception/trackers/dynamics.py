@@ -1,4 +1,5 @@
-"""Second-order autoregressive motion of boxes (004 §3.3), with another's prediction mixed in."""
+"""Second-order autoregressive motion of boxes (Ba & Odobez 2003, §3.3), with another's prediction mixed
+in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Training of the deep belief network with PyTorch (000 §III-C; Nair & Hinton 2010 for rectified units)."""
+"""Training of the deep belief network with PyTorch (Baxter et al. 2014, §III-C; Nair & Hinton 2010 for
+rectified units)."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ def _shared(
     who: NDArray[np.int64],
     people: int,
 ) -> NDArray[np.float32]:
-    """How many people have images in both of two labels (labels, labels) (004 §3.3)."""
+    """How many people have images in both of two labels (labels, labels) (Ba & Odobez 2003, §3.3)."""
     k = model.log_weight.shape[1]
     belongs = np.zeros((people, model.labels), np.float32)
     for start in range(0, len(labels), 512):

@@ -45,7 +45,7 @@ COUNTS = {
 """Rendered images, or skeletons, that the models of the package are trained on."""
 
 PUBLISHED = (BodyPose.kind, Templates.kind, HeadLocaliser.kind)
-"""Models of 002, which are there as it has printed them, too."""
+"""Models of Chen et al. 2011, which are there as it has printed them, too."""
 
 FOUND = HeadVariation(size=(10, 32), offset=0.07, scale=0.12, tilt_deviation=0.45)
 """Heads as the localiser boxes them (its errors were measured), small ones too."""
@@ -96,7 +96,7 @@ def train_on_rendered(
     Parameters
     ----------
     images : how many to train on; by default as many as for the package's model
-    as_published : the form that 002 has printed, of the models of `PUBLISHED`
+    as_published : the form that Chen et al. (2011) have printed, of the models of `PUBLISHED`
     advance : is told how many more images to train on are rendered
 
     Raises
@@ -138,7 +138,7 @@ def train_on_rendered(
 
 
 def check_published(name: str, as_published: bool) -> None:
-    """Refuse 002's form of a model that is not 002's.
+    """Refuse Chen et al.'s form of a model that is not Chen et al.'s.
 
     Raises
     ------
@@ -241,7 +241,7 @@ def _localiser(people: PedestrianSet, judged: PedestrianSet, model: HeadLocalise
 
 
 def localisation_figures(model: HeadLocaliser, people: PedestrianSet) -> dict[str, float]:
-    """The three numbers of 002's Table 1: overlap of the first candidate, best of all, candidates."""
+    """The three numbers of Chen et al.'s Table 1: overlap of the first candidate, best of all, candidates."""
     found = [model.locate(image) for image in people.images]
     first, best = [], []
     for candidates, true in zip(found, people.head_box, strict=True):

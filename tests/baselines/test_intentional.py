@@ -49,7 +49,8 @@ def noisy_walk(n: int = 60, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 def by_the_book(
     position: np.ndarray, head: np.ndarray, parameters: IntentionalParameters
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """000 §III step by step with full matrices, FilterPy's Kalman filter and eq. 2–6 written out."""
+    """Baxter et al. 2014, §III step by step with full matrices, FilterPy's Kalman filter and eq. 2–6 written
+    out."""
 
     def bin_of(angle: float) -> int:
         return math.floor((math.degrees(angle) % 360.0 + 22.5) / 45.0) % 8 + 1

@@ -106,7 +106,8 @@ def street(results: Results) -> Measured:
 
 
 def real_heads(results: Results) -> Measured:
-    """How much of the time 004's trackers are on two heads, in per cent, and how far off the pan is."""
+    """How much of the time Ba & Odobez's trackers are on two heads, in per cent, and how far off the pan
+    is."""
     labels = {
         "mixed-state": "mixed-state",
         "mixed-state, motion of 0.4 s (noise and persistence of ten frames)": "mixed-state, motion of 0.4 s",

@@ -1,4 +1,5 @@
-"""What the page of trackers states of 003 and 004, and where in the experiments' tables it stands."""
+"""What the page of trackers states of Yan et al. 2011 and Ba & Odobez 2003, and where in the experiments'
+tables it stands."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ MIXED, PRINTED = "mixed-state", "mixed-state, as in the paper"
 PAGE = "docs/trackers.md"
 
 
-# 003.
+# Yan et al. 2011.
 
 
 def _success(row: Record) -> list[float]:
@@ -55,7 +56,7 @@ def sigma_pi_real(results: Results) -> Measured:
     return found
 
 
-# 004.
+# Ba & Odobez 2003.
 
 
 def mixed_state(results: Results) -> Measured:
@@ -104,7 +105,7 @@ ON_TOP = (
 
 
 def mixed_state_said(results: Results) -> Measured:
-    """What the page says in words of 004."""
+    """What the page says in words of Ba & Odobez 2003."""
     beside = {row["measure"]: row for row in results.rows("Paper / ours: joint against sequential")}
     box, pan, mode = (
         beside[f"mean {name}"] for name in ("e(t)", "pan error (°)", "pan error of the mode (°)")
@@ -127,7 +128,7 @@ def mixed_state_said(results: Results) -> Measured:
 
 
 def still_heads(results: Results) -> Measured:
-    """What the page says in words of 004's Tables 1 to 3."""
+    """What the page says in words of Ba & Odobez's Tables 1 to 3."""
     named = {
         (row["people learned from"], row["exemplars a pose"], row["density"]): values_in(row["ours (%)"])[0]
         for row in results.rows("Identification of nine pans")

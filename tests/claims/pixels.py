@@ -11,7 +11,7 @@ CLASSES = "Body and head from class likelihoods"
 SOURCES = ("mocap, walking", "mocap, turning", "mocap, sideways and back")
 
 
-# 002 from pixels, and in the image.
+# Chen et al. 2011 from pixels, and in the image.
 
 
 def _cells(results: Results, where: Mapping[str, object], presets: Sequence[str]) -> list[float | None]:
@@ -56,7 +56,7 @@ CAUSAL = (
 
 
 def chen_pixels_said(results: Results) -> Measured:
-    """What the page says of 002's heads, and of `full`."""
+    """What the page says of Chen et al.'s heads, and of `full`."""
 
     def errors(data: str, method: str, model: str) -> list[float]:
         where = {"data": data, "method": method, "model": model}
@@ -117,7 +117,7 @@ KNOWN_POSES = (
 
 
 def known_poses(results: Results) -> Measured:
-    """Errors of motion capture as 002's classifiers answer for it, by method and model."""
+    """Errors of motion capture as Chen et al.'s classifiers answer for it, by method and model."""
     methods = {
         "particle filter": "particle",
         "particle filter, closest class": "particle, closest class",
@@ -244,7 +244,7 @@ def keypoints(results: Results) -> Measured:
 
 
 def published(results: Results) -> Measured:
-    """002's classifiers as printed, beside ours."""
+    """Chen et al.'s classifiers as printed, beside ours."""
     labels = {
         "body, people of 70–140 pixels": ("body_pose", "people of 70-140 pixels"),
         "templates, heads of 16–32 pixels": ("templates", "heads of 16-32 pixels"),
@@ -264,13 +264,13 @@ PUBLISHED_HEADS = (
 
 
 def published_heads(results: Results) -> Measured:
-    """002's localiser as printed, beside ours."""
+    """Chen et al.'s localiser as printed, beside ours."""
     ours, printed = (results.row("head_localiser:", form=form) for form in ("ours", "as printed"))
     columns = ("overlap_of_first", "best_overlap_of_all", "candidates")
     return {PUBLISHED_HEADS: [row[column] for column in columns for row in (ours, printed)]}
 
 
-# 000's network.
+# Baxter et al.'s network.
 
 
 def network_gains(results: Results) -> Measured:
@@ -326,11 +326,16 @@ PIXELS: tuple[Claim, ...] = (
     Claim(PERCEPTION, "chen-pixels", chen_pixels, "| online, heads by `deep_belief`"),
     Claim(PERCEPTION, "chen-pixels", chen_pixels_said, labels=(TEMPLATES, WITH_FULL)),
     Claim(PERCEPTION, "chen-pixels", chen_pixels_differences, labels=(HEADS_GAIN, CAUSAL)),
-    Claim(PERCEPTION, f"{EVALUATE} localisation --train 250 --count 400", localisation, "| 002 Table 1"),
-    Claim(PERCEPTION, f"{EVALUATE} recognition", recognition, "| 004 Tables 1 and 3"),
+    Claim(
+        PERCEPTION,
+        f"{EVALUATE} localisation --train 250 --count 400",
+        localisation,
+        "| Chen et al. 2011, Table 1",
+    ),
+    Claim(PERCEPTION, f"{EVALUATE} recognition", recognition, "| Ba & Odobez 2003, Tables 1 and 3"),
     Claim(PERCEPTION, f"{EVALUATE} pose --count 400", pose, "| pose |"),
     Claim(PERCEPTION, f"{EVALUATE} keypoints", keypoints, "| keypoints of |"),
-    Claim(PERCEPTION, FORMS, published, "| 002 as printed |"),
+    Claim(PERCEPTION, FORMS, published, "| Chen et al. 2011 as printed |"),
     Claim(PERCEPTION, FORMS, published_heads, labels=(PUBLISHED_HEADS,)),
     Claim(BASELINES, "chen-classes", chen_image, "| `joint` | body: walking"),
     Claim(BASELINES, "baxter-network", network_gains, "| Fig. 5(b), detected"),

@@ -36,7 +36,7 @@ def _interval(row: Record) -> list[float]:
     return [row["reduction %"], row["low"], row["high"]]
 
 
-# 000's statistic.
+# Baxter et al.'s statistic.
 
 
 def deviations(results: Results) -> Measured:
@@ -54,7 +54,7 @@ def deviations(results: Results) -> Measured:
     return {label: [rows[data][column] for column in columns] for label, data in labels.items()}
 
 
-# 000 on the simulated corpus.
+# Baxter et al. 2014 on the simulated corpus.
 
 ON_CORPUS = _of(set(METHODS.values()) - {"particle joint", "particle joint-intentional"})
 
@@ -90,9 +90,9 @@ def simulated_by_method(results: Results) -> Measured:
     }
 
 
-# 000 on CAVIAR.
+# Baxter et al. 2014 on CAVIAR.
 
-GAIN = "Gain over the Kalman filter of 000"
+GAIN = "Gain over the Kalman filter of Baxter et al. 2014"
 
 
 def caviar_gains(results: Results) -> Measured:
@@ -147,7 +147,7 @@ def caviar_reasons(results: Results) -> Measured:
     return found
 
 
-# 000 in withheld windows.
+# Baxter et al. 2014 in withheld windows.
 
 WINDOWS = list(product(("corpus, 3 s", "mocap turns, 1 s"), ("visible", "hidden")))
 ERROR = "Error in the withheld window"
@@ -197,7 +197,7 @@ def occlusion_said(results: Results) -> Measured:
 OCCLUSION_SAID = "the graph's squared error is {} % below the Kalman filter's, the tracker's {} %"
 
 
-# 002.
+# Chen et al. 2011.
 
 
 def chen_joint(results: Results) -> Measured:
@@ -216,7 +216,7 @@ def chen_joint(results: Results) -> Measured:
         row = results.row("Body and head: observation", **where)
         errors = ("observation", "separate", "joint-body", "joint")
         line = [*(row[f"{name} (°)"] for name in errors), row["low"], row["high"]]
-        line += [row["full (°)"] for row in results.rows("Beyond 002", **where)]
+        line += [row["full (°)"] for row in results.rows("Beyond Chen et al. 2011", **where)]
         found[f"{who}: {how}"] = line
     return found
 
@@ -305,7 +305,8 @@ READMES = "| online, same observations |"
 
 
 def readme_corpus(results: Results) -> Measured:
-    """Both gains of 000's tracker and of the graph with a head that steers, at 80 % of the detections."""
+    """Both gains of Baxter et al.'s tracker and of the graph with a head that steers, at 80 % of the
+    detections."""
     return {
         label: [end for method in STEERED for end in _gains(results, 80, method, measure)]
         for label, measure in (
@@ -324,10 +325,10 @@ def readme_windows(results: Results) -> Measured:
 
 
 def readme_joint(results: Results) -> Measured:
-    """002's separate and joint, of the particle filter and of the graph by both engines."""
+    """Chen et al.'s separate and joint, of the particle filter and of the graph by both engines."""
     found: dict[str, list[float | None]] = {}
     for angle in ("body", "head"):
-        line = found.setdefault(f"{angle} of who walks: 002's separate → joint", [])
+        line = found.setdefault(f"{angle} of who walks: Chen et al.'s separate → joint", [])
         for method in ("particle", "graph", "graph, isam2"):
             where = {"data": "mocap, walking", "angle": angle, "method": method}
             row = results.row("Body and head: observation", **where)

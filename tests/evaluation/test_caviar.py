@@ -1,4 +1,4 @@
-"""000's Fig. 5 on CAVIAR: who is judged, what is seen of them, and what the gains are made of."""
+"""Baxter et al.'s Fig. 5 on CAVIAR: who is judged, what is seen of them, and what the gains are made of."""
 
 from __future__ import annotations
 

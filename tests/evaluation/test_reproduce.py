@@ -35,7 +35,7 @@ from graphtrack.tracks import TrackSet
 def test_the_consistent_tracker_beats_the_kalman_filter_on_every_behaviour(
     behaviour: int, rate: float
 ) -> None:
-    # A pedestrian's pace, 000's noise and its parameters for both.
+    # A pedestrian's pace, Baxter et al.'s noise and its parameters for both.
     corpus = simulate_behaviour(
         behaviour, CorpusParameters(tracks=60), rng=np.random.default_rng(behaviour)
     ).detected(rate, np.random.default_rng(100 + behaviour))
@@ -212,7 +212,7 @@ def test_the_sharpest_turns_stand_beside_the_papers_trajectories() -> None:
     assert [row["ours"] for row in rows[:7]] == ["80", "70", "60", "40", "30", "20", "10"]
     assert [row["paper: reduction (%)"] for row in rows[:7]] == [64.0, 75.5, 84.5, 12.9, 73.2, 62.0, 68.3]
     assert rows[0]["turn (°)"] == pytest.approx(80.0, abs=1.0)
-    # 000's trackers against its Kalman filter, the others against the case's.
+    # Baxter et al.'s trackers against its Kalman filter, the others against the case's.
     assert rows[0]["printed"] == pytest.approx(50.0) and rows[1]["printed"] == pytest.approx(-100.0)
     assert rows[0]["intentional"] == pytest.approx(50.0)
     mean, share = rows[7:]
@@ -247,7 +247,8 @@ def test_statistics_on_the_command_line(tmp_path: Path, monkeypatch: pytest.Monk
     assert all(len(row) == len(detail["columns"]) for row in detail["rows"])
     assert beside["title"].startswith("Paper / ours")
     row = dict(zip(detail["columns"], detail["rows"][0], strict=True))
-    # 000's noise of the head: μ = 4°, σ = 20°; the head is ahead of the smoothed travel, so a little more.
+    # Baxter et al.'s noise of the head: μ = 4°, σ = 20°; the head is ahead of the smoothed travel, so a
+    # little more.
     assert row["mean (°)"] == pytest.approx(-4.0, abs=1.0)
     assert 20.0 < row["std (°)"] < 28.0
 

@@ -41,7 +41,8 @@ def responses(clip: HeadClip, k: int, box: np.ndarray) -> np.ndarray:
     return gabor_features(equalised(cut(grey, enlarged(box[None], PATCH_MARGIN), 64)))
 
 
-# -- 004 ---------------------------------------------------------------------------------------------------
+# -- Ba & Odobez 2003
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_densities_are_those_of_equation_5(clip: HeadClip) -> None:
@@ -158,7 +159,8 @@ def test_the_papers_confusions_are_as_printed() -> None:
     assert CONFUSION[PANS.index(-67.5), PANS.index(-45.0)] == 3.1
 
 
-# -- 003 ---------------------------------------------------------------------------------------------------
+# -- Yan et al. 2011
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_a_fixed_reliability_stays_and_the_others_learn() -> None:

@@ -1,3 +1,4 @@
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -24,6 +25,18 @@ def arrows(axes, colour):
     return [q for q in found if np.allclose(q.get_facecolor()[0], to_rgba(colour))]
 
 
+def is_dotted(line):
+    # Dots are dashes without a length, and round.
+    return line.get_linestyle() == "--" and line.get_dash_capstyle() == "round"
+
+
+def tips(figure, quiver):
+    """Where arrows end, in pixels."""
+    length = np.hypot(quiver.U, quiver.V) / quiver.scale * figure.dpi
+    along = np.stack([quiver.U, quiver.V], axis=1) / np.hypot(quiver.U, quiver.V)[:, None]
+    return quiver.get_offset_transform().transform(quiver.get_offsets()) + length[:, None] * along
+
+
 def labels(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
@@ -48,8 +61,48 @@ def test_arrows_point_where_the_angles_do_and_have_their_colours():
     for name, colour in (("body", BODY_COLOUR), ("head", HEAD_COLOUR)):
         (quiver,) = arrows(axes, colour)
         assert np.arctan2(quiver.V, quiver.U) == pytest.approx(getattr(track, name)[::5])
-        assert quiver.get_offsets() == pytest.approx(track.position[::5])
+        # Beside the position, each to its own side, so that the path is not hidden.
+        aside = quiver.get_offsets() - track.position[::5]
+        left = np.stack([-quiver.V, quiver.U], axis=1)
+        along = np.stack([quiver.U, quiver.V], axis=1)
+        assert np.sum(aside * along, axis=1) == pytest.approx(0.0, abs=1e-9)
+        assert np.all(np.sum(aside * left, axis=1) * (1.0 if name == "body" else -1.0) > 0.01)
     assert len(arrows(axes, VELOCITY_COLOUR)) == 1
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi])
+def test_tips_of_arrows_at_the_edge_stay_inside_the_axes(angle):
+    n = 60
+    track = walker(n=n, body=np.full(n, angle), head=np.full(n, angle))
+    figure = plot_tracks(TrackSet((track,)), arrow_interval=0.2)
+    figure.canvas.draw()
+    axes = figure.axes[0]
+    (left, bottom), (right, top) = axes.get_window_extent().get_points()
+    found = [tips(figure, q) for q in axes.collections if isinstance(q, Quiver)]
+    assert len(found) == 2
+    assert all(np.all((t > [left, bottom]) & (t < [right, top])) for t in found)
+
+
+def test_no_arrow_stands_where_nothing_was_observed():
+    estimate = walker()
+    figure = plot_tracks(
+        TrackSet((estimate,)), TrackSet((observed(estimate, slice(20, 35)),)), arrow_interval=0.1
+    )
+    (quiver,) = arrows(figure.axes[0], BODY_COLOUR)
+    distance = np.linalg.norm(quiver.get_offsets()[:, None] - estimate.position[None], axis=2)
+    assert not set(distance.argmin(axis=1)) & set(range(22, 33))
+
+
+def test_ellipses_too_small_to_be_seen_are_enlarged_by_the_factor_of_the_legend():
+    covariance = np.tile(1e-4 * np.eye(6), (40, 1, 1))
+    figure = plot_tracks(TrackSet((walker(n=40, covariance=covariance),)))
+    figure.canvas.draw()
+    ellipses = [p for p in figure.axes[0].patches if isinstance(p, Ellipse)]
+    (words,) = [text for text in labels(figure) if text.startswith("95 %")]
+    factor = float(re.fullmatch(r"95 % of position, enlarged (\d+)×", words)[1])
+    assert ellipses[0].width == pytest.approx(2.0 * factor * 0.01 * np.sqrt(5.991), rel=1e-3)
+    pixels = ellipses[0].get_window_extent().width
+    assert pixels > 0.1 * figure.dpi
 
 
 def test_axes_are_equal_and_hold_everything():
@@ -70,7 +123,7 @@ def test_the_path_is_dotted_exactly_where_nothing_was_observed():
         TrackSet((estimate,)), TrackSet((observed(estimate, slice(20, 35)),)), show_truth=False
     )
     lines = figure.axes[0].lines
-    (dotted,) = [line for line in lines if line.get_linestyle() == ":"]
+    (dotted,) = [line for line in lines if is_dotted(line)]
     assert dotted.get_xydata() == pytest.approx(estimate.position[19:36])
     hollow = [line for line in lines if line.get_markerfacecolor() == "white"]
     assert hollow[0].get_xydata() == pytest.approx(estimate.position[[20, 34]])
@@ -80,7 +133,7 @@ def test_the_path_is_dotted_exactly_where_nothing_was_observed():
 def test_a_hole_in_the_frames_is_dotted_too():
     t = np.array([0.0, 0.1, 0.2, 9.0, 9.1])
     track = Track(1, np.arange(5), t, np.stack([t, t], axis=1))
-    dotted = [line for line in plot_tracks(TrackSet((track,))).axes[0].lines if line.get_linestyle() == ":"]
+    dotted = [line for line in plot_tracks(TrackSet((track,))).axes[0].lines if is_dotted(line)]
     assert [line.get_xdata().tolist() for line in dotted] == [[0.2, 9.0]]
 
 

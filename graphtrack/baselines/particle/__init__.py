@@ -1,1 +1,1 @@
-"""The joint particle filter (002) and its smoother."""
+"""The joint particle filter (Chen et al. 2011) and its smoother."""

@@ -45,7 +45,8 @@ def sample_von_mises(rng: np.random.Generator, mean: float, kappa: float) -> flo
 def add_position_log_density(
     particles: FloatArray, k: int, position: PackedPosition, camera: PackedCamera, found: FloatArray
 ) -> None:
-    """Add to ``found`` (n,) the log-likelihood of the position observed at frame k (002 eq. 12)."""
+    """Add to ``found`` (n,) the log-likelihood of the position observed at frame k (Chen et al. 2011, eq.
+    12)."""
     kind = position.kind[k]
     if kind == 0:
         return
@@ -95,7 +96,8 @@ def bearing(x: float, y: float, camera: PackedCamera) -> float:
 def add_pose_log_density(
     particles: FloatArray, place: int, k: int, pose: PackedPose, camera: PackedCamera, found: FloatArray
 ) -> None:
-    """Add to ``found`` (n,) the log-likelihood of an orientation observed at frame k (002 eq. 13–14)."""
+    """Add to ``found`` (n,) the log-likelihood of an orientation observed at frame k (Chen et al. 2011, eq.
+    13–14)."""
     count = pose.components[k]
     if count == 0:
         return

@@ -1,9 +1,9 @@
-"""The joint particle filter of Chen, Heili & Odobez 2011 (002, §3), and its backward-simulation smoother.
+"""The joint particle filter of Chen, Heili & Odobez (2011, §3), and its backward-simulation smoother.
 
 A bootstrap filter on the same `Model` object that the factor graph uses: the state is p, v, θ, α; its
 dynamics are the proposal. The angles are drawn from the *normalised* product of the von Mises of their
-dynamics and of their coupling (002 eq. 8 and 10), where the graph holds the product without that
-normalisation. 002's baseline, κ₂ = 0, is the preset ``joint-body``.
+dynamics and of their coupling (Chen et al. 2011, eq. 8 and 10), where the graph holds the product without
+that normalisation. Chen et al.'s baseline, κ₂ = 0, is the preset ``joint-body``.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ class ParticleOptions:
     ----------
     particles : number of them
     resample_below : share of the particles; resampling is systematic, when the effective sample size is below
-    pose : class likelihoods as the "smooth" mixture of the model, or the score of the "closest" class (002
-        eq. 13–14)
+    pose : class likelihoods as the "smooth" mixture of the model, or the score of the "closest" class (Chen
+        et al. 2011, eq. 13–14)
     image_pose : orientations were observed in the image frame of the camera, and are judged there at each
-        particle's own position (002 §3)
+        particle's own position (Chen et al. 2011, §3)
     paths : paths that the smoother draws backwards
     """
 

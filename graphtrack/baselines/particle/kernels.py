@@ -39,7 +39,7 @@ VANISHED = -700.0
 
 @compiled
 def motion_pull(vx: float, vy: float, k: int, motion: PackedMotion) -> float:
-    """κ(v) of 002 eq. 9 at frame k."""
+    """κ(v) of Chen et al. 2011, eq. 9 at frame k."""
     excess = math.sqrt(vx * vx + vy * vy) - motion.speed_threshold
     return motion.motion_body_kappa[k] * excess * excess if excess > 0.0 else 0.0
 
@@ -48,7 +48,8 @@ def motion_pull(vx: float, vy: float, k: int, motion: PackedMotion) -> float:
 def draw_angles(
     rng: np.random.Generator, k: int, first: bool, before: FloatArray, after: FloatArray, motion: PackedMotion
 ) -> None:
-    """Angles of one particle, of known velocity, from the normalised products of 002 eq. 8 and 10."""
+    """Angles of one particle, of known velocity, from the normalised products of Chen et al. 2011, eq. 8 and
+    10."""
     if motion.has_body:
         vx, vy = after[2], after[3]
         pull = motion_pull(vx, vy, k, motion)

@@ -1,9 +1,10 @@
 """Positions and velocities of many people at once, under several beliefs about how noisy positions are.
 
-For each person a Kalman filter (white-noise acceleration, MODEL term 1) runs under each of `BELIEFS`; how
-well it predicted the next position says which holds (a static multiple model: Magill, IEEE TAC 10(4), 1965).
-Annotators' splines and detectors' jitter differ by two orders of magnitude, and a filter that is wrong about
-them either lags or shakes. Points of the plane are complex numbers: both axes share their gains.
+For each person a Kalman filter (white-noise acceleration, the model's term `Motion`) runs under each of
+`BELIEFS`; how well it predicted the next position says which holds (a static multiple model: Magill, IEEE TAC
+10(4), 1965). Annotators' splines and detectors' jitter differ by two orders of magnitude, and a filter that
+is wrong about them either lags or shakes. Points of the plane are complex numbers: both axes share their
+gains.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""000 §IV-B, Fig. 5(a): one-step prediction of CAVIAR's people with labelled heads."""
+"""Baxter et al. 2014, §IV-B, Fig. 5(a): one-step prediction of CAVIAR's people with labelled heads."""
 
 from __future__ import annotations
 
@@ -45,10 +45,11 @@ METHODS = (
     *(f"{name}{ISAM2}" for name in GRAPHS),
 )
 OWN = ("printed", "consistent")
-"""000's filters with its parameters."""
+"""Baxter et al.'s filters with its parameters."""
 
 PAPER = {1.0: "above 1", 0.8: "above 1", 0.6: "1.122"}
-"""000 Fig. 5(a) and §IV-B: the CLL gain on CAVIAR by the detection rate; the picture has no numbers."""
+"""Baxter et al. 2014, Fig. 5(a) and §IV-B: the CLL gain on CAVIAR by the detection rate; the picture has no
+numbers."""
 
 FOLDS = 2
 QUICK_PEOPLE, QUICK_FRAMES = 4, 100
@@ -146,15 +147,17 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         (
             "Labelled positions, in metres, are observations and truth; MSE is of one-step predictions. "
             "Who is not detected shows no head either. Nobody sees the body.",
-            "printed and consistent have 000's parameters (Q = 0.1·I, R = 0.5·I). The others are fitted on "
+            "printed and consistent have Baxter et al.'s parameters (Q = 0.1·I, R = 0.5·I). The "
+            "others are fitted on "
             f"the other half of the people: 1 σ of the positions {stds[0]:.2g} and {stds[1]:.2g} m, where "
-            f"000's R says 0.71 m; λ of the tracker {rates[0]:.2g} and {rates[1]:.2g} 1/s.",
+            f"Baxter et al.'s R says 0.71 m; λ of the tracker {rates[0]:.2g} and {rates[1]:.2g} 1/s.",
             "CLL gains have no meaning for methods whose log-likelihood is positive, as it is once the noise "
             "is fitted: nats a detection are to be compared, between fitted methods.",
             "What the CLL gain is made of: heads turned around or drawn at random give nearly the same one. "
             "Where innovations are far below what R expects, it is the ratio of the log-determinants of "
             "their covariances, which the prior narrows whatever it says, and it depends on the unit.",
-            "What the MSE loss is made of: R. With 000's Q and R its filter corrects 36 % of an innovation, "
+            "What the MSE loss is made of: R. With Baxter et al.'s Q and R its filter corrects 36 % "
+            "of an innovation, "
             "the Kalman filter 65 %, so that what the head gets wrong stays for three frames. With R that of "
             "the labels, or with noise like R's, the loss is gone; with heads along the travel, or with "
             "deviations that are new at every frame, it is not.",
@@ -209,7 +212,9 @@ def _detail(found: Outcomes, everyone: Sequence[Person]) -> Table:
                     "± seeds ": likelihood[2],
                 }
             )
-    return Table.of("Gain over the Kalman filter of 000: median of the people's ratios, ± 1 σ", records)
+    return Table.of(
+        "Gain over the Kalman filter of Baxter et al. 2014: median of the people's ratios, ± 1 σ", records
+    )
 
 
 def _controls(controls: Sequence[ControlGain]) -> Table:
@@ -240,7 +245,9 @@ def _beside(found: Outcomes) -> Table:
                     "MSE gain over kf fitted": fair,
                 }
             )
-    return Table.of("Paper / ours: CAVIAR, labelled heads; 000 does not give the MSE on video", records)
+    return Table.of(
+        "Paper / ours: CAVIAR, labelled heads; Baxter et al. (2014) do not give the MSE on video", records
+    )
 
 
 def _figure(found: Outcomes, controls: Sequence[ControlGain]) -> Figure:
@@ -261,7 +268,8 @@ def _figure(found: Outcomes, controls: Sequence[ControlGain]) -> Figure:
         axes.set_xticks(x, [f"{rate:.0%} detected" for rate in RATES])
         axes.set_xlim(-0.5, len(RATES) - 0.5)
         axes.set_title(
-            ("MSE" if measure == 0 else "CLL") + " gain over 000's Kalman filter, median ± 1 σ of people",
+            ("MSE" if measure == 0 else "CLL") + " gain over Baxter et al.'s Kalman filter, median "
+            "± 1 σ of people",
             fontsize=10,
             loc="left",
         )
@@ -324,7 +332,8 @@ def work(settings: Settings) -> int:
 
 EXPERIMENT = Experiment(
     "baxter-caviar",
-    "000 Fig. 5(a): CAVIAR with labelled heads, gain over the Kalman filter by detection rate",
+    "Baxter et al. 2014, Fig. 5(a): CAVIAR with labelled heads, gain over the Kalman filter by "
+    "detection rate",
     work,
     run,
     f"{QUICK_PEOPLE} people, {QUICK_FRAMES} frames of each",

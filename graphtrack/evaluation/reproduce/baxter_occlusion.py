@@ -1,4 +1,4 @@
-"""000 Table I: a window is withheld around each sharp turn, and predicted."""
+"""Baxter et al. 2014, Table I: a window is withheld around each sharp turn, and predicted."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAPER = {7: 64.0, 8: 75.5, 9: 84.5, 10: 12.9, 11: 73.2, 15: 62.0, 22: 68.3}
-"""000 Table I: number of the trajectory → reduction of the MSE in %."""
+"""Baxter et al. 2014, Table I: number of the trajectory → reduction of the MSE in %."""
 
 GRAPHS = tuple(f"graph {preset}{engine}" for engine in ("", ISAM2) for preset in PRESETS)
 """The online graphs, by the chain and by iSAM2."""
@@ -147,12 +147,14 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         _figure(found, examples, rng),
         (
             "Position and body are withheld in the window, the head as the table says; nobody sees the body.",
-            "Reduction: share by which the mean squared error is below a Kalman filter's (000's own for "
+            "Reduction: share by which the mean squared error is below a Kalman filter's (Baxter et "
+            "al.'s own for "
             "printed, consistent and on the corpus, else the fitted one), offline below that of RTS, with a "
             "95 % bootstrap interval over five tracks or more; below −100 % the error is more than twice as "
             "large.",
-            "000's own filters count frames as steps, 10 a second on mocap and 4 on the corpus.",
-            "Every method but 000's own three has the parameters that do best in windows of other tracks, "
+            "Baxter et al.'s own filters count frames as steps, 10 a second on mocap and 4 on the corpus.",
+            "Every method but Baxter et al.'s own three has the parameters that do best in windows "
+            "of other tracks, "
             "the head visible. In joint-intentional the head steers the velocity as in intentional.",
             f"{effort.particles:,} particles online and {effort.smoother_particles:,} in ffbs, the particle "
             "smoother: after a gap few of them can have led to what came next.",
@@ -161,7 +163,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 
 def reference(errors: WindowErrors, method: str) -> FloatArray:
-    """The errors that a method is measured against; 000's trackers against its own Kalman filter."""
+    """The errors that a method is measured against; Baxter et al.'s trackers against its own Kalman
+    filter."""
     if method in OFFLINE:
         return errors.by_method["rts"]
     return errors.by_method["kf" if method in OWN_FILTERS else errors.case.reference]
@@ -195,7 +198,8 @@ def _detail(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
 
 
 def trajectories(found: Sequence[WindowErrors]) -> Table:
-    """000's seven trajectories beside the seven of ours that turn most in the window, head visible."""
+    """Baxter et al.'s seven trajectories beside the seven of ours that turn most in the window, head
+    visible."""
     errors = [one for one in found if one.head == "visible"][-1]
     turns = np.array([_turn(track, window) for track, window in errors.case.judged])
     sharpest = np.argsort(-turns, kind="stable")[: len(PAPER)]
@@ -238,7 +242,7 @@ def _turn(track: Track, window: BoolArray) -> float:
 
 
 def _beside(found: Sequence[WindowErrors], rng: np.random.Generator) -> Table:
-    """000's mean over seven trajectories beside our reductions, head visible."""
+    """Baxter et al.'s mean over seven trajectories beside our reductions, head visible."""
     records: list[dict[str, Cell]] = []
     for errors in found:
         if errors.head == "hidden":
@@ -343,7 +347,7 @@ def work(settings: Settings) -> int:
 
 EXPERIMENT = Experiment(
     "baxter-occlusion",
-    "000 Table I: prediction through a window withheld at each sharp turn",
+    "Baxter et al. 2014, Table I: prediction through a window withheld at each sharp turn",
     work,
     run,
     "12 simulated people and 15 clips of motion capture",

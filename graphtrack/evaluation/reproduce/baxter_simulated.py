@@ -1,4 +1,4 @@
-"""000 §IV-A, Fig. 4: gain over the Kalman filter on the simulated corpus."""
+"""Baxter et al. 2014, §IV-A, Fig. 4: gain over the Kalman filter on the simulated corpus."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 RATES = (1.0, 0.8, 0.6)
 GRAPHS = {"graph joint": "joint", "graph joint-intentional": "joint-intentional"}
-"""Method → preset. In the second one the head steers the velocity, as it does in 000's tracker."""
+"""Method → preset. In the second one the head steers the velocity, as it does in Baxter et al.'s tracker."""
 
 METHODS = (
     *("printed", "consistent", "kf fitted", "intentional", *GRAPHS),
@@ -65,7 +65,7 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """Gains over the Kalman filter of 000, one number a track."""
+    """Gains over the Kalman filter of Baxter et al. 2014, one number a track."""
 
     behaviour: int
     rate: float
@@ -190,7 +190,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             found += gains(corpus, rate, fitted, people, progress)
     names = [corpus.name for corpus in examples]
     detail = Table.of(
-        "Gain over the Kalman filter of 000 (Q = 0.1·I, R = 0.5·I): ratios, above 1 is better",
+        "Gain over the Kalman filter of Baxter et al. 2014 (Q = 0.1·I, R = 0.5·I): ratios, above 1 is better",
         [_record(gain, names[gain.behaviour]) for gain in found],
     )
     joint, steered = (fitted.graphs[method].parameters.motion for method in GRAPHS)
@@ -201,7 +201,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         (
             "MSE: one-step predictions against true positions. CLL: cumulative log-likelihood of the "
             "innovations.",
-            "printed and consistent have 000's parameters. The others are fitted on other tracks: q of the "
+            "printed and consistent have Baxter et al.'s parameters. The others are fitted on other "
+            "tracks: q of the "
             f"graphs {joint.acceleration_density:.3g} and {steered.acceleration_density:.3g} m²/s³, λ of the "
             f"tracker {fitted.rate:.3g} 1/s and of joint-intentional {steered.head_rate:.3g} 1/s.",
             "Who is not detected shows no head either. All see positions and head, but the Kalman filters "
@@ -225,7 +226,8 @@ def _record(gain: Gain, name: str) -> dict[str, Cell]:
 
 
 def _beside(found: Sequence[Gain]) -> Table:
-    """What 000 says in words, and the least and greatest of our medians over the behaviours."""
+    """What Baxter et al. (2014) say in words, and the least and greatest of our medians over the
+    behaviours."""
     said = {
         1.0: "above 1 on all seven trajectories, both measures",
         0.8: "above 1 (Fig. 5, simulated)",
@@ -308,7 +310,7 @@ def _figure(examples: Sequence[Corpus], found: Sequence[Gain]) -> Figure:
 
 EXPERIMENT = Experiment(
     "baxter-simulated",
-    "000 Fig. 4 and 5: simulated corpus, gain over the Kalman filter, median ± 1 σ",
+    "Baxter et al. 2014, Fig. 4 and 5: simulated corpus, gain over the Kalman filter, median ± 1 σ",
     lambda settings: (
         sum(FIT_UNITS.values()) // (1 + settings.quick)
         + 2 * len(GRAPHS) * len(NUMERALS) * len(RATES) * tracks_of_graph(settings)

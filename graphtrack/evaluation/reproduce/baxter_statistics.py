@@ -1,4 +1,4 @@
-"""000 §II, Fig. 2: how far people look from where they go."""
+"""Baxter et al. 2014, §II, Fig. 2: how far people look from where they go."""
 
 from __future__ import annotations
 
@@ -75,7 +75,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         for track in simulate_behaviour(b, CorpusParameters(tracks=20), rng=settings.rng(b)).tracks()
     ]
     add(TrackSet(tuple(corpus)), "simulated corpus")
-    notes.append("The numbers of 000's Fig. 2 stand in the picture only; its people are counted in the text.")
+    notes.append(
+        "The numbers of Baxter et al.'s Fig. 2 stand in the picture only; its people are counted in the text."
+    )
     notes.append(
         "UCY is left out on purpose: most of its gaze is the direction to the next control point, the future."
     )
@@ -167,7 +169,7 @@ def work(settings: Settings) -> int:
 
 EXPERIMENT = Experiment(
     "baxter-statistics",
-    "000 Fig. 2: deviation of the head from the direction of travel",
+    "Baxter et al. 2014, Fig. 2: deviation of the head from the direction of travel",
     work,
     run,
     "60 simulated people; the recordings are whole",

@@ -1,4 +1,4 @@
-"""What makes 000's gains on CAVIAR what they are: one thing changed at a time."""
+"""What makes Baxter et al.'s gains on CAVIAR what they are: one thing changed at a time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIGHT = 3.5
 """τ of eq. 3 with which a head in the bin of the travel has a weight of 0.005, not 0.905."""
 
 LABEL_STD = 0.07
-"""Metres, 1 σ of the labelled positions as the Kalman filter's fit finds it; 000's R says 0.71."""
+"""Metres, 1 σ of the labelled positions as the Kalman filter's fit finds it; Baxter et al.'s R says 0.71."""
 
 
 def _as_they_are(parameters: IntentionalParameters) -> IntentionalParameters:
@@ -35,7 +35,7 @@ class Control:
     ----------
     name : in tables
     change : of a track
-    adapt : 000's parameters to others, for the Kalman filter too
+    adapt : Baxter et al.'s parameters to others, for the Kalman filter too
     random : whether the change is drawn, so that it is repeated
     """
 
@@ -91,7 +91,7 @@ def noisy(std: float) -> Change:
 
 
 def scaled(factor: float) -> Change:
-    """Another unit of length, with 000's Q and R as numbers."""
+    """Another unit of length, with Baxter et al.'s Q and R as numbers."""
 
     def change(track: Track, rng: np.random.Generator) -> Track:
         truth = np.asarray(track.true_position)
@@ -119,7 +119,7 @@ CONTROLS = (
 
 @dataclass(frozen=True, eq=False)
 class ControlGain:
-    """Gains over 000's Kalman filter where all is detected.
+    """Gains over Baxter et al.'s Kalman filter where all is detected.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ def control_gains(
     rng_of: Callable[[int, int], np.random.Generator],
     controls: Sequence[Control] = CONTROLS,
 ) -> list[ControlGain]:
-    """Controls with both of 000's filters.
+    """Controls with both of Baxter et al.'s filters.
 
     Parameters
     ----------

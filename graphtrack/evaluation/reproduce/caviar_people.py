@@ -167,13 +167,14 @@ def prediction_error(predicted: FloatArray, track: Track) -> float:
 
 
 def own_outcome(track: Track, parameters: IntentionalParameters, *, steered: bool) -> tuple[float, float]:
-    """Sum of squared errors and CLL of 000's filter; not steered, of the Kalman filter of its Q and R."""
+    """Sum of squared errors and CLL of Baxter et al.'s filter; not steered, of the Kalman filter of its Q
+    and R."""
     found = intentional_filter(track.position, track.head if steered else None, parameters)
     return prediction_error(found.predicted_mean[0, :, :2], track), float(np.nansum(found.log_likelihood))
 
 
 def outcomes(track: Track, fitted: Fitted) -> dict[str, tuple[float, float]]:
-    """Method → sum of squared errors (m²) and CLL of its one-step predictions; "kf" is 000's."""
+    """Method → sum of squared errors (m²) and CLL of its one-step predictions; "kf" is Baxter et al.'s."""
     found = {"kf": own_outcome(track, IntentionalParameters(), steered=False)}
     found |= {name: own_outcome(track, own, steered=True) for name, own in OWN_FILTERS.items()}
     for name, parameters, rate in (

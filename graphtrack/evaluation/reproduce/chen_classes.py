@@ -1,4 +1,5 @@
-"""002 with the observations that it has: class likelihoods of body and head, many of them wrong."""
+"""Chen et al. 2011 with the observations that it has: class likelihoods of body and head, many of them
+wrong."""
 
 from __future__ import annotations
 
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 FLIPPED, AT_RANDOM = 0.2, 0.1
 """Shares of the answers that take front for back, and that are any class."""
 
-BESIDE = "Paper / ours: mean error in degrees (002's classifiers on CHIL, ours as the notes say)"
+BESIDE = "Paper / ours: mean error in degrees (Chen et al.'s classifiers on CHIL, ours as the notes say)"
 
 METHODS: Mapping[str, tuple[str, Estimator]] = {
     "particle": ("online", lambda track, model: particle_filter(track, model).track),
@@ -138,7 +139,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "Every method gets the same frames and default parameters. Online estimates use the past alone; the "
         f"graphs keep {LAG:g} s open.",
         "closest class: eq. 13–14, the score of the class that is closest to a particle; particle is their "
-        "smooth mixture, which the graph has. joint-body is what 002 calls separate (κ₂ = 0).",
+        "smooth mixture, which the graph has. joint-body is what Chen et al. (2011) call separate (κ₂ = 0).",
         "Answers in the image: classes of the angles at which a camera 3 m above the ground sees them, "
         "judged there at each particle's position (eq. 13–14 as printed), or turned to the world once, where "
         "the position was observed; of the first people only.",
@@ -181,7 +182,7 @@ def work(settings: Settings) -> int:
 
 EXPERIMENT = Experiment(
     "chen-classes",
-    "002: class likelihoods of body and head, many of them wrong",
+    "Chen et al. 2011: class likelihoods of body and head, many of them wrong",
     work,
     run,
     "4 people of each source, 1 in the image",

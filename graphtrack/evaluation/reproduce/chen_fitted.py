@@ -1,4 +1,5 @@
-"""002's coupling of the head to the body, κ₂, as strong as is best for each method, on other people."""
+"""Chen et al.'s coupling of the head to the body, κ₂, as strong as is best for each method, on other
+people."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from graphtrack.tracks import Track, TrackSet
 
 ANGLES: tuple[Literal["body", "head"], ...] = ("body", "head")
 PAPER = {"observation": (41.7, 30.3), "separate": (32.9, 25.8), "joint": (21.9, 17.6)}
-"""002 Table 2: mean errors of body and head in degrees."""
+"""Chen et al. 2011, Table 2: mean errors of body and head in degrees."""
 
 Estimator = Callable[[Track, Model], Track]
 

@@ -1,4 +1,5 @@
-"""Class likelihoods as a camera has them: answered in the image, and turned to the world once (002 §3)."""
+"""Class likelihoods as a camera has them: answered in the image, and turned to the world once (Chen et al.
+2011, §3)."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ _HEIGHT, _BEHIND = 3.0, 6.0
 
 
 def image_scores(data: str, tracks: TrackSet, classify: Callable[[TrackSet], TrackSet]) -> Scores:
-    """Errors of 002's filter with likelihoods that were answered in the image of a camera.
+    """Errors of Chen et al.'s filter with likelihoods that were answered in the image of a camera.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""002 Table 2: body and head from observations alone, filtered separately, and jointly."""
+"""Chen et al. 2011, Table 2: body and head from observations alone, filtered separately, and jointly."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ PRESETS = ("separate", "joint-body", "joint")
 
 PATHS = ParticleOptions(paths=40)
 
-BESIDE = "Paper / ours: mean error in degrees (002 is on CHIL, with its own particle filter)"
+BESIDE = "Paper / ours: mean error in degrees (Chen et al. 2011: on CHIL, with its own particle filter)"
 
 WALKERS = "mocap, walking"
 
@@ -66,7 +66,7 @@ METHODS: Mapping[str, tuple[str, Estimator]] = {
     "ffbs": ("offline", lambda track, model: particle_smoother(track, model, options=PATHS).track),
     "smoother": ("offline", lambda track, model: smooth(TrackSet((track,)), model).tracks[0]),
 }
-"""Method → group and estimator: 002's filter and the graph, then their smoothers."""
+"""Method → group and estimator: Chen et al.'s filter and the graph, then their smoothers."""
 
 GROUPS = {method: group for method, (group, _) in METHODS.items()}
 
@@ -96,7 +96,7 @@ def concentration_of(error: float) -> float:
 
 
 def people(settings: Settings) -> dict[str, TrackSet]:
-    """Noisy people by source, as wrong as 002's observations are."""
+    """Noisy people by source, as wrong as Chen et al.'s observations are."""
     count = 6 if settings.quick else 40
     found = {}
     mocap = settings.recording(*MOCAP)
@@ -159,9 +159,11 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     notes = [
         "Mean absolute error per person, mean over people. joint − joint-body: paired difference with its "
         "95 % bootstrap interval over five people or more; below 0 joint is better.",
-        "What 002 calls separate is joint-body: κ₂ = 0, so that the head does not follow the body, which "
+        "What Chen et al. (2011) call separate is joint-body: κ₂ = 0, so that the head does not "
+        "follow the body, which "
         "does follow the motion. In separate nothing follows anything.",
-        "Observations have the mean error of 002's, but independent noise at every frame (mocap at 10 frames "
+        "Observations have the mean error of Chen et al.'s, but independent noise at every frame "
+        "(mocap at 10 frames "
         "a second): filtering removes more of that than of a classifier's errors, which persist.",
         "Every method gets positions, body and head, the same frames and the same default parameters. Online "
         "estimates use the past alone, offline ones the whole track.",
@@ -219,7 +221,9 @@ def _detail(found: Sequence[Scores], rng: np.random.Generator) -> Table:
                         "high": interval.high,
                     }
                 )
-    return Table.of("Body and head: observation, nothing coupled, 002's separate, 002's joint", records)
+    return Table.of(
+        "Body and head: observation, nothing coupled, Chen et al.'s separate, Chen et al.'s joint", records
+    )
 
 
 def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Table:
@@ -244,11 +248,14 @@ def _modes(found: Sequence[Scores], rng: np.random.Generator) -> Table:
                         "high": interval.high,
                     }
                 )
-    return Table.of("Beyond 002: the graph, told whether people face where they go (full)", records)
+    return Table.of(
+        "Beyond Chen et al. 2011: the graph, told whether people face where they go (full)", records
+    )
 
 
 def beside(found: Sequence[Scores], groups: Mapping[str, str], title: str) -> Table:
-    """002's Table 2 beside the errors of some methods, of which ``groups`` says whether they are online."""
+    """Chen et al.'s Table 2 beside the errors of some methods, of which ``groups`` says whether they are
+    online."""
     records: list[dict[str, Cell]] = []
     for i, angle in enumerate(ANGLES):
         for one in found:
@@ -273,7 +280,7 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
     from graphtrack.evaluation.reproduce.style import colour_of, filling
     from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
 
-    names = ["002", *(one.data for one in found)]
+    names = ["Chen et al. 2011", *(one.data for one in found)]
     figure = new_figure(3.0 * len(names), 7.2)
     grid = figure.subplots(2, len(names), sharex=True, sharey="row")
     stages = ("observation", *PRESETS, "full")
@@ -282,7 +289,9 @@ def _figure(found: Sequence[Scores], rng: np.random.Generator) -> Figure:
             axes = grid[row, column]
             if column == 0:
                 values = [PAPER[stage][row] for stage in ("observation", "separate", "joint")]
-                axes.plot((0, 2, 3), values, "o-", color=NEUTRAL_COLOUR, label="002, particle filter")
+                axes.plot(
+                    (0, 2, 3), values, "o-", color=NEUTRAL_COLOUR, label="Chen et al. 2011, particle filter"
+                )
             else:
                 one = found[column - 1]
                 for k, (method, group) in enumerate(GROUPS.items()):
@@ -341,7 +350,7 @@ def work(settings: Settings) -> int:
 
 EXPERIMENT = Experiment(
     "chen-joint",
-    "002 Table 2: observation, separate and joint filtering",
+    "Chen et al. 2011, Table 2: observation, separate and joint filtering",
     work,
     run,
     "4 to 13 people of each source",

@@ -1,4 +1,5 @@
-"""What the experiments on 002's class likelihoods share: errors by method and model, as table and figure."""
+"""What the experiments on Chen et al.'s class likelihoods share: errors by method and model, as table and
+figure."""
 
 from __future__ import annotations
 

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
 PRESETS = ("separate", "joint", "joint-intentional", "full")
 POSITION_STD, BODY_KAPPA, HEAD_KAPPA = 0.1, 1.2, 2.3
-"""Metres, and as strong as the noise of 002: that with which the defaults were fitted, on other clips."""
+"""Metres, and as strong as the noise of Chen et al. 2011: that with which the defaults were fitted, on other
+clips."""
 
 ORDINARY, SIDEWAYS = "ordinary", "sideways and back"
 DRAWS, FEW = 3, 4

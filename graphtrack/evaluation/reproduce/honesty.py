@@ -38,7 +38,7 @@ EVERY = {30.0: 1, 10.0: 3, 2.5: 12}
 """Frames a second → one of how many frames of the recording."""
 
 BODY_KAPPA, HEAD_KAPPA = 1.2, 2.3
-"""As strong as the noise of 002."""
+"""As strong as the noise of Chen et al. 2011."""
 
 CLIPS, FEW = 62, 6
 LEAST_FRAMES = 4

@@ -174,7 +174,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     notes = (
         f"{FEW if settings.quick else PAIRS} pairs who turn by 45° or more within {CLOSEST} m of each "
         f"other, {SECONDS:g} s before and after, 10 frames a second, {100 * MISSED:.0f} % of the detections "
-        f"missing, body κ = {BODY_KAPPA}, head κ = {HEAD_KAPPA} (002's noise), clips of motion capture "
+        f"missing, body κ = {BODY_KAPPA}, head κ = {HEAD_KAPPA} (Chen et al.'s noise), clips of "
+        f"motion capture "
         "turned at random.",
         "All pairs are in one recording, from which the scene's parameters are learned; online is what was "
         "said at once. A switch is a detection whose identity is not that of the person's one before.",

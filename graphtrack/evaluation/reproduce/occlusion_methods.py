@@ -23,7 +23,7 @@ from graphtrack.tracks import Track, TrackSet
 
 STEERED = "joint-intentional"
 PRESETS = ("joint", STEERED)
-"""002's model, and the same with a head that steers the velocity, as in 000's tracker."""
+"""Chen et al.'s model, and the same with a head that steers the velocity, as in Baxter et al.'s tracker."""
 
 ONLINE = (
     *("kf", "printed", "consistent", "kf fitted", "intentional"),
@@ -32,7 +32,7 @@ ONLINE = (
 )
 OFFLINE = ("rts", *(f"{method} {preset}" for method in ("ffbs", "smoother") for preset in PRESETS))
 OWN = ("kf", "printed", "consistent")
-"""000's filters with its parameters; they count time in steps."""
+"""Baxter et al.'s filters with its parameters; they count time in steps."""
 
 PATHS = 20
 
@@ -67,7 +67,7 @@ DENSITY, FACTOR, RATE = 0.2, 3.0, 2.0
 
 
 def in_steps(parameters: IntentionalParameters | None) -> Predictor:
-    """000's own filters, which count time in steps; None: its Kalman filter."""
+    """Baxter et al.'s own filters, which count time in steps; None: its Kalman filter."""
 
     def estimate(track: Track) -> FloatArray:
         head = None if parameters is None else track.head
@@ -113,12 +113,12 @@ def backward(density: float) -> Predictor:
 
 
 def intentional(density: float, rate: float) -> Predictor:
-    """000's tracker in continuous time."""
+    """Baxter et al.'s tracker in continuous time."""
     return lambda track: intentional_tracker(track, with_density(Parameters(), density), rate).position
 
 
 def particles(model: Model, count: int) -> Predictor:
-    """002's filter."""
+    """Chen et al.'s filter."""
     options = ParticleOptions(particles=count)
     return lambda track: particle_filter(track, model, options=options).track.position
 
@@ -146,7 +146,7 @@ def offline(model: Model) -> Predictor:
 
 def fitted(training: WithheldWindows, effort: Effort, progress: Progress) -> dict[str, Predictor]:
     """The methods by name, each with the parameters that make its own error least in the training windows;
-    000's own filters keep theirs.
+    Baxter et al.'s own filters keep theirs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Term 3: the body follows the motion (002 eq. 8–9)."""
+"""The body follows the motion (Chen et al. 2011, eq. 8–9)."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ ADD_BODY_FOLLOWS_MOTION = Kernel(
 
 
 class BodyFollowsMotion(Term):
-    """κ(v)·(1 − cos(θ − ang v)) with κ(v) = κ₁·max(0, ‖v‖ − τ)² (002 eq. 8–9)."""
+    """κ(v)·(1 − cos(θ − ang v)) with κ(v) = κ₁·max(0, ‖v‖ − τ)² (Chen et al. 2011, eq. 8–9)."""
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
 

@@ -347,10 +347,11 @@ def class_information(heights: FloatArray) -> FloatArray:
 class GaitOffsets(Term):
     """Hidden modes of the two couplings, which stand before it in the list of terms.
 
-    In each frame each coupling is *aligned* (at rest near 0, as 002 has it) or *free* (at rest at an offset
-    that may be anything and drifts slowly); a hidden Markov chain says that this seldom changes. The
-    couplings, and the head that steers the motion, count by the probabilities of the modes. The engine infers
-    both in turn: given the states the modes, by the forward–backward recursion; given the modes the states.
+    In each frame each coupling is *aligned* (at rest near 0, as Chen et al. (2011) have it) or *free* (at
+    rest at an offset that may be anything and drifts slowly); a hidden Markov chain says that this seldom
+    changes. The couplings, and the head that steers the motion, count by the probabilities of the modes. The
+    engine infers both in turn: given the states the modes, by the forward–backward recursion; given the
+    modes the states.
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})

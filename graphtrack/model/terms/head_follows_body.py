@@ -1,4 +1,4 @@
-"""Term 4: the head follows the body (002 eq. 10)."""
+"""The head follows the body (Chen et al. 2011, eq. 10)."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ ADD_HEAD_FOLLOWS_BODY = Kernel(
 
 
 class HeadFollowsBody(Term):
-    """κ₂·(1 − cos(α − θ)) (002 eq. 10, second factor)."""
+    """κ₂·(1 − cos(α − θ)) (Chen et al. 2011, eq. 10, second factor)."""
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
 

@@ -1,4 +1,5 @@
-"""Term 5: intentional motion, the head steers the velocity (000 in continuous time, as a factor)."""
+"""Intentional motion, the head steers the velocity (Baxter et al. 2014 in continuous time, as a
+factor)."""
 
 from __future__ import annotations
 
@@ -208,9 +209,9 @@ class IntentionalMotion(Motion):
     """White-noise acceleration about a velocity that turns towards where the head points.
 
     Over a step, v_t = (1 − a)·v_{t−1} + a·‖v_{t−1}‖·u(α_{t−1}) + noise with a = 1 − e^−λΔt, and the position
-    is its exact integral (000 eq. 3–5 in continuous time). λ = 0 is `Motion`. Otherwise the prior on the
-    first velocity stands at the first frame of the track, whether a position was seen there or not: steering
-    forgets a velocity, so that later frames may not determine it.
+    is its exact integral (Baxter et al. 2014, eq. 3–5 in continuous time). λ = 0 is `Motion`. Otherwise the
+    prior on the first velocity stands at the first frame of the track, whether a position was seen there or
+    not: steering forgets a velocity, so that later frames may not determine it.
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})

@@ -1,4 +1,4 @@
-"""Term 1: white-noise acceleration."""
+"""White-noise acceleration."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def transition_matrix(dt: float) -> FloatArray:
 
 
 def process_noise(dt: float, acceleration_density: float) -> FloatArray:
-    """Q(Δt) (4, 4) of white-noise acceleration, for the state x, y, vx, vy (MODEL term 1)."""
+    """Q(Δt) (4, 4) of white-noise acceleration, for the state x, y, vx, vy (the term Motion)."""
     block = np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
     return acceleration_density * np.kron(block, np.eye(2))
 

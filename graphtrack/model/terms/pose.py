@@ -1,4 +1,4 @@
-"""Term 7: the orientation likelihoods of body and head, from angles or from class likelihoods.
+"""The orientation likelihoods of body and head, from angles or from class likelihoods.
 
 As a density: L(θ) = ε/2π + (1 − ε)·Σ_k w_k·VM(θ; μ_k, κ). An observed angle is the mixture of one class; with
 ε = 0 it is a von Mises, which is native.
@@ -275,7 +275,7 @@ class _PoseLikelihood(Term):
 
 
 class BodyLikelihood(_PoseLikelihood):
-    """What was seen of the body's orientation (002 eq. 14, smooth)."""
+    """What was seen of the body's orientation (Chen et al. 2011, eq. 14, smooth)."""
 
     name: ClassVar[Variable] = "body"
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
@@ -294,7 +294,7 @@ class BodyLikelihood(_PoseLikelihood):
 
 
 class HeadLikelihood(_PoseLikelihood):
-    """What was seen of the head's pan (002 eq. 13, smooth; tilt is summed out before)."""
+    """What was seen of the head's pan (Chen et al. 2011, eq. 13, smooth; tilt is summed out before)."""
 
     name: ClassVar[Variable] = "head"
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})

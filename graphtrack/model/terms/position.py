@@ -1,4 +1,4 @@
-"""Term 6: the position likelihood, in metres or in pixels."""
+"""The position likelihood, in metres or in pixels."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ ADD_PIXEL = Kernel(add_pixel, gate="pixel_information", variables=("position",),
 
 
 class PositionLikelihood(Term):
-    """Gaussian in metres, or in pixels through the camera (002 eq. 12); robust by option."""
+    """Gaussian in metres, or in pixels through the camera (Chen et al. 2011, eq. 12); robust by option."""
 
     repeats = True
     reads = (

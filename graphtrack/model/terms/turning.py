@@ -1,4 +1,4 @@
-"""Term 2: body and head turn by rotational diffusion. Von Mises factors are native."""
+"""Body and head turn by rotational diffusion. Von Mises factors are native."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ _READ = ("diffusion", "white_share", "turn_rate", "turn_time")
 
 
 class BodyDynamics(Term):
-    """V(θ_t; θ_{t−1}, 1/(diffusion·Δt)) (002 eq. 8, first factor)."""
+    """V(θ_t; θ_{t−1}, 1/(diffusion·Δt)) (Chen et al. 2011, eq. 8, first factor)."""
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
     repeats = True
@@ -101,7 +101,7 @@ class BodyDynamics(Term):
 
 
 class HeadDynamics(Term):
-    """V(α_t; α_{t−1}, 1/(diffusion·Δt)) (002 eq. 10, first factor)."""
+    """V(α_t; α_{t−1}, 1/(diffusion·Δt)) (Chen et al. 2011, eq. 10, first factor)."""
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
     repeats = True

@@ -57,6 +57,9 @@ def plot_group_timeline(groups: Groups, spans: Sequence[GroupSpan]) -> Figure:
         )
     axes.set_yticks(range(len(shown)), [str(span.number) for span in shown])
     axes.set_ylim(max(len(shown), 1) - 0.4, -0.6)
+    if len(groups.t):
+        # The whole recording, whether or not there were groups at its ends.
+        axes.set_xlim(float(groups.t.min()), max(float(groups.t.max()), float(groups.t.min()) + 1e-3))
     axes.set(xlabel="time (s)", ylabel="group")
     tidy(axes, grid="x")
     return figure

@@ -27,6 +27,12 @@ MOST = 40
 _HEXAGON = 0.3
 """Metres that a hexagon of the heat map is wide: about as wide as a person; in a large scene wider."""
 
+_LEAST_SECONDS = 1.0
+"""The heat map's colours span at least this: a moment is drawn faint, not as the most that there could be."""
+
+_LEAST_SHARE = 10.0
+"""Per cent of the time that the matrix's colours span at least."""
+
 _WRITTEN = 14
 """Up to so many people and targets the matrix has its numbers."""
 
@@ -69,8 +75,9 @@ def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Att
             gridsize=(wide, high),
             reduce_C_function=np.sum,
             cmap="magma_r",
-            norm=PowerNorm(0.5, vmin=0.0),
         )
+        most = max(float(np.max(patches.get_array())), _LEAST_SECONDS)
+        patches.set_norm(PowerNorm(0.5, vmin=0.0, vmax=most))
         patches.set_zorder(2)
         bar = figure.colorbar(patches, ax=axes, shrink=0.8, pad=0.02)
         bar.set_label("seconds of looks")
@@ -93,7 +100,7 @@ def plot_look_timeline(found: Sequence[Attention]) -> Figure:
     names = {target: k for k, target in enumerate(targets)}
     figure = new_figure(9.5, 1.3 + 0.28 * max(len(shown), 4))
     axes = figure.add_subplot()
-    whole = np.concatenate([one.t for one in shown]) if shown else np.zeros(1)
+    whole = np.concatenate([np.zeros(0) if found else np.zeros(1), *(one.t for one in found)])
     second = 9.0 * 72.0 / max(float(np.ptp(whole)), 1e-9)
     for row, one in enumerate(shown):
         best = np.argmax(np.nan_to_num(one.probability, nan=-1.0), axis=1)
@@ -110,6 +117,8 @@ def plot_look_timeline(found: Sequence[Attention]) -> Figure:
                     axes.annotate(target[1], middle, ha="center", va="center", fontsize=7)
     axes.set_yticks(range(len(shown)), [str(one.track_id) for one in shown])
     axes.set_ylim(len(shown) - 0.4, -0.6)
+    half = max((float(frame_seconds(one.t).max(initial=0.0)) / 2.0 for one in found), default=0.0)
+    axes.set_xlim(float(whole.min()) - max(half, 1e-3), float(whole.max()) + max(half, 1e-3))
     axes.set(xlabel="time (s)", ylabel="who looks")
     tidy(axes, grid="x")
     return figure
@@ -135,7 +144,7 @@ def plot_matrix(summary: LookSummary, order: Sequence[int] | None = None) -> Fig
     figure = new_figure(size * len(columns) + 2.4, size * max(len(rows), 3) + 1.6)
     axes = figure.add_subplot()
     # Nothing is the most frequent of all: the colours are for the rest.
-    most = float(share[:, :-1].max(initial=0.0)) or 1.0
+    most = max(float(share[:, :-1].max(initial=0.0)), _LEAST_SHARE)
     image = axes.imshow(share, cmap="magma_r", vmin=0.0, vmax=most)
     bar = figure.colorbar(image, ax=axes, shrink=0.8, pad=0.02, extend="max")
     bar.set_label("share of the time (%)")

@@ -35,7 +35,7 @@ def plot_reliability(calibration: Records) -> Figure:
     rows = records(calibration, _COLUMNS)
     methods = distinct(str(row["method"]) for row in rows)
     quantities = distinct(str(row["quantity"]) for row in rows)
-    figure = new_figure(0.9 + 2.7 * len(quantities), 3.4)
+    figure = new_figure(0.9 + 2.7 * len(quantities), 3.4 + 0.17 * len(methods))
     panels = figure.subplots(1, len(quantities), squeeze=False, sharex=True, sharey=True).ravel()
     for axes, quantity in zip(panels, quantities, strict=True):
         axes.plot([0.0, 1.0], [0.0, 1.0], color="#C9CED6", linewidth=4.0, zorder=1)
@@ -65,5 +65,6 @@ def _finish(axes: Axes, quantity: str) -> None:
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(FixedLocator((0.0, 0.25, 0.5, 0.75, 1.0)))
         axis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
-    axes.legend(frameon=False, fontsize=7, loc="upper left")
+    # Below the panel: inside, it would cover curves of methods that state too much.
+    axes.legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(0.0, -0.12), borderaxespad=0.0)
     tidy(axes)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse as EllipsePatch
@@ -32,11 +33,24 @@ from graphtrack.tracks import Track, TrackSet
 MARKED_GAP = 3
 """Gaps of at least this many frames get a marker at each end; shorter ones are only dotted."""
 
+DOTS: Any = (0.0, (0.01, 1.7))
+"""Line style, with round caps, of a path where nobody was observed."""
+
 NAMED_PEOPLE = 10
 """Up to this many people are named in the legend; with more, the ids beside the paths must do."""
 
 CROWD = 40
 """With more people than this only paths are drawn (`plot_crowd`): arrows, ellipses, ids would hide them."""
+
+
+ARROW_INCHES = {"body": 0.33, "head": 0.24}
+"""Lengths of arrows on paper, so that they can be read in a room and in a car park."""
+
+ASIDE_INCHES = 0.055
+"""Arrows stand this far beside the path, the body's to their left and the head's to their right."""
+
+VISIBLE_INCHES = 0.08
+"""Median semi-axis below which ellipses are enlarged by a factor that the legend states."""
 
 
 def plot_tracks(
@@ -50,9 +64,10 @@ def plot_tracks(
 ) -> Figure:
     """Draw everybody's path from above, in metres with equal axes.
 
-    Body and head arrows and the 95 % ellipses of the position stand at regular intervals of time. Where the
-    person was not observed the path is dotted, and longer gaps end in hollow circles. Of more than `CROWD`
-    people only the paths are drawn: over a map of the time that they spent where, and by the way they went.
+    Body and head arrows, beside the path, and the 95 % ellipses of the position stand at regular intervals of
+    time where the person was observed. Elsewhere the path is dotted, and longer gaps end in hollow circles.
+    Ellipses too small to be seen are enlarged; the legend states the factor. Of more than `CROWD` people only
+    the paths are drawn: over a map of the time that they spent where, and by the way they went.
 
     Parameters
     ----------
@@ -92,6 +107,10 @@ def plot_pairs(
     # The page follows the scene, within what fits a screen: inches for the axes, then room for the legend.
     height = float(np.clip(7.0 * span_y / span_x, 3.2, 8.0))
     width = height * span_x / span_y
+    inch = float(span_y) / height
+    # The margin holds an arrow from the outermost position; axes come out somewhat smaller than planned.
+    margin = 1.3 * (ARROW_INCHES["body"] + ASIDE_INCHES) * inch
+    extent = extent + margin * np.array([[-1.0], [1.0]])
     figure = new_figure(width + 3.0, height + 0.9, layout="compressed")
     axes = figure.add_subplot()
     axes.set_aspect("equal", adjustable="box")
@@ -105,14 +124,15 @@ def plot_pairs(
 
     size = 1.0 if len(pairs) <= 8 else 0.65
     interval = _nice_interval(pairs) if arrow_interval is None else arrow_interval
-    for index, pair in enumerate(pairs):
+    chosen = [_regular_samples(pair.estimate.t, _worth_an_arrow(pair), interval) for pair in pairs]
+    enlarged = _enlargement(pairs, chosen, inch)
+    for index, (pair, at) in enumerate(zip(pairs, chosen, strict=True)):
         colour, dash = person_colour(index), person_dash(index)
         _draw_observations(axes, pair, colour)
         if show_truth:
             axes.plot(*pair.true_position.T, color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5), zorder=2.5)
         _draw_path(axes, pair, colour, dash)
-        at = _regular_samples(pair.estimate.t, finite_rows(pair.estimate.position), interval)
-        _draw_ellipses(axes, pair, at, colour)
+        _draw_ellipses(axes, pair, at, colour, enlarged)
         if show_velocity and pair.estimate.velocity is not None:
             position, velocity = pair.estimate.position[at], pair.estimate.velocity[at]
             axes.quiver(
@@ -127,9 +147,9 @@ def plot_pairs(
                 zorder=4,
             )
         for name in ("body", "head"):
-            _draw_heading(axes, pair.estimate, name, at, size)
+            _draw_heading(axes, pair.estimate, name, at, size, inch)
         _draw_id(axes, pair, colour)
-    handles = _legend(pairs, show_truth, show_velocity)
+    handles = _legend(pairs, show_truth, show_velocity, enlarged)
     if handles:
         figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=9)
     else:
@@ -167,8 +187,13 @@ def _nice_interval(pairs: tuple[Pair, ...]) -> float:
     if longest == 0.0:
         return 1.0
     wanted = longest / (12.0 if len(pairs) <= 8 else 7.0)
+    return _round_up(wanted)
+
+
+def _round_up(wanted: float) -> float:
+    """Return the smallest of 1, 2, 5 times a power of ten that is at least ``wanted``."""
     decade = 10.0 ** np.floor(np.log10(wanted))
-    # The smallest of 1, 2, 5, 10 times the decade that is enough; 10 catches what rounding lets through.
+    # 10 catches what rounding lets through.
     return float(decade * next((step for step in (1.0, 2.0, 5.0) if step * decade >= wanted), 10.0))
 
 
@@ -177,6 +202,28 @@ def _regular_samples(t: FloatArray, usable: NDArray[np.bool_], interval: float) 
     at = np.nonzero(usable)[0]
     slot = np.floor(t[at] / interval + 1e-9)
     return at[np.unique(slot, return_index=True)[1]]
+
+
+def _worth_an_arrow(pair: Pair) -> NDArray[np.bool_]:
+    """Observed samples with a position, or all with a position where none was observed."""
+    placed = finite_rows(pair.estimate.position)
+    observed = placed if pair.seen is None else placed & pair.seen
+    return observed if observed.any() else placed
+
+
+def _enlargement(pairs: tuple[Pair, ...], chosen: list[NDArray[np.intp]], inch: float) -> float:
+    """Factor, from 1, 2, 5, 10 …, that makes the median ellipse visible at ``inch`` metres an inch."""
+    axes = [
+        probability_ellipse(pair.estimate.covariance[at, :2, :2]).semi_major
+        for pair, at in zip(pairs, chosen, strict=True)
+        if pair.estimate.covariance is not None
+    ]
+    sizes = np.concatenate([np.empty(0), *axes])
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+    if not len(sizes):
+        return 1.0
+    wanted = VISIBLE_INCHES * inch / float(np.median(sizes))
+    return 1.0 if wanted <= 1.0 else _round_up(wanted)
 
 
 def _draw_observations(axes: Axes, pair: Pair, colour: str) -> None:
@@ -193,21 +240,21 @@ def _draw_path(axes: Axes, pair: Pair, colour: str, dash: tuple[float, ...]) -> 
         return
     # Dotted unless both ends of a piece were observed and nothing is missing between them.
     whole = seen[:-1] & seen[1:] & (np.diff(pair.estimate.t) <= longest_step(pair.estimate.t))
-    for flags, style in ((whole, _line_style(dash)), (~whole, ":")):
+    for flags, style, cap in ((whole, _line_style(dash), "butt"), (~whole, DOTS, "round")):
         for run in finite_runs(flags):
             piece = position[run.start : run.stop + 1]
-            axes.plot(*piece.T, linestyle=style, color=colour, linewidth=1.8, zorder=3)
+            axes.plot(*piece.T, linestyle=style, color=colour, linewidth=1.8, dash_capstyle=cap, zorder=3)
     for run in finite_runs(~seen):
         if run.stop - run.start >= MARKED_GAP:
             ends = position[[run.start, run.stop - 1]]
-            axes.plot(*ends.T, "o", color=colour, markerfacecolor="white", markersize=5.5, zorder=3.2)
+            axes.plot(*ends.T, "o", color=colour, markerfacecolor="white", markersize=4.0, zorder=3.2)
 
 
 def _line_style(dash: tuple[float, ...]) -> Any:
     return (0.0, dash) if dash else "-"
 
 
-def _draw_ellipses(axes: Axes, pair: Pair, at: NDArray[np.intp], colour: str) -> None:
+def _draw_ellipses(axes: Axes, pair: Pair, at: NDArray[np.intp], colour: str, enlarged: float) -> None:
     if pair.estimate.covariance is None:
         return
     ellipse = probability_ellipse(pair.estimate.covariance[at, :2, :2])
@@ -215,34 +262,38 @@ def _draw_ellipses(axes: Axes, pair: Pair, at: NDArray[np.intp], colour: str) ->
         if np.isfinite([major, minor, angle]).all():
             patch = EllipsePatch(
                 (float(centre[0]), float(centre[1])),
-                2.0 * major,
-                2.0 * minor,
+                2.0 * enlarged * major,
+                2.0 * enlarged * minor,
                 angle=float(np.degrees(angle)),
                 facecolor=colour,
                 edgecolor=colour,
+                linewidth=0.8,
                 zorder=1.5,
             )
-            patch.set_facecolor((*patch.get_facecolor()[:3], 0.18))
+            patch.set_facecolor((*patch.get_facecolor()[:3], 0.25))
             axes.add_patch(patch)
 
 
-def _draw_heading(axes: Axes, estimate: Track, name: str, at: NDArray[np.intp], size: float) -> None:
-    """Arrows of one length on paper (inches), so that they can be read in a room and in a car park."""
+def _draw_heading(
+    axes: Axes, estimate: Track, name: str, at: NDArray[np.intp], size: float, inch: float
+) -> None:
+    """Arrows of one length on paper, beside the path: people walk along their arrows, which would hide it."""
     angles = getattr(estimate, name)
     at = at[np.isfinite(angles[at])] if angles is not None else at[:0]
     if not len(at):
         return
     # The head is drawn last, shorter and thinner: both stay visible when they point the same way.
-    length, width, layer = (0.33, 0.030, 4.5) if name == "body" else (0.24, 0.020, 5.0)
+    width, layer, side = (0.024, 4.5, 1.0) if name == "body" else (0.018, 5.0, -1.0)
+    aside = side * ASIDE_INCHES * inch * unit(angles[at] + np.pi / 2.0)
     axes.quiver(
-        *estimate.position[at].T,
+        *(estimate.position[at] + aside).T,
         *unit(angles[at]).T,
         color=ANGLE_COLOURS[name],
         edgecolor="white",
         linewidth=0.4,
         units="inches",
         scale_units="inches",
-        scale=1.0 / (length * size),
+        scale=1.0 / (ARROW_INCHES[name] * size),
         width=width * size,
         headwidth=3.6,
         headlength=4.0,
@@ -271,7 +322,9 @@ def _draw_id(axes: Axes, pair: Pair, colour: str) -> None:
     )
 
 
-def _legend(pairs: tuple[Pair, ...], show_truth: bool, show_velocity: bool) -> list[Line2D | Patch]:
+def _legend(
+    pairs: tuple[Pair, ...], show_truth: bool, show_velocity: bool, enlarged: float
+) -> list[Line2D | Patch]:
     """Handles for what the figure really holds."""
     estimates = [pair.estimate for pair in pairs]
     if not any(finite_rows(estimate.position).any() for estimate in estimates):
@@ -280,7 +333,18 @@ def _legend(pairs: tuple[Pair, ...], show_truth: bool, show_velocity: bool) -> l
     arrow = {"linewidth": 0, "marker": r"$\rightarrow$", "markersize": 13}
     handles: list[Line2D | Patch] = [_key("path", linewidth=1.8, **grey)]
     if any(pair.seen is not None and not pair.seen.all() for pair in pairs):
-        handles.append(_key("not observed", linestyle=":", marker="o", markerfacecolor="white", **grey))
+        handles.append(
+            _key(
+                "not observed",
+                linestyle=DOTS,
+                dash_capstyle="round",
+                linewidth=1.8,
+                marker="o",
+                markersize=4,
+                markerfacecolor="white",
+                **grey,
+            )
+        )
     if any(pair.observation is not None for pair in pairs):
         handles.append(_key("observation", linewidth=0, marker=".", **grey))
     for name, colour in ANGLE_COLOURS.items():
@@ -289,7 +353,9 @@ def _legend(pairs: tuple[Pair, ...], show_truth: bool, show_velocity: bool) -> l
     if show_velocity and any(e.velocity is not None for e in estimates):
         handles.append(_key("velocity (½ s)", color=VELOCITY_COLOUR, **arrow))
     if any(e.covariance is not None for e in estimates):
-        handles.append(Patch(facecolor=NEUTRAL_COLOUR, alpha=0.3, label="95 % of position"))
+        words = "95 % of position" + (f", enlarged {enlarged:g}×" if enlarged > 1.0 else "")
+        faint = (*to_rgb(NEUTRAL_COLOUR), 0.25)
+        handles.append(Patch(facecolor=faint, edgecolor=NEUTRAL_COLOUR, linewidth=0.8, label=words))
     if show_truth and any(np.isfinite(pair.true_position).any() for pair in pairs):
         handles.append(_key("truth", color=TRUTH_COLOUR, linewidth=0.9, dashes=(5, 2.5)))
     if len(pairs) <= NAMED_PEOPLE:

@@ -1,4 +1,5 @@
-"""One person's body and head, as single frames have them and as estimated (002 Fig. 5, 6, 8 and 9)."""
+"""One person's body and head, as single frames have them and as estimated (Chen et al. 2011, Fig. 5, 6, 8
+and 9)."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from perception.images.drawing.marks import Colour, Place
 from perception.images.pixels import Image
 
 _RADIUS = 0.5
-"""Metres of the horizontal circles at feet and head (002 §4.2)."""
+"""Metres of the horizontal circles at feet and head (Chen et al. 2011, §4.2)."""
 _BODY: Colour = (60, 60, 235)
 _HEAD: Colour = (40, 220, 245)
 _BOX: Colour = (235, 160, 60)
@@ -48,8 +49,9 @@ class Cues:
 def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320) -> Image:
     """The part of a frame about a person, with circles of 50 cm at the feet (body) and at the head.
 
-    As in 002 Fig. 5: the detection is dashed, the head's box solid; thin lines are the likeliest classes of
-    the frame alone, thick arrows the estimates. Green ticks on the circles are the truth.
+    As in Chen et al. 2011, Fig. 5: the detection is dashed, the head's box solid; thin lines are the
+    likeliest classes of the frame alone, thick arrows the estimates. Green ticks on the circles are the
+    truth.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""Gradient histograms of all rectangles on a 6 × 6 grid in any window, by integral histograms (002 §2.2)."""
+"""Gradient histograms of all rectangles on a 6 × 6 grid in any window, by integral histograms (Chen et al.
+2011, §2.2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""One Gaussian and three rotation-invariant Gabor wavelets at the points of a disc (004 §2.1)."""
+"""One Gaussian and three rotation-invariant Gabor wavelets at the points of a disc (Ba & Odobez 2003,
+§2.1)."""
 
 from __future__ import annotations
 
@@ -58,7 +59,8 @@ def filter_bank() -> NDArray[np.float32]:
 
 
 def gabor_features(images: NDArray[np.uint8]) -> FloatArray:
-    """Features (n, 764) of equalised grey images (n, 64, 64), each filter normalised (004 eq. 1)."""
+    """Features (n, 764) of equalised grey images (n, 64, 64), each filter normalised (Ba & Odobez 2003, eq.
+    1)."""
     n = len(images)
     values = np.asarray(images, np.float32).reshape(n, -1)
     # Filters end at the border: without its mean an image has nothing to lose there but detail.

@@ -51,7 +51,7 @@ def cell_histograms(images: NDArray[np.uint8], rows: int, columns: int) -> Float
 
 
 def multi_level_hog(images: NDArray[np.uint8], levels: Sequence[tuple[int, int]]) -> FloatArray:
-    """Concatenated block descriptors (n, d) at several levels (002 §2.3).
+    """Concatenated block descriptors (n, d) at several levels (Chen et al. 2011, §2.3).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Skin by colour histograms (002 §2.3, after Jones and Rehg)."""
+"""Skin by colour histograms (Chen et al. 2011, §2.3, after Jones and Rehg)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Head pose by a deep belief network on equalised pixels (000 §III-C).
+"""Head pose by a deep belief network on equalised pixels (Baxter et al. 2014, §III-C).
 
 PyTorch learns the network (`perception.training.deep_belief`, extra ``train``); NumPy runs it.
 """

@@ -1,4 +1,4 @@
-"""Head pose by exemplars in the responses of a Gaussian and three Gabor wavelets (004 §2).
+"""Head pose by exemplars in the responses of a Gaussian and three Gabor wavelets (Ba & Odobez 2003, §2).
 
 Measured on rendered heads of 16–32 pixels, 20 exemplars a class, mean error of the most likely pan: 28° with
 eq. 3–5 as they are, 26° with a weight for each filter. Both are here.
@@ -43,8 +43,8 @@ class Exemplars(FeatureClassifier):
     """p(z|θ) = Σ_k π_k Π_i (σ_ki⁻¹ · max{exp(−½((z_i − e_ki)/σ_ki)²), T})^λ, eq. 3–5 with λ = 1.
 
     Neighbouring responses say nearly the same, and those of the finest wavelet are mostly noise in small
-    heads; ``weigh_filters`` chooses one λ for each of the four filters, as 002 chooses its λ: that of the
-    highest likelihood on images that the exemplars were not made of.
+    heads; ``weigh_filters`` chooses one λ for each of the four filters, as Chen et al. (2011) choose its λ:
+    that of the highest likelihood on images that the exemplars were not made of.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Head pose by distance to the mean of each class: two-level HoG and a skin mask (002 §2.3).
+"""Head pose by distance to the mean of each class: two-level HoG and a skin mask (Chen et al. 2011, §2.3).
 
 Measured on rendered heads of 16–32 pixels, mean error of the most likely pan: 28.9° with the paper's
 distances, 18.7° with distances after a Fisher projection of the same features. Both are here.
@@ -69,7 +69,7 @@ class Templates(FeatureClassifier):
 
     @classmethod
     def as_published(cls, *, seed: int = 0, skin: SkinColours | None = None) -> Self:
-        """002 §2.3 as printed: eq. 3–4 with L2 and L1 distances, uncalibrated."""
+        """Chen et al. 2011, §2.3 as printed: eq. 3–4 with L2 and L1 distances, uncalibrated."""
         return cls(seed=seed, skin=skin, metric="euclidean", calibrated=False)
 
     def settings(self) -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""The mixed-state head tracker (004)."""
+"""The mixed-state head tracker (Ba & Odobez 2003)."""

@@ -1,4 +1,5 @@
-"""The appearance model of the mixed-state tracker: exemplars of heads, and of what is no head (004 §2, §3).
+"""The appearance model of the mixed-state tracker: exemplars of heads, and of what is no head (Ba & Odobez
+2003, §2, §3).
 
 The paper's likelihood p_T(z(x)|k) says how well a patch fits an exemplar, but patches of different places
 are different data. Here it is divided by the likelihood of the patch under exemplars of backgrounds and of
@@ -111,7 +112,8 @@ class HeadExemplars(Stored):
     def within(self, pan_limit: float) -> HeadExemplars:
         """The same without the poses that face away by more than ``pan_limit`` (radians).
 
-        004 knows pans from −90° to 90° only. The classes stay; the other ones become impossible.
+        Ba & Odobez (2003) know pans from −90° to 90° only. The classes stay; the other ones become
+        impossible.
         """
         facing = np.tile(np.abs(self.classes.pan) <= pan_limit + 1e-9, self.classes.n_tilt)
         return replace(self, log_weight=np.where(facing[:, None], self.log_weight, -np.inf))

@@ -1,4 +1,4 @@
-"""The mixed-state particle filter: head box and exemplar label in one state (Ba & Odobez 2003, 004 §3)."""
+"""The mixed-state particle filter: head box and exemplar label in one state (Ba & Odobez 2003, §3)."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class MixedStateParameters:
         hides it; None: exemplars alone, as in the paper
     dynamics : of the box
     pan_limit : radians; poses that face away from the camera by more are left out. The exemplars confuse
-        faces with backs of heads; 004 has −90° to 90° only.
+        faces with backs of heads; Ba & Odobez (2003) have −90° to 90° only.
     pan_std : radians a frame, of p(θ_t|θ_{t−1})
     tilt_share : a frame, to each neighbouring tilt class, relative to staying
     stay : probability of the same exemplar while the pose stays
@@ -103,7 +103,7 @@ class MixedStateParameters:
 
     @classmethod
     def of_the_paper(cls, particles: int = 200) -> MixedStateParameters:
-        """004 as it is printed, and nothing else.
+        """Ba & Odobez 2003 as it is printed, and nothing else.
 
         Likelihoods of eq. 5, labels that are sampled, resampling in every step (§3.1), pans from −90° to 90°
         (§2.1); no colours. The head is never hidden. The motion of boxes, of which the paper says its kind

@@ -1,1 +1,1 @@
-"""The Sigma-Pi person tracker (003)."""
+"""The Sigma-Pi person tracker (Yan et al. 2011)."""

@@ -134,6 +134,6 @@ class SigmaPiParameters:
 
     @classmethod
     def of_the_paper(cls, particles: int = 50) -> SigmaPiParameters:
-        """What can be switched to 003: motion's reliability is not adaptive (§2.2), particles that were drawn
-        anew weigh as much as any (§2.1), shape is local features and weights are eq. 4."""
+        """What can be switched to Yan et al. 2011: motion's reliability is not adaptive (§2.2), particles
+        that were drawn anew weigh as much as any (§2.1), shape is local features and weights are eq. 4."""
         return cls(particles, random_weight=1.0, fixed=("motion",), views=False)

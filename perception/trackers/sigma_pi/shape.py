@@ -1,4 +1,5 @@
-"""Shape: local features of the target in the last frames, against those of the background (003 §3)."""
+"""Shape: local features of the target in the last frames, against those of the background (Yan et al. 2011,
+§3)."""
 
 from __future__ import annotations
 

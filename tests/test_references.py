@@ -1,0 +1,75 @@
+"""Statements of documents can be looked up: papers by author and year, formats, presets, a notebook."""
+
+import re
+from pathlib import Path
+
+import nbformat
+import pytest
+from documents import ROOT
+
+from graphtrack.io.registry import formats
+from graphtrack.model.model import presets
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+NUMBER = re.compile(r"(?<![\d.,:#\w{])(?<!\d )00[0-4](?!\.\w|[\d\w]|[.,]\d)")
+"""000 to 004 where they stand for a paper, and not for a part of a number or of a file's name."""
+
+
+def texts():
+    yield from (ROOT / name for name in ("README.md", "CHANGELOG.md", "CITATION.cff"))
+    yield from (ROOT / "docs").rglob("*.md")
+    for package in ("graphtrack", "perception"):
+        yield from (ROOT / package).rglob("*.py")
+
+
+def readable(path: Path) -> str:
+    if path.suffix == ".ipynb":
+        return "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells)
+    return path.read_text(encoding="utf-8")
+
+
+def test_papers_are_cited_by_author_and_year():
+    found = []
+    for path in (*texts(), *(ROOT / "notebooks").glob("*.ipynb")):
+        for number, line in enumerate(readable(path).splitlines(), 1):
+            if NUMBER.search(line) or re.search(r"\bMODEL (term|\()|^\"\"\"Term \d|\(MODEL\b", line):
+                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
+    assert not found
+
+
+@pytest.mark.parametrize("anchor", ["baxter-2014", "chen-2011", "yan-2011", "ba-odobez-2003"])
+def test_every_paper_has_a_reference_that_pages_link_to(anchor):
+    assert f'id="{anchor}"' in (ROOT / "docs/references.md").read_text(encoding="utf-8")
+    assert f"references.md#{anchor}" in (ROOT / "docs/papers.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", ["CHANGELOG.md", "docs/formats.md"])
+def test_the_stated_number_of_formats_is_theirs(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert f"{len(formats())} formats" in text
+    assert not re.search(r"\bten formats", text)
+
+
+@pytest.mark.parametrize(
+    "text", [README, (ROOT / "docs/model.md").read_text(encoding="utf-8")], ids=["README", "model"]
+)
+def test_every_preset_stands_in_the_table(text):
+    table = set(re.findall(r"^\| `([\w-]+)` \|", text, flags=re.M))
+    assert set(presets) <= table
+
+
+def test_the_notebook_on_gait_says_what_its_table_has():
+    notebook = nbformat.read(ROOT / "notebooks/04-gait.ipynb", as_version=4)
+    (at,) = (k for k, cell in enumerate(notebook.cells) if cell.source.startswith("Mean errors in degrees."))
+    (output,) = notebook.cells[at - 1].outputs
+    rows = {
+        line.split()[0]: [float(value) for value in line.split()[1:]]
+        for line in output.data["text/plain"].splitlines()
+        if re.match(r"(ahead|side-stepping|backwards) ", line)
+    }
+    assert len(rows) == 3
+    body, head = rows["ahead"][:3], rows["ahead"][3:]  # separate, joint, full
+    text = " ".join(notebook.cells[at].source.split())
+    assert "`joint` has the lowest error of the body and `full` the lowest error of the head" in text
+    assert min(body) == body[1] and min(head) == head[2]
+    assert all(row[2] < row[0] and row[5] < row[3] for row in rows.values())
