@@ -123,7 +123,7 @@ class Source:
         if null >= 0:
             raise InputError("a null byte (a binary file?)", "text", path=self.path, line=self._line(null))
         try:
-            return self.data.decode("utf-8-sig")
+            return self.data.decode("utf-8").lstrip("\ufeff")
         except UnicodeDecodeError as error:
             byte = self.data[min(error.start, len(self.data) - 1)]
             raise InputError(
