@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Model, Observation
@@ -46,7 +47,10 @@ def with_extreme_of(reason: str, seen: Sequence[Observation], model: Model) -> s
 
 
 def _of_channels(
-    t: FloatArray, frame: Sequence[int], position: FloatArray, channels: dict[str, FloatArray | None]
+    t: FloatArray,
+    frame: NDArray[np.int64],
+    position: FloatArray,
+    channels: Mapping[str, FloatArray | None],
 ) -> Iterator[tuple[float, str]]:
     """How many times each extreme input is beyond what is usual, and the input in words."""
     dt = np.diff(t)
@@ -62,7 +66,7 @@ def _of_channels(
 
 
 def _outside(
-    values: FloatArray, frame: Sequence[int], usual: tuple[float, float], words: str
+    values: FloatArray, frame: NDArray[np.int64], usual: tuple[float, float], words: str
 ) -> Iterator[tuple[float, str]]:
     low, high = usual
     known = np.flatnonzero(np.isfinite(values))

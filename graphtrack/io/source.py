@@ -6,6 +6,7 @@ import codecs
 import contextlib
 import gzip
 import io
+import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -67,7 +68,7 @@ class Source:
             if path.exists() and not (path.is_file() or path.is_fifo()):
                 raise InputError("a device", "a regular file", path=path)
             with path.open("rb") as stream:
-                data = _read_limited(stream, path)
+                data = _read_limited(stream, path) or b""
         except FileNotFoundError as error:
             raise InputError("no such file", "an existing file", path=path) from error
         except PermissionError as error:
@@ -122,7 +123,7 @@ class Source:
         if null >= 0:
             raise InputError("a null byte (a binary file?)", "text", path=self.path, line=self._line(null))
         try:
-            return self.data.decode("utf-8-sig")
+            return self.data.decode("utf-8").lstrip("\ufeff")
         except UnicodeDecodeError as error:
             byte = self.data[min(error.start, len(self.data) - 1)]
             raise InputError(
@@ -171,11 +172,22 @@ def mostly(head: bytes, matches: Callable[[str], bool]) -> bool:
     return sum(map(matches, lines)) * 2 > len(lines)
 
 
-def _read_limited(stream: io.BufferedIOBase, path: Path) -> bytes:
-    data = stream.read(MAX_BYTES + 1)
-    if len(data) > MAX_BYTES:
-        raise InputError(f"more than {MAX_BYTES} bytes", "a smaller file", path=path)
-    return data
+def _read_limited(stream: io.BufferedIOBase, path: Path, most: float = math.inf) -> bytes | None:
+    """All that a stream gives, read piece by piece; None once it is more than ``most`` bytes.
+
+    Raises
+    ------
+    InputError
+        For more than `MAX_BYTES`.
+    """
+    content = io.BytesIO()
+    while chunk := stream.read(_CHUNK):
+        content.write(chunk)
+        if content.tell() > most:
+            return None
+        if content.tell() > MAX_BYTES:
+            raise InputError(f"more than {MAX_BYTES} bytes", "a smaller file", path=path)
+    return content.getvalue()
 
 
 def _decoded(data: bytes, encoding: str) -> bytes:
@@ -188,20 +200,14 @@ def _decoded(data: bytes, encoding: str) -> bytes:
 
 
 def _gunzip(data: bytes, path: Path) -> bytes:
-    """The unpacked content; of a file that unpacks without end as much as says so."""
-    chunks: list[bytes] = []
-    size = 0
+    """The unpacked content; a file that unpacks without end is left early."""
     try:
         with gzip.open(io.BytesIO(data)) as stream:
-            while chunk := stream.read(_CHUNK):
-                chunks.append(chunk)
-                size += len(chunk)
-                if size > _RATIO_FROM and size > _HIGHEST_RATIO * len(data):
-                    found = f"a gzip file that unpacks to more than {_HIGHEST_RATIO} times its size"
-                    raise InputError(found, "a table; unpack it first if it is one", path=path)
-                if size > MAX_BYTES:
-                    raise InputError(f"more than {MAX_BYTES} bytes", "a smaller file", path=path)
+            content = _read_limited(stream, path, max(_RATIO_FROM, _HIGHEST_RATIO * len(data)))
     except (EOFError, zlib.error, OSError) as error:
         found = f"a cut or damaged gzip file ({error})"
         raise InputError(found, "a whole one", path=path) from error
-    return b"".join(chunks)
+    if content is None:
+        found = f"a gzip file that unpacks to more than {_HIGHEST_RATIO} times its size"
+        raise InputError(found, "a table; unpack it first if it is one", path=path)
+    return content

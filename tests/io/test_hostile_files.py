@@ -159,3 +159,11 @@ def test_streamed_or_not_an_error_names_the_same_line(tmp_path: Path, bad: float
     with pytest.raises(InputError) as streamed:
         _stream(path, tmp_path)
     assert streamed.value.line == whole.value.line == 334
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_byte_order_marks_are_no_part_of_the_first_name(tmp_path: Path, count: int) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"\xef\xbb\xbf" * count + TEXT.encode())
+    assert gt.read(path)[1].position.shape == (20, 2)
+    assert not any("ignored" in note for note in gt.read(path).summary.notes)
