@@ -80,8 +80,13 @@ def run(service: Service, host: str, port: int) -> None:
 
 
 def _is_ours(record: logging.LogRecord) -> bool:
-    """Return False for a text message that is no UTF-8: an error of the client, which gets code 1007."""
-    return not (record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError))
+    """Return False for what uvicorn logs as errors and is none of the service.
+
+    That is a text message that is no UTF-8, whose client gets code 1007, and a WebSocket that was refused.
+    """
+    if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
+        return False
+    return "without completing handshake" not in record.getMessage()
 
 
 def _listen(host: str, port: int) -> socket.socket:
