@@ -76,7 +76,7 @@ def plot_heat_map(tracks: TrackSet, places: Sequence[Place], found: Sequence[Att
             reduce_C_function=np.sum,
             cmap="magma_r",
         )
-        most = max(float(np.max(patches.get_array())), _LEAST_SECONDS)
+        most = max(float(np.asarray(patches.get_array(), dtype=float).max()), _LEAST_SECONDS)
         patches.set_norm(PowerNorm(0.5, vmin=0.0, vmax=most))
         patches.set_zorder(2)
         bar = figure.colorbar(patches, ax=axes, shrink=0.8, pad=0.02)
