@@ -16,7 +16,6 @@ from graphtrack.association.looks_online import Looks, of_tracks
 from graphtrack.association.notes import NOBODY, Notes
 from graphtrack.association.packing import packed, unpacked
 from graphtrack.association.places import Places
-from graphtrack.saved import number, whole
 from graphtrack.scene import Known, SceneParameters
 
 LEARNED_AT = (50, 200, 800, 1600, 3200, 6400, 12800)
@@ -69,13 +68,8 @@ class History:
     def from_state(cls, state: Mapping[str, Any]) -> History:
         """The inverse of `state`."""
         found = cls()
-        for name, now in vars(found).items():
-            value = state[name]
-            if isinstance(now, np.ndarray):
-                setattr(found, name, unpacked(value))
-            else:
-                setattr(found, name, value if name == "since" and value is None else number(value))
-        found.count, found.times = whole(state["count"]), whole(state["times"])
+        for name, value in state.items():
+            setattr(found, name, unpacked(value) if isinstance(value, list) else value)
         return found
 
     def is_due(self) -> bool:

@@ -12,7 +12,6 @@ from graphtrack.association.chains import Chains, IntArray, Scene
 from graphtrack.association.looks import ScoreRatio
 from graphtrack.association.packing import packed, unpacked
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.saved import number
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +60,8 @@ class Looks:
         model = None
         if state["model"] is not None:
             whitening, *numbers = state["model"]
-            model = AppearanceModel(unpacked(whitening), *map(number, numbers))
-        return cls(model, number(state["constancy"]), ScoreRatio(*map(unpacked, state["scores"])))
+            model = AppearanceModel(unpacked(whitening), *numbers)
+        return cls(model, state["constancy"], ScoreRatio(*map(unpacked, state["scores"])))
 
 
 def of_tracks(chains: Chains, identity: IntArray, descriptors: FloatArray, score: FloatArray) -> Looks:

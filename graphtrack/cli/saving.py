@@ -9,15 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from graphtrack.cli.state_file import StateFile, to_line
+from graphtrack.cli.state_file import StateFile, seal
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import Model
 
-_VERSION = 2
-_HEADER = {"settings": dict, "rows": int, "line": int, "people": int}
-"""Fields of a file's first line beside the version, and their types."""
+_VERSION = 1
 
 
 class Answering(Protocol):
@@ -77,12 +75,15 @@ class Saving:
         self._every, self._clock = every, clock
         self._due = clock() + (every or 0.0) * zlib.crc32(str(file.path).encode()) / 2**32
         self._changed: set[Any] = set()
-        self._lines: dict[Any, bytes] = {}
+        self._sealed: dict[Any, bytes] = {}
         self._left: dict[Any, Callable[[], Any] | None] | None = None
         people.before_change = self._before_change
         if file.entries:
             with self._told_of_the_file():
-                _check_settings(_parts(file.entries)[0]["settings"], settings)
+                header = file.entries[0]
+                if header.get("graphtrack state") != _VERSION:
+                    raise InputError("a state of another version", f"version {_VERSION}")
+                _check_settings(header["settings"], settings)
 
     def begin(self) -> None:
         """Make the file of a stream that has no rows yet."""
@@ -111,17 +112,13 @@ class Saving:
         people, entries = self._people, self._file.entries
         answers: list[list[dict[str, Any]]] = []
         with self._told_of_the_file():
-            header, members, journal = _parts(entries)
+            header = entries[0]
             people.rows, people.line = header["rows"], header["line"]
-            for entry in members:
-                track_id = entry["track_id"]
-                people.members[track_id] = member = restore(entry["state"])
-                self._lines[track_id] = to_line(entry)
-                if to_line({"track_id": track_id, "state": member.state()}) != self._lines[track_id]:
-                    raise InputError(
-                        f"a state of {track_id!r} that changes when it is read", "one as written"
-                    )
-            for entry in journal:
+            first_row = 1 + header["people"]
+            for entry in entries[1:first_row]:
+                people.members[entry["track_id"]] = restore(entry["state"])
+                self._sealed[entry["track_id"]] = seal(entry)
+            for entry in entries[first_row:]:
                 if isinstance(entry, dict):  # all rows so far were answered
                     answers = []
                     continue
@@ -140,7 +137,7 @@ class Saving:
         """What is due after an answer: one more person, or the next writing of all."""
         if self._left is not None:
             if self._left:
-                self._encode(next(iter(self._left)))
+                self._seal(next(iter(self._left)))
             else:
                 self._hand_over()
         elif self._every is not None and self._clock() >= self._due and not self._file.is_replacing:
@@ -158,31 +155,28 @@ class Saving:
         self._file.wait()
         self._begin()
         for track_id in list(self._left or ()):
-            self._encode(track_id)
+            self._seal(track_id)
         self._hand_over()
         self._file.wait()
 
     @contextmanager
     def _told_of_the_file(self) -> Iterator[None]:
-        """Report whatever is wrong with a state with the name of its file.
-
-        Any exception counts: a state of foreign content can make a smoother fail in ways of its own.
-        """
+        """Whatever is wrong with a state is told with the name of its file."""
         try:
             yield
         except InputError as error:
             raise InputError(error.found, error.expected, path=self._file.path) from error
-        except Exception as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             found = f"a damaged state ({error!r})"
             raise InputError(found, "what 'graphtrack track -' wrote", path=self._file.path) from error
 
     def _begin(self) -> None:
         people = self._people
-        due = self._changed | set(self._left or ()) | (set(people.members) - set(self._lines))
+        due = self._changed | set(self._left or ()) | (set(people.members) - set(self._sealed))
         self._left = {track_id: None for track_id in people.members if track_id in due}
         self._changed.clear()
         self._members = list(people.members)
-        self._header = to_line(
+        self._header = seal(
             {
                 "graphtrack state": _VERSION,
                 "settings": self._settings,
@@ -193,15 +187,15 @@ class Saving:
         )
         self._file.mark()
 
-    def _encode(self, track_id: Any) -> None:
+    def _seal(self, track_id: Any) -> None:
         assert self._left is not None
         state = self._left.pop(track_id) or self._people.members[track_id].state
-        self._lines[track_id] = to_line({"track_id": track_id, "state": state()})
+        self._sealed[track_id] = seal({"track_id": track_id, "state": state()})
 
     def _hand_over(self) -> None:
         self._left = None
-        self._lines = {track_id: self._lines[track_id] for track_id in self._members}
-        self._file.replace([self._header, *self._lines.values()])
+        self._sealed = {track_id: self._sealed[track_id] for track_id in self._members}
+        self._file.replace([self._header, *self._sealed.values()])
 
     def _before_change(self, track_id: Any) -> None:
         if self._left is not None and track_id in self._left and self._left[track_id] is None:
@@ -209,50 +203,8 @@ class Saving:
             if isinstance(member, OnlineSmoother):
                 self._left[track_id] = member.later_state()
             else:
-                self._encode(track_id)
+                self._seal(track_id)
         self._changed.add(track_id)
-
-
-def _parts(entries: list[Any]) -> tuple[dict[str, Any], list[dict[str, Any]], list[Any]]:
-    """Return the header, the people's states and the journal of a state file.
-
-    Raises
-    ------
-    InputError
-        If one is missing, twice there, or not of its type.
-    """
-    header = entries[0]
-    if not isinstance(header, dict) or header.get("graphtrack state") != _VERSION:
-        raise InputError("a state of another version", f"version {_VERSION}")
-    for name, kind in _HEADER.items():
-        value = header.get(name)
-        if type(value) is not kind or (isinstance(value, int) and value < 0):
-            expected = "an object" if kind is dict else "a whole number from 0 on"
-            raise InputError(f"a header with {name} = {value!r}", expected)
-    count = header["people"]
-    members, journal = entries[1 : 1 + count], entries[1 + count :]
-    if len(members) < count:
-        raise InputError(f"{len(members)} people", f"the {count} that the header counts: the file was cut")
-    for member in members:
-        if not isinstance(member, dict) or set(member) != {"track_id", "state"}:
-            raise InputError("a line that is no person's state", f"{count} people after the header")
-    if len({str(member["track_id"]) for member in members}) < count:
-        raise InputError("a person twice", "each person once")
-    for entry in journal:
-        if not _is_of_journal(entry):
-            raise InputError("a line that is no row", "rows after the people")
-    return header, members, journal
-
-
-def _is_of_journal(entry: Any) -> bool:
-    """Test for a row [number, text], a list of such rows, or a count of rows that were answered."""
-    if isinstance(entry, dict):
-        return set(entry) == {"answered"}
-    rows = entry if isinstance(entry, list) and entry and isinstance(entry[0], list) else [entry]
-    return all(
-        isinstance(row, list) and len(row) == 2 and type(row[0]) is int and isinstance(row[1], str)
-        for row in rows
-    )
 
 
 def _bytes(text: str) -> bytes:

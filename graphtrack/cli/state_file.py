@@ -1,83 +1,41 @@
-"""State file of ``graphtrack track - --state``: a snapshot at one row, and a journal of every row since.
+"""The file that ``graphtrack track - --state`` goes on from: what was known at one row, and every row since.
 
-A line is a JSON value behind a digest of its text and of all lines before it, so that a line which is
-missing, repeated, moved or taken from another file is found. Lines are appended one by one; a new snapshot
-replaces the whole file at once. Lines that arrive while it is being written are appended to both files.
-
-A file that was cut between two lines of the journal is not damaged: a power failure leaves one like it. The
-reader reports the number of rows that the file holds, and the sender repeats the rows after them.
+A line is a JSON value behind the checksum of its text. Lines are added one by one; a whole new content takes
+the place of the old one at once. What is added while that is being written is added to both.
 """
 
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import json
 import os
 import queue
 import re
 import stat
 import threading
-from collections.abc import Iterable, Iterator
+import zlib
 from pathlib import Path
 from typing import Any
 
 from graphtrack.errors import InputError
 from graphtrack.io.json_lines import encoded
 
-_DIGEST_BYTES = 8
-_SEALED = re.compile(rb"[0-9a-f]{%d} " % (2 * _DIGEST_BYTES))
-_OLD_SEAL = re.compile(rb"[0-9a-f]{8} ")
-"""Lines of version 0.1: a checksum of each line alone."""
+_SEALED = re.compile(rb"[0-9a-f]{8} ")
 _EXPECTED = "a file that 'graphtrack track - --state' wrote"
-_REMEDY = "; restore a copy of the file, or remove it to start the stream from its first row"
 
 
-def to_line(value: Any) -> bytes:
-    """Encode a JSON-able value as the text of a line, without digest and line end."""
-    return encoded(value).encode()
+def seal(value: Any) -> bytes:
+    """A JSON-able value as a line of the file."""
+    text = encoded(value).encode()
+    return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
-class Seal:
-    """Running digest of the lines of one file."""
-
-    def __init__(self) -> None:
-        self._digest = b""
-
-    def close(self, texts: Iterable[bytes]) -> bytes:
-        """Return lines as they stand in the file, each behind its digest."""
-        sealed = bytearray()
-        for text in texts:
-            self._advance(text)
-            sealed += b"%s %s\n" % (self._digest, text)
-        return bytes(sealed)
-
-    def open(self, line: bytes) -> bytes:
-        """Return the text of the next line, given without its end; ValueError if the digest differs."""
-        text = line[2 * _DIGEST_BYTES + 1 :]
-        self._advance(text)
-        if line[: -len(text) or None] != self._digest + b" ":
-            raise ValueError("a line that is not as it was written")
-        return text
-
-    def _advance(self, text: bytes) -> None:
-        self._digest = hashlib.blake2b(self._digest + text, digest_size=_DIGEST_BYTES).hexdigest().encode()
-
-
-def sealed(values: Iterable[Any]) -> bytes:
-    """Return the content of a file that holds these values."""
-    return Seal().close(map(to_line, values))
-
-
-class _Content:
-    """An open file that lines are appended to."""
-
-    def __init__(self, file: int, seal: Seal) -> None:
-        self.file, self._seal = file, seal
-
-    def append(self, texts: Iterable[bytes]) -> None:
-        """Append lines; OSError if the file cannot take them."""
-        _write(self.file, self._seal.close(texts))
+def unseal(line: bytes) -> Any:
+    """The inverse of `seal`, of a line without its end; ValueError if it is damaged."""
+    text = line[9:]
+    if not _SEALED.match(line) or int(line[:8], 16) != zlib.crc32(text):
+        raise ValueError("a line that is not as it was written")
+    return json.loads(text)
 
 
 class StateFile:
@@ -93,8 +51,8 @@ class StateFile:
 
     Attributes
     ----------
-    entries : the values of the file's lines; empty if it was not there. A last line without its end, as a
-        killed process leaves it, is none; it is removed when the next line is appended.
+    entries : what the file held, a value a line; empty if it was not there. A last line without its end, as
+        a killed process leaves it, is none.
 
     Raises
     ------
@@ -110,14 +68,12 @@ class StateFile:
             file, self._is_there = self._claim()
         except OSError as error:
             raise self._failure(error) from error
-        self._cut_at: int | None = None
         try:
-            seal = Seal()
-            self.entries = self._read(file, seal) if self._is_there else []
+            self.entries = self._read(file) if self._is_there else []
         except BaseException:
             os.close(file)
             raise
-        self._contents = [_Content(file, seal)]
+        self._files = [file]
         self._mutex = threading.Lock()
         self._since: list[bytes] | None = None
         self._jobs: queue.Queue[list[bytes] | None] = queue.Queue()
@@ -141,30 +97,27 @@ class StateFile:
         InputError
             If that failed, or flushing or replacing has since the last call.
         """
-        text = to_line(value)
+        line = seal(value)
         with self._mutex:
             try:
                 self._raise()
-                if self._cut_at is not None:
-                    os.ftruncate(self._contents[0].file, self._cut_at)
-                    self._cut_at = None
-                for content in self._contents:
-                    content.append([text])
+                for file in self._files:
+                    _write(file, line)
             except OSError as error:
                 raise self._failure(error) from error
             self._unsynced = True
             if self._since is not None:
-                self._since.append(text)
+                self._since.append(line)
 
     def mark(self) -> None:
-        """Keep what is appended from now on for the next new content too."""
+        """What is added from now on comes after the next new content too."""
         with self._mutex:
             self._since = []
 
-    def replace(self, texts: list[bytes]) -> None:
-        """Begin to write a new content: lines from `to_line`, of the state at the `mark`."""
+    def replace(self, lines: list[bytes]) -> None:
+        """Begin to write a new content, sealed, of what was known at the `mark`."""
         self._idle.clear()
-        self._jobs.put(texts)
+        self._jobs.put(lines)
 
     def wait(self) -> None:
         """Until the new content is in its place.
@@ -181,12 +134,12 @@ class StateFile:
             raise self._failure(error) from error
 
     def close(self) -> None:
-        """Close the file and release its lock. Its content stays."""
+        """Let go of the file. It stays as it is."""
         self._jobs.put(None)
         self._thread.join()
         if not self._is_there:
             self._new.unlink(missing_ok=True)
-        os.close(self._contents[0].file)
+        os.close(self._files[0])
 
     # -- the file ------------------------------------------------------------------------------------------
 
@@ -220,7 +173,7 @@ class StateFile:
                 raise InputError(found, "one process at a time", path=self.path) from error
             os.close(file)
 
-    def _read(self, file: int, seal: Seal) -> list[Any]:
+    def _read(self, file: int) -> list[Any]:
         with os.fdopen(os.dup(file), "rb") as stream:
             stream.seek(0)
             data = stream.read()
@@ -228,19 +181,16 @@ class StateFile:
         entries = []
         for number, line in enumerate(data[:end].split(b"\n")[:-1], 1):
             try:
-                entries.append(json.loads(seal.open(line)))
-            except (ValueError, RecursionError) as error:
-                if number == 1 and _OLD_SEAL.match(line):
-                    found = "a state of an older version"
-                    raise InputError(found, "one of this version" + _REMEDY, path=self.path) from error
+                entries.append(unseal(line))
+            except ValueError as error:
                 if number == 1 and not _SEALED.match(line):
                     raise InputError("no saved state", _EXPECTED, path=self.path) from error
-                found = "a damaged line, or one before it is missing (their digest differs)"
-                expected = "the lines as they were written" + _REMEDY
+                found = "a damaged line (its checksum does not fit)"
+                expected = "the line as it was written; without the file a stream begins anew"
                 raise InputError(found, expected, path=self.path, line=number) from error
         if not entries:
             raise InputError("no saved state", _EXPECTED, path=self.path)
-        self._cut_at = end if end < len(data) else None
+        os.ftruncate(file, end)
         return entries
 
     def _tend(self) -> None:
@@ -257,35 +207,33 @@ class StateFile:
                     self._write_anew(lines)
                 if self._unsynced:
                     self._unsynced = False
-                    os.fsync(self._contents[0].file)
+                    os.fsync(self._files[0])
             except OSError as error:
                 self._error = error
             if lines:
                 self._idle.set()
 
-    def _write_anew(self, texts: list[bytes]) -> None:
-        before = self._contents[0]
-        file = before.file
+    def _write_anew(self, lines: list[bytes]) -> None:
+        before = file = self._files[0]
         if self._is_there:
             file = os.open(self._new, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
             fcntl.flock(file, fcntl.LOCK_EX)
-            os.fchmod(file, stat.S_IMODE(os.fstat(before.file).st_mode))
+            os.fchmod(file, stat.S_IMODE(os.fstat(before).st_mode))
         os.ftruncate(file, 0)
-        content = _Content(file, Seal())
-        for block in _blocks(texts):
-            content.append(block)
+        for line in lines:
+            _write(file, line)
         os.fsync(file)
         with self._mutex:
-            content.append(self._since or ())
+            _write(file, b"".join(self._since or ()))
             self._since = None
-            # Both files get every line until the name has moved, so that `append` need not wait.
-            self._contents = [before, content] if self._is_there else [content]
+            # Whichever of the two has the name at a moment has every line; `append` need not wait.
+            self._files = [before, file] if self._is_there else [file]
         self._new.replace(self._final)
         with self._mutex:
-            self._contents = [content]
+            self._files = [file]
             self._is_there = self._unsynced = True
-        if before.file != file:
-            os.close(before.file)
+        if before != file:
+            os.close(before)
         folder = os.open(self._final.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -306,12 +254,6 @@ def _is_at(file: int, place: Path) -> bool:
         return os.path.samestat(os.fstat(file), place.stat())
     except FileNotFoundError:
         return False
-
-
-def _blocks(texts: list[bytes]) -> Iterator[list[bytes]]:
-    """Lines in groups of a hundred, so that large states are never in memory twice."""
-    for start in range(0, len(texts), 100):
-        yield texts[start : start + 100]
 
 
 def _write(file: int, data: bytes) -> None:

@@ -28,7 +28,7 @@ from graphtrack.inference.graph.guided import Guided
 from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.late import merged, worked_in
 from graphtrack.inference.observed import checked
-from graphtrack.inference.online_engines import ENGINES, OnlineEngine, check_lag, online_engine
+from graphtrack.inference.online_engines import OnlineEngine, check_lag, online_engine
 from graphtrack.inference.solution import stated
 from graphtrack.inference.state import (
     FAILURES,
@@ -271,8 +271,6 @@ class OnlineSmoother:
         if given != terms:
             raise InputError(f"a state of a model with the terms {given}", f"the same model: {terms}")
         saved = unpack_state(state, smoother.camera)
-        if saved.engine not in ENGINES:
-            raise InputError(f"a state of the engine {saved.engine!r}", f"one of {', '.join(ENGINES)}")
         smoother._last, smoother._next_index = saved.last, saved.next_index
         try:
             if saved.engine == smoother.engine:

@@ -16,7 +16,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.prior import MarginalPrior
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Observation, Step
-from graphtrack.saved import DAMAGES, boolean, damaged, from_text, number, to_text, whole
+from graphtrack.saved import DAMAGES, damaged, from_text, to_text
 
 STATE_VERSION = 3
 
@@ -227,10 +227,7 @@ def pack_observation(observation: Observation) -> dict[str, Any]:
 
 def unpack_observation(saved: Mapping[str, Any]) -> Observation:
     """The inverse of `pack_observation`."""
-    values = {name: _tuples(value) for name, value in saved.items()}
-    number(values["t"])
-    whole(values.get("frame", 0))
-    return Observation(**values)
+    return Observation(**{name: _tuples(value) for name, value in saved.items()})
 
 
 def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedState:
@@ -249,7 +246,7 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedSta
             _window(state, camera),
             {name: from_text(text) for name, text in state["arrays"].items()},
             None if state["last"] is None else _estimate(state["last"]),
-            whole(state["next_index"]),
+            int(state["next_index"]),
         )
     except DAMAGES as error:
         raise damaged(error) from error
@@ -261,11 +258,9 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     for entry in state["steps"]:
         previous = steps[-1].alone() if steps else None
         observation = unpack_observation(entry["observation"])
-        index, starts = whole(entry["index"]), boolean(entry["starts"])
-        dt = None if entry["dt"] is None else number(entry["dt"])
-        steps.append(Step(index, observation, previous, dt, starts, camera))
+        steps.append(Step(entry["index"], observation, previous, entry["dt"], entry["starts"], camera))
         x, y, vx, vy, body, head = _nans(entry["values"]).tolist()
-        values[index] = (x, y, vx, vy, body, head)
+        values[entry["index"]] = (x, y, vx, vy, body, head)
     prior = None
     if state["prior"] is not None:
         saved = state["prior"]
@@ -295,8 +290,8 @@ def _estimate(saved: dict[str, Any]) -> Estimate:
     state = _nans(saved["state"])
     aligned, offset = _nans(saved["modes"]).tolist()
     return Estimate(
-        number(saved["t"]),
-        whole(saved["frame"]),
+        saved["t"],
+        saved["frame"],
         state[:2],
         state[2:4],
         float(state[4]),

@@ -14,7 +14,7 @@ import pytest
 from command import TRACK_STREAM, going_on
 
 from graphtrack.cli import live, main
-from graphtrack.cli.state_file import StateFile, sealed
+from graphtrack.cli.state_file import StateFile, seal
 from graphtrack.errors import InputError
 from graphtrack.model import Model
 
@@ -96,73 +96,6 @@ def test_isam2_with_modes_goes_on_within_its_tolerances(track, tmp_path, lag):
     assert len(apart) > 30 and max(apart) < 0.02
 
 
-def _saved(track, path, *options):
-    """The bytes of the state of a stream of three people that ended, and rows that go on."""
-    lines = scene(30)
-    track(lines[:70], "--model", "joint", *options, "--state", path)
-    return path.read_bytes(), lines[70:]
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda lines, foreign: [b"".join(lines)[: len(b"".join(lines)) // 2]],
-        lambda lines, foreign: lines[:-1],
-        lambda lines, foreign: lines[:1] + lines[2:],
-        lambda lines, foreign: [*lines, lines[1]],
-        lambda lines, foreign: [*lines[:2], *lines[1:]],
-        lambda lines, foreign: [*lines, *foreign[1:]],
-        lambda lines, foreign: [*foreign[:1], *lines[1:]],
-        lambda lines, foreign: [lines[0]],
-    ],
-    ids=["half", "last", "second", "appended", "twice", "foreign", "header", "people"],
-)
-def test_a_changed_state_is_one_error_and_stays_as_it_is(track, tmp_path, change):
-    data, rows = _saved(track, tmp_path / "state")
-    foreign, _ = _saved(track, tmp_path / "foreign", "--lag", "1")
-    changed = b"".join(change(data.splitlines(keepends=True), foreign.splitlines(keepends=True)))
-    (tmp_path / "state").write_bytes(changed)
-    status, answers, said = track(rows, "--model", "joint", "--state", tmp_path / "state")
-    assert (status, answers) == (2, [])
-    assert said.count("error: ") == 1 and str(tmp_path / "state") in said.replace("\n", "")
-    assert (tmp_path / "state").read_bytes() == changed
-
-
-def _leaves(value, path=()):
-    """Paths of all values in JSON-able data, of two elements of each list."""
-    if isinstance(value, dict | list):
-        yield from [path] if isinstance(value, list) else []
-        parts = value.items() if isinstance(value, dict) else enumerate(value[:2])
-        for name, part in parts:
-            yield from _leaves(part, (*path, name))
-    else:
-        yield path
-
-
-@pytest.mark.parametrize("model", ["joint", "full"])
-@pytest.mark.parametrize("identities", ["never", "always"])
-def test_a_state_with_a_field_of_another_type_is_one_error(track, tmp_path, model, identities):
-    path, lines = tmp_path / "state", [line for line in scene(12) if line.startswith(b'{"track_id": 1')]
-    options = ("--model", model, "--associate", identities, "--state", path)
-    track(lines[:8], *options)
-    file = StateFile(path, 3600.0)
-    file.close()
-    header, person = file.entries
-    wrong = [leaf for leaf in _leaves(person) if leaf != ("track_id",)]
-    assert len(wrong) > 30
-    for k in np.random.default_rng(0).permutation(len(wrong))[:25]:
-        entry = json.loads(json.dumps(person))
-        *before, last = wrong[k]
-        place = entry
-        for name in before:
-            place = place[name]
-        place[last] = {"of another": "type"}
-        path.write_bytes(damaged := sealed([header, entry]))
-        status, answers, said = track(lines[8:], *options)
-        assert (status, answers) == (2, []), wrong[k]
-        assert said.count("error: ") == 1 and path.read_bytes() == damaged
-
-
 class Killed(BaseException):
     """Stands in for a kill: what the file holds at that moment is what the next run finds."""
 
@@ -210,7 +143,7 @@ def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path, engi
         except Killed:
             data = (tmp_path / "left").read_bytes()
             if rng.random() < 0.3:  # the kill came while a row was added, which then has no answer
-                data += sealed([[10**6, "a row"]])[: int(rng.integers(20))]
+                data += seal([10**6, "a row"])[: int(rng.integers(20))]
             state.write_bytes(data)
             kills, resumed = kills + 1, True
     assert kills > 5
