@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import math
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +18,20 @@ DAMAGES = (KeyError, TypeError, ValueError, IndexError, AttributeError, Graphtra
 def damaged(error: Exception) -> InputError:
     """What is said of a state that raised one of `DAMAGES`."""
     return InputError(f"a damaged state ({error!r})", "what a smoother saved")
+
+
+def real(value: Any) -> float:
+    """A finite number of a saved state; TypeError if the value is something else."""
+    if type(value) not in (int, float) or not math.isfinite(value):
+        raise TypeError(f"{str(value)[:40]!r} in place of a finite number")
+    return float(value)
+
+
+def whole(value: Any) -> int:
+    """A whole number of a saved state; TypeError if the value is something else."""
+    if type(value) is not int:
+        raise TypeError(f"{str(value)[:40]!r} in place of a whole number")
+    return value
 
 
 def to_text(values: FloatArray) -> str:

@@ -26,6 +26,7 @@ from graphtrack.association.packing import pack_records, packed, unpack_records,
 from graphtrack.association.places import AHEAD, Places
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.saved import real, whole
 from graphtrack.scene import GivenScene, SceneParameters, known_values
 
 TOLD = 0.45
@@ -147,13 +148,14 @@ class OnlineAssociation(Moves):
         found.chains = Chains(unpack_records(rows, DETECTION), *(unpacked(saved) for saved in others))
         found.link_p = unpacked(state["link_p"])
         found._notes = Notes(**{name: unpacked(text) for name, text in state["notes"].items()})
-        found._first, found._intervals = list(state["first"]), list(state["intervals"])
+        found._first = list(map(whole, state["first"]))
+        found._intervals = list(map(real, state["intervals"]))
         found._history = History.from_state(state["history"])
         if state["places"] is not None:
             found._places = Places(*(unpacked(grid) for grid in state["places"]))
         found._looks = Looks.from_state(state["looks"])
-        found._next, found.updates = state["counts"]
-        found._last = -np.inf if state["last"] is None else state["last"]
+        found._next, found.updates = map(whole, state["counts"])
+        found._last = -np.inf if state["last"] is None else real(state["last"])
         found._pack()
         return found
 

@@ -26,7 +26,7 @@ from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.inference.state import Estimate, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
 from graphtrack.model.kernels.beside import processors
-from graphtrack.saved import DAMAGES, damaged
+from graphtrack.saved import DAMAGES, damaged, whole
 from graphtrack.scene import GivenScene, SceneParameters, known_values
 
 Key = tuple[int, int]
@@ -245,17 +245,19 @@ class OnlineTracker:
         tracker = cls(model, **options)
         try:
             tracker._association = OnlineAssociation.from_state(state["association"])
-            tracker._seen = {(k, place): unpack_observation(one) for k, place, one in state["seen"]}
+            tracker._seen = {
+                (whole(k), whole(place)): unpack_observation(one) for k, place, one in state["seen"]
+            }
             for saved in state["people"]:
                 smoother = OnlineSmoother.from_state(saved["smoother"], tracker.model, **tracker._options)
-                keys = [(k, place) for k, place in saved["keys"]]
-                told = {update: tuple(group) for update, group in saved.get("told", ())}
-                tracker._people[saved["track_id"]] = _Person(smoother, smoother.last, keys, told)
+                keys = [(whole(k), whole(place)) for k, place in saved["keys"]]
+                told = {whole(update): tuple(group) for update, group in saved.get("told", ())}
+                tracker._people[whole(saved["track_id"])] = _Person(smoother, smoother.last, keys, told)
             if tracker._conversations is not None:
                 tracker._conversations = Conversations.from_state(state["conversations"], tracker.model)
             if "forecaster" in state:
                 tracker._forecaster = Forecaster.from_state(unpack_tree(state["forecaster"]))
-                tracker._present = state["present"]
+                tracker._present = list(map(whole, state["present"]))
         except DAMAGES as error:
             raise damaged(error) from error
         return tracker

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.behaviour.people import IntArray, People
+from graphtrack.saved import real, whole
 
 
 class Numbering:
@@ -62,9 +63,10 @@ class Numbering:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on where `state` was taken."""
-        self._following = state["following"]
-        self._last = {number: (t, frozenset(who)) for number, t, who in state["groups"]}
-        self._number_of = dict(state["of"])
+        self._following = whole(state["following"])
+        groups = state["groups"]
+        self._last = {whole(one): (real(t), frozenset(map(whole, who))) for one, t, who in groups}
+        self._number_of = {whole(person): whole(one) for person, one in state["of"]}
 
     def _forget(self, t: float) -> None:
         for number in [number for number, (then, _) in self._last.items() if t - then > self._memory]:

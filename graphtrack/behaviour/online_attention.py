@@ -19,7 +19,7 @@ from graphtrack.behaviour.places import Place
 from graphtrack.behaviour.told import Told, people_told
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction
-from graphtrack.saved import DAMAGES, damaged, from_text, to_text
+from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text
 
 _FORGOTTEN = 40.0
 """Looks that end on average, after which nothing is left of what somebody looked at."""
@@ -244,7 +244,7 @@ class OnlineAttention:
         """
         found = cls(places, parameters)
         try:
-            found.t = -math.inf if state["t"] is None else float(state["t"])
+            found.t = -math.inf if state["t"] is None else real(state["t"])
             parts = {}
             for name, template in vars(found._known).items():
                 values = state["known"][name]

@@ -14,7 +14,7 @@ from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.behaviour.people import People
 from graphtrack.behaviour.told import Told, people_told
 from graphtrack.errors import InputError
-from graphtrack.saved import DAMAGES, damaged
+from graphtrack.saved import DAMAGES, damaged, real
 
 
 class OnlineGroups:
@@ -93,7 +93,7 @@ class OnlineGroups:
         """
         found = cls(parameters)
         try:
-            found.t = -math.inf if state["t"] is None else float(state["t"])
+            found.t = -math.inf if state["t"] is None else real(state["t"])
             found._numbering.restore(state["numbers"])
             found._evidence.restore(state)
         except DAMAGES as error:

@@ -15,6 +15,7 @@ from graphtrack.errors import InputError
 from graphtrack.inference.state import pack_observation, unpack_observation
 from graphtrack.io.readers.ndjson import Pairs, parse_line, read_cells
 from graphtrack.model import Observation
+from graphtrack.saved import real, whole
 
 ONE = ""
 """The stream of rows that do not name theirs."""
@@ -41,7 +42,8 @@ class Frame:
     def restore(cls, state: dict[str, Any], tracker: OnlineTracker, asked: Asked | None = None) -> Frame:
         """A stream that goes on where `state` was taken, given that the same was asked."""
         frame = cls(tracker, None if asked is None else SceneBehaviour.restore(state[BEHAVIOUR], asked))
-        frame.t, frame.number = state["t"], state["number"]
+        frame.t = None if state["t"] is None else real(state["t"])
+        frame.number = None if state["number"] is None else whole(state["number"])
         frame.seen = [unpack_observation(one) for one in state["seen"]]
         return frame
 

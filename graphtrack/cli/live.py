@@ -27,11 +27,11 @@ from graphtrack.cli.saving import Answering, Saving, saved_setting, settings_of
 from graphtrack.cli.state_file import StateFile
 from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour
-from graphtrack.cli.stream_forecast import FrameForecasts
+from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.cli.stream_names import ORIGIN, Lines, StreamNames, with_first_row
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.conversations import Conversations
+from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.online_engines import OnlineEngine, online_engine
 from graphtrack.inference.warm import ONLINE, online_rehearsal
@@ -40,8 +40,8 @@ from graphtrack.io.options import Associate
 from graphtrack.model import Model
 from graphtrack.readiness import is_cold, make_ready
 
-Restore = Callable[[Any], Any]
-"""A member of those who answer, from its state."""
+Restore = Callable[[Any, Any], Any]
+"""A member of those who answer, from its key and its state."""
 
 
 def print_note(text: str) -> None:
@@ -138,13 +138,17 @@ def track_stream(
             forecasts = None if ahead is None else FrameForecasts(ahead)
             behaviour = None if asked is None else FrameBehaviour(SceneBehaviour(asked))
 
-            def restore_one(saved: Any) -> OnlineSmoother | FrameForecasts | FrameBehaviour | Conversations:
-                if ahead is not None and "forecaster" in saved:
+            def restore_one(
+                key: Any, saved: Any
+            ) -> OnlineSmoother | FrameForecasts | FrameBehaviour | Conversations:
+                if ahead is not None and key == FORECASTS:
                     return FrameForecasts.from_state(ahead, saved)
-                if asked is not None and BEHAVIOUR in saved:
+                if asked is not None and key == BEHAVIOUR:
                     return FrameBehaviour.restore(saved, asked)
-                if model.has_groups and "known" in saved:
+                if model.has_groups and key == CONVERSATIONS:
                     return Conversations.from_state(saved, model)
+                if type(key) is not int:
+                    raise ValueError(f"a person {str(key)[:40]!r}")
                 return OnlineSmoother.from_state(saved, model, **options)
 
             make = partial(OnlineSmoother, model, **options)
@@ -152,7 +156,7 @@ def track_stream(
             people = People(make, fps, listener.note, forecasts, behaviour, bounds, conversations)
             return lines, people, restore_one
 
-        def restore(saved: Any) -> Frame:
+        def restore(_: Any, saved: Any) -> Frame:
             return Frame.restore(saved, OnlineTracker.from_state(saved["tracker"], model, **options), asked)
 
         forget = associate == "always"

@@ -9,13 +9,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from graphtrack.cli.state_file import StateFile, seal
+from graphtrack.cli.state_file import StateFile, packed
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import Model
-
-_VERSION = 1
 
 
 class Answering(Protocol):
@@ -60,7 +58,7 @@ class Saving:
     Raises
     ------
     InputError
-        If the file holds a state of other settings or of another version.
+        If the file holds a state of other settings, or a header of another form.
     """
 
     def __init__(
@@ -75,28 +73,25 @@ class Saving:
         self._every, self._clock = every, clock
         self._due = clock() + (every or 0.0) * zlib.crc32(str(file.path).encode()) / 2**32
         self._changed: set[Any] = set()
-        self._sealed: dict[Any, bytes] = {}
+        self._packed: dict[Any, bytes] = {}
         self._left: dict[Any, Callable[[], Any] | None] | None = None
         people.before_change = self._before_change
         if file.entries:
             with self._told_of_the_file():
-                header = file.entries[0]
-                if header.get("graphtrack state") != _VERSION:
-                    raise InputError("a state of another version", f"version {_VERSION}")
-                _check_settings(header["settings"], settings)
+                _check_settings(_header_of(file.entries)["settings"], settings)
 
     def begin(self) -> None:
         """Make the file of a stream that has no rows yet."""
         self._write_all()
 
     def resume(
-        self, restore: Callable[[Any], Any], advance: Callable[[int], None] = lambda rows: None
+        self, restore: Callable[[Any, Any], Any], advance: Callable[[int], None] = lambda rows: None
     ) -> list[list[dict[str, Any]]]:
         """Bring the people to where the file ends.
 
         Parameters
         ----------
-        restore : a member from its state
+        restore : a member from its key and its state
         advance : is told of rows that were taken in again
 
         Returns
@@ -112,18 +107,21 @@ class Saving:
         people, entries = self._people, self._file.entries
         answers: list[list[dict[str, Any]]] = []
         with self._told_of_the_file():
-            header = entries[0]
+            header = _header_of(entries)
             people.rows, people.line = header["rows"], header["line"]
             first_row = 1 + header["people"]
             for entry in entries[1:first_row]:
-                people.members[entry["track_id"]] = restore(entry["state"])
-                self._sealed[entry["track_id"]] = seal(entry)
+                track_id, state = _member_of(entry)
+                if track_id in self._packed:
+                    raise ValueError(f"two states of {track_id!r}")
+                people.members[track_id] = restore(track_id, state)
+                self._packed[track_id] = packed(entry)
             for entry in entries[first_row:]:
-                if isinstance(entry, dict):  # all rows so far were answered
+                rows = _rows_of(entry, people.rows, people.line)
+                if not rows:  # all rows so far were answered
                     answers = []
                     continue
-                rows = entry if isinstance(entry[0], list) else [entry]
-                answers = people.answers_together([(number, _bytes(text)) for number, text in rows])
+                answers = people.answers_together(rows)
                 advance(len(rows))
         entries.clear()
         return answers
@@ -137,7 +135,7 @@ class Saving:
         """What is due after an answer: one more person, or the next writing of all."""
         if self._left is not None:
             if self._left:
-                self._seal(next(iter(self._left)))
+                self._pack(next(iter(self._left)))
             else:
                 self._hand_over()
         elif self._every is not None and self._clock() >= self._due and not self._file.is_replacing:
@@ -155,7 +153,7 @@ class Saving:
         self._file.wait()
         self._begin()
         for track_id in list(self._left or ()):
-            self._seal(track_id)
+            self._pack(track_id)
         self._hand_over()
         self._file.wait()
 
@@ -166,19 +164,18 @@ class Saving:
             yield
         except InputError as error:
             raise InputError(error.found, error.expected, path=self._file.path) from error
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except Exception as error:  # what a value of a wrong type leads to cannot be listed
             found = f"a damaged state ({error!r})"
             raise InputError(found, "what 'graphtrack track -' wrote", path=self._file.path) from error
 
     def _begin(self) -> None:
         people = self._people
-        due = self._changed | set(self._left or ()) | (set(people.members) - set(self._sealed))
+        due = self._changed | set(self._left or ()) | (set(people.members) - set(self._packed))
         self._left = {track_id: None for track_id in people.members if track_id in due}
         self._changed.clear()
         self._members = list(people.members)
-        self._header = seal(
+        self._header = packed(
             {
-                "graphtrack state": _VERSION,
                 "settings": self._settings,
                 "rows": people.rows,
                 "line": people.line,
@@ -187,15 +184,15 @@ class Saving:
         )
         self._file.mark()
 
-    def _seal(self, track_id: Any) -> None:
+    def _pack(self, track_id: Any) -> None:
         assert self._left is not None
         state = self._left.pop(track_id) or self._people.members[track_id].state
-        self._sealed[track_id] = seal({"track_id": track_id, "state": state()})
+        self._packed[track_id] = packed({"track_id": track_id, "state": state()})
 
     def _hand_over(self) -> None:
         self._left = None
-        self._sealed = {track_id: self._sealed[track_id] for track_id in self._members}
-        self._file.replace([self._header, *self._sealed.values()])
+        self._packed = {track_id: self._packed[track_id] for track_id in self._members}
+        self._file.replace([self._header, *self._packed.values()])
 
     def _before_change(self, track_id: Any) -> None:
         if self._left is not None and track_id in self._left and self._left[track_id] is None:
@@ -203,12 +200,52 @@ class Saving:
             if isinstance(member, OnlineSmoother):
                 self._left[track_id] = member.later_state()
             else:
-                self._seal(track_id)
+                self._pack(track_id)
         self._changed.add(track_id)
 
 
-def _bytes(text: str) -> bytes:
-    return text.encode("utf-8", "surrogateescape")
+def _is_count(value: Any) -> bool:
+    return type(value) is int and value >= 0
+
+
+def _header_of(entries: list[Any]) -> dict[str, Any]:
+    """The first value of a state file; ValueError if it has another form or the states are fewer."""
+    header: dict[str, Any] = entries[0]
+    counts = [header[name] for name in ("rows", "line", "people")]
+    if not all(map(_is_count, counts)) or counts[1] < counts[0] or not isinstance(header["settings"], dict):
+        raise ValueError(f"a header with rows, line, people = {counts}")
+    if counts[2] > len(entries) - 1:
+        raise ValueError(f"{counts[2]} states of people in {len(entries) - 1} lines")
+    return header
+
+
+def _member_of(entry: Any) -> tuple[int | str, dict[str, Any]]:
+    """Whose state a value is, and the state; ValueError if it has another form."""
+    track_id, state = entry["track_id"], entry["state"]
+    if type(track_id) not in (int, str) or not isinstance(state, dict) or len(entry) != 2:
+        raise ValueError(f"a state of {track_id!r} that is a {type(state).__name__}")
+    return track_id, state
+
+
+def _rows_of(entry: Any, rows: int, line: int) -> list[tuple[int, bytes]]:
+    """The rows that a value holds; none if it states that all ``rows`` so far were answered.
+
+    Raises
+    ------
+    ValueError
+        If it has another form, or the rows do not follow the line with the number ``line``.
+    """
+    if isinstance(entry, dict):
+        if entry != {"answered": rows} or type(entry["answered"]) is not int:
+            raise ValueError(f"{str(entry)[:60]} after {rows} rows")
+        return []
+    found = []
+    for number, text in entry if isinstance(entry[0], list) else [entry]:
+        if not _is_count(number) or number <= line or not isinstance(text, str):
+            raise ValueError(f"a row {str(number)[:60]} after row {line}")
+        found.append((number, text.encode("utf-8", "surrogateescape")))
+        line = number
+    return found
 
 
 def saved_setting(file: StateFile, name: str) -> Any:

@@ -1,7 +1,10 @@
-"""The file that ``graphtrack track - --state`` goes on from: what was known at one row, and every row since.
+"""The file that ``graphtrack track - --state`` resumes from: the state at one row, and every row since.
 
-A line is a JSON value behind the checksum of its text. Lines are added one by one; a whole new content takes
-the place of the old one at once. What is added while that is being written is added to both.
+The first line has a fixed length: the format's version, the number of bytes that were flushed to the disk,
+and the digest of the file up to there; it is updated in place after each flush. Every further line is a JSON
+value behind the digest of all JSON text up to its end, so that a line that is missing, repeated, moved or
+from another file is detected, and a file that ends before what was flushed is too. Lines are appended one by
+one; a new content replaces the old one in one step, and lines that are appended meanwhile go to both.
 """
 
 from __future__ import annotations
@@ -13,29 +16,79 @@ import queue
 import re
 import stat
 import threading
-import zlib
+from collections.abc import Iterable
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
 from graphtrack.errors import InputError
 from graphtrack.io.json_lines import encoded
 
-_SEALED = re.compile(rb"[0-9a-f]{8} ")
+VERSION = 2
+"""Of the format; it changes with what the lines mean, too."""
+
+_MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")
+_MARK_LENGTH = 76
+_DIGEST_LENGTH = 32
+_VERSION_1 = re.compile(rb'[0-9a-f]{8} \{"graphtrack state":1,')
 _EXPECTED = "a file that 'graphtrack track - --state' wrote"
+_REMEDY = "the file as it was written; without the file a stream starts from nothing"
 
 
-def seal(value: Any) -> bytes:
-    """A JSON-able value as a line of the file."""
-    text = encoded(value).encode()
-    return b"%08x %s\n" % (zlib.crc32(text), text)
+class StateInUse(InputError):
+    """A state that another process is writing."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__("a state that another process is writing", "one process at a time", path=path)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.path,)
 
 
-def unseal(line: bytes) -> Any:
-    """The inverse of `seal`, of a line without its end; ValueError if it is damaged."""
-    text = line[9:]
-    if not _SEALED.match(line) or int(line[:8], 16) != zlib.crc32(text):
-        raise ValueError("a line that is not as it was written")
-    return json.loads(text)
+def packed(value: Any) -> bytes:
+    """A JSON-able value as the text of a line."""
+    return encoded(value).encode()
+
+
+class _Content:
+    """An open file that ends with a given digest.
+
+    Parameters
+    ----------
+    file : descriptor
+    digest : of all text in it
+    length : bytes, the first line included
+    has_rest : the file is longer; the next `append` cuts off the rest
+    """
+
+    def __init__(
+        self, file: int, digest: Any = None, length: int = _MARK_LENGTH, has_rest: bool = False
+    ) -> None:
+        self.file, self.length, self._has_rest = file, length, has_rest
+        self._digest = blake2b(digest_size=_DIGEST_LENGTH // 2) if digest is None else digest
+
+    def append(self, texts: Iterable[bytes]) -> None:
+        """Write lines at the end, all of them or none."""
+        digest, lines = self._digest.copy(), []
+        for text in texts:
+            digest.update(text)
+            lines.append(b"%s %s\n" % (digest.hexdigest().encode(), text))
+        data = b"".join(lines)
+        if self._has_rest:
+            os.ftruncate(self.file, self.length)
+        self._has_rest = True  # unless all is written
+        _write(self.file, data, self.length)
+        self._has_rest = False
+        self._digest, self.length = digest, self.length + len(data)
+
+    def mark(self) -> bytes:
+        """The first line for the file as it is now."""
+        return b"graphtrack-state %04d %020d %s\n" % (VERSION, self.length, self._digest.hexdigest().encode())
+
+    def flush(self, mark: bytes) -> None:
+        """Flush the file to the disk, and then state that in the first line."""
+        os.fsync(self.file)
+        _write(self.file, mark, 0)
 
 
 class StateFile:
@@ -51,29 +104,31 @@ class StateFile:
 
     Attributes
     ----------
-    entries : what the file held, a value a line; empty if it was not there. A last line without its end, as
-        a killed process leaves it, is none.
+    entries : what the file held, a value a line; empty if it was not there. A last line without its end that
+        was never flushed, as a failure of the power leaves it, is left out; the first `append` cuts it off.
 
     Raises
     ------
     InputError
-        If the file belongs to another process, is none of this kind, is damaged or cannot be written to.
+        If the file belongs to another process, is none of this kind, is damaged or cannot be written to. The
+        file is not changed.
     """
 
     def __init__(self, path: Path, every: float) -> None:
         self.path, self._every = path, every
-        self._final = Path(os.path.realpath(path))
-        self._new = self._final.with_name(self._final.name + ".new")
+        self._final, self._new = _places(path)
         try:
             file, self._is_there = self._claim()
         except OSError as error:
             raise self._failure(error) from error
         try:
-            self.entries = self._read(file) if self._is_there else []
-        except BaseException:
+            self.entries, content = self._read(file) if self._is_there else ([], _Content(file))
+        except BaseException as error:
             os.close(file)
+            if isinstance(error, OSError):
+                raise self._failure(error) from error
             raise
-        self._files = [file]
+        self._contents = [content]
         self._mutex = threading.Lock()
         self._since: list[bytes] | None = None
         self._jobs: queue.Queue[list[bytes] | None] = queue.Queue()
@@ -97,27 +152,27 @@ class StateFile:
         InputError
             If that failed, or flushing or replacing has since the last call.
         """
-        line = seal(value)
+        text = packed(value)
         with self._mutex:
             try:
                 self._raise()
-                for file in self._files:
-                    _write(file, line)
+                for content in self._contents:
+                    content.append([text])
             except OSError as error:
                 raise self._failure(error) from error
             self._unsynced = True
             if self._since is not None:
-                self._since.append(line)
+                self._since.append(text)
 
     def mark(self) -> None:
         """What is added from now on comes after the next new content too."""
         with self._mutex:
             self._since = []
 
-    def replace(self, lines: list[bytes]) -> None:
-        """Begin to write a new content, sealed, of what was known at the `mark`."""
+    def replace(self, texts: list[bytes]) -> None:
+        """Begin to write a new content, `packed`, of what was known at the `mark`."""
         self._idle.clear()
-        self._jobs.put(lines)
+        self._jobs.put(texts)
 
     def wait(self) -> None:
         """Until the new content is in its place.
@@ -139,7 +194,7 @@ class StateFile:
         self._thread.join()
         if not self._is_there:
             self._new.unlink(missing_ok=True)
-        os.close(self._files[0])
+        os.close(self._contents[0].file)
 
     # -- the file ------------------------------------------------------------------------------------------
 
@@ -155,85 +210,105 @@ class StateFile:
                 raise InputError(
                     "a folder" if place.is_dir() else "a device", "the path of a file", path=self.path
                 )
-            try:
-                file = os.open(place, os.O_RDWR | os.O_APPEND | (0 if is_there else os.O_CREAT), 0o666)
-            except FileNotFoundError:
-                if not is_there:
-                    raise
+            file = _locked(place, self.path, 0 if is_there else os.O_CREAT)
+            if file is None:
                 continue  # gone in between
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if _is_at(file, place) and is_there == self._final.exists():
-                    if is_there:
-                        self._new.unlink(missing_ok=True)
-                    return file, is_there
-            except BlockingIOError as error:
-                os.close(file)
-                found = "a state that another process is writing"
-                raise InputError(found, "one process at a time", path=self.path) from error
+            if is_there == self._final.exists():
+                if is_there:
+                    self._new.unlink(missing_ok=True)
+                return file, is_there
             os.close(file)
 
-    def _read(self, file: int) -> list[Any]:
+    def _read(self, file: int) -> tuple[list[Any], _Content]:
+        """The values of a file, and the file as it goes on."""
         with os.fdopen(os.dup(file), "rb") as stream:
             stream.seek(0)
-            data = stream.read()
-        end = data.rfind(b"\n") + 1
-        entries = []
-        for number, line in enumerate(data[:end].split(b"\n")[:-1], 1):
-            try:
-                entries.append(unseal(line))
-            except ValueError as error:
-                if number == 1 and not _SEALED.match(line):
-                    raise InputError("no saved state", _EXPECTED, path=self.path) from error
-                found = "a damaged line (its checksum does not fit)"
-                expected = "the line as it was written; without the file a stream begins anew"
-                raise InputError(found, expected, path=self.path, line=number) from error
-        if not entries:
-            raise InputError("no saved state", _EXPECTED, path=self.path)
-        os.ftruncate(file, end)
-        return entries
+            first = stream.read(_MARK_LENGTH)
+            mark = _MARK.fullmatch(first)
+            version = int(mark[1]) if mark else 1 if _VERSION_1.match(first) else None
+            if version is None:
+                raise InputError("no saved state", _EXPECTED, path=self.path)
+            if version != VERSION:
+                expected = f"version {VERSION}; without the file a stream starts from nothing"
+                raise InputError(f"a state of version {version}", expected, path=self.path)
+            assert mark is not None
+            flushed, size = int(mark[2]), os.fstat(file).st_size
+            if size < flushed:
+                found = f"a file that was cut off ({size} of at least {flushed} bytes)"
+                raise InputError(found, _REMEDY, path=self.path)
+            entries, digest = [], blake2b(digest_size=_DIGEST_LENGTH // 2)
+            length, is_confirmed = _MARK_LENGTH, False
+            for number, line in enumerate(stream, 2):
+                if not line.endswith(b"\n"):
+                    break  # unless it was flushed, a line that a failure of the power cut off
+                digest.update(line[_DIGEST_LENGTH + 1 : -1])
+                is_sound = line[: _DIGEST_LENGTH + 1] == digest.hexdigest().encode() + b" "
+                length += len(line)
+                if length == flushed:
+                    is_confirmed = digest.hexdigest().encode() == mark[3]
+                    is_sound = is_sound and is_confirmed
+                try:
+                    if not is_sound:
+                        raise ValueError("another digest")
+                    entries.append(json.loads(line[_DIGEST_LENGTH + 1 :]))
+                except (ValueError, RecursionError) as error:
+                    found = "a damaged line (it does not follow from those before it)"
+                    raise InputError(found, _REMEDY, path=self.path, line=number) from error
+        if not entries or not is_confirmed:
+            raise InputError("a damaged state (its lines do not fit the first one)", _REMEDY, path=self.path)
+        return entries, _Content(file, digest, length, size > length)
 
     def _tend(self) -> None:
-        """What the thread does: new contents as they come, and flushing from time to time."""
+        """Write new contents as they come, and flush from time to time, in the thread."""
+        is_last = False
         while True:
             try:
                 lines = self._jobs.get(timeout=self._every)
             except queue.Empty:
                 lines = []
             if lines is None:
-                return
+                lines, is_last = [], True
             try:
                 if lines:
                     self._write_anew(lines)
-                if self._unsynced:
-                    self._unsynced = False
-                    os.fsync(self._files[0])
+                self._flush()
             except OSError as error:
                 self._error = error
             if lines:
                 self._idle.set()
+            if is_last:
+                return
 
-    def _write_anew(self, lines: list[bytes]) -> None:
-        before = file = self._files[0]
-        if self._is_there:
-            file = os.open(self._new, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
-            fcntl.flock(file, fcntl.LOCK_EX)
-            os.fchmod(file, stat.S_IMODE(os.fstat(before).st_mode))
-        os.ftruncate(file, 0)
-        for line in lines:
-            _write(file, line)
-        os.fsync(file)
+    def _flush(self) -> None:
         with self._mutex:
-            _write(file, b"".join(self._since or ()))
+            if not self._unsynced:
+                return
+            self._unsynced, content = False, self._contents[0]
+            mark = content.mark()
+        content.flush(mark)
+
+    def _write_anew(self, texts: list[bytes]) -> None:
+        before = content = self._contents[0]
+        if self._is_there:
+            file = os.open(self._new, os.O_RDWR | os.O_CREAT, 0o666)
+            fcntl.flock(file, fcntl.LOCK_EX)
+            os.fchmod(file, stat.S_IMODE(os.fstat(before.file).st_mode))
+            content = _Content(file)
+        os.ftruncate(content.file, 0)
+        content.append(texts)
+        _write(content.file, content.mark(), 0)
+        os.fsync(content.file)
+        with self._mutex:
+            content.append(self._since or ())
             self._since = None
-            # Whichever of the two has the name at a moment has every line; `append` need not wait.
-            self._files = [before, file] if self._is_there else [file]
+            # Both have every line while either may have the name, so that `append` need not wait.
+            self._contents = [before, content] if self._is_there else [content]
         self._new.replace(self._final)
         with self._mutex:
-            self._files = [file]
+            self._contents = [content]
             self._is_there = self._unsynced = True
-        if before != file:
-            os.close(before)
+        if before is not content:
+            os.close(before.file)
         folder = os.open(self._final.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -248,6 +323,60 @@ class StateFile:
         return InputError(f"{error.strerror or error}", "a file that can be written to", path=self.path)
 
 
+def remove(path: Path) -> bool:
+    """Delete a state file that no process has open; False if there is none.
+
+    Raises
+    ------
+    StateInUse
+        If a process has it open, or is about to make it. The file is not changed.
+    OSError
+        If it cannot be deleted.
+    """
+    final, new = _places(path)
+    found = False
+    for place in (final, new):
+        file = _locked(place, path, 0) if place.exists() else None
+        if file is None:
+            continue
+        try:
+            place.unlink()
+            if place == final:
+                found = True
+                path.unlink(missing_ok=True)  # a link
+        finally:
+            os.close(file)
+    return found
+
+
+def _places(path: Path) -> tuple[Path, Path]:
+    """The file behind a path, and the one that becomes it."""
+    final = Path(os.path.realpath(path))
+    return final, final.with_name(final.name + ".new")
+
+
+def _locked(place: Path, path: Path, flags: int) -> int | None:
+    """A file, open and locked; None if it is gone.
+
+    The lock belongs to the open file and not to its name, so the name is compared again afterwards.
+    """
+    try:
+        file = os.open(place, os.O_RDWR | flags, 0o666)
+    except FileNotFoundError:
+        if flags:
+            raise
+        return None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(file)
+        raise StateInUse(path) from error
+    if not _is_at(file, place):
+        os.close(file)
+        return None
+    return file
+
+
 def _is_at(file: int, place: Path) -> bool:
     """Whether an open file still has this name."""
     try:
@@ -256,6 +385,7 @@ def _is_at(file: int, place: Path) -> bool:
         return False
 
 
-def _write(file: int, data: bytes) -> None:
+def _write(file: int, data: bytes, at: int) -> None:
     while data:
-        data = data[os.write(file, data) :]
+        written = os.pwrite(file, data, at)
+        data, at = data[written:], at + written

@@ -17,7 +17,7 @@ from graphtrack.behaviour.places import Place
 from graphtrack.behaviour.told import Numbers, Told, numbers_of, people_at, people_told
 from graphtrack.inference.state import Estimate
 from graphtrack.model import Observation
-from graphtrack.saved import from_text, to_text
+from graphtrack.saved import from_text, real, to_text, whole
 
 BEHAVIOUR = "behaviour"
 """What groups and attention are called among the members of a stream whose states are kept."""
@@ -149,9 +149,9 @@ class FrameBehaviour:
     def restore(cls, state: Mapping[str, Any], asked: Asked) -> FrameBehaviour:
         """Frames that go on where `state` was taken, given that the same was asked."""
         found = cls(SceneBehaviour.restore(state[BEHAVIOUR], asked))
-        found._t = -math.inf if state["t"] is None else state["t"]
-        found._frame = state["frame"]
-        found._people = {one: tuple(from_text(saved).tolist()) for one, saved in state["people"]}
+        found._t = -math.inf if state["t"] is None else real(state["t"])
+        found._frame = whole(state["frame"])
+        found._people = {whole(one): tuple(from_text(saved).tolist()) for one, saved in state["people"]}
         return found
 
 

@@ -12,6 +12,7 @@ from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.state import Estimate
 from graphtrack.model import Observation
+from graphtrack.saved import real, whole
 
 FORECASTS = "forecasts"
 """What forecasts are called among the members of a stream whose states are kept."""
@@ -73,8 +74,8 @@ class FrameForecasts:
         values = unpack_tree(state)
         found = cls(ahead)
         found._forecaster = Forecaster.from_state(values["forecaster"])
-        found._t = -np.inf if values["t"] is None else values["t"]
-        found._frame = values["frame"]
+        found._t = -np.inf if values["t"] is None else real(values["t"])
+        found._frame = whole(values["frame"])
         found._seen = dict(zip(values["ids"].tolist(), map(tuple, values["seen"].tolist()), strict=True))
         return found
 

@@ -19,7 +19,7 @@ from graphtrack.inference.social import counts_after, neighbours
 from graphtrack.inference.state import Estimate
 from graphtrack.model import Model, Observation
 from graphtrack.model.terms.faces_group import GROUP
-from graphtrack.saved import from_text, to_text
+from graphtrack.saved import from_text, real, to_text, whole
 from graphtrack.tracks import STATE
 
 CONVERSATIONS = "conversations"
@@ -135,10 +135,10 @@ class Conversations:
         """Conversations that go on where `state` was taken, to the last bit, given the same model."""
         found = cls(model)
         found._evidence.restore(state)
-        found._t = -math.inf if state["t"] is None else float(state["t"])
-        found._frame = state["frame"]
-        found._people = {one: tuple(from_text(text).tolist()) for one, text in state["people"]}
+        found._t = -math.inf if state["t"] is None else real(state["t"])
+        found._frame = whole(state["frame"])
+        found._people = {whole(one): tuple(from_text(text).tolist()) for one, text in state["people"]}
         for one, text in state["known"]:
             t, x, y, *group = from_text(text).tolist()
-            found._known[one] = _Known(t, x, y, tuple(group))
+            found._known[whole(one)] = _Known(t, x, y, tuple(group))
         return found

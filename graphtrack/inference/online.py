@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -271,6 +271,8 @@ class OnlineSmoother:
         if given != terms:
             raise InputError(f"a state of a model with the terms {given}", f"the same model: {terms}")
         saved = unpack_state(state, smoother.camera)
+        if saved.engine not in get_args(OnlineEngine):
+            raise damaged(ValueError(f"an engine {str(saved.engine)[:40]!r}"))
         smoother._last, smoother._next_index = saved.last, saved.next_index
         try:
             if saved.engine == smoother.engine:

@@ -13,10 +13,11 @@ from graphtrack.display import html_pairs
 from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.observed import checked
 from graphtrack.inference.prior import MarginalPrior
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Observation, Step
-from graphtrack.saved import DAMAGES, damaged, from_text, to_text
+from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text, whole
 
 STATE_VERSION = 3
 
@@ -226,8 +227,9 @@ def pack_observation(observation: Observation) -> dict[str, Any]:
 
 
 def unpack_observation(saved: Mapping[str, Any]) -> Observation:
-    """The inverse of `pack_observation`."""
-    return Observation(**{name: _tuples(value) for name, value in saved.items()})
+    """The inverse of `pack_observation`; an error of `DAMAGES` if a value has another type."""
+    real(saved["t"]), whole(saved["frame"])
+    return checked(Observation(**{name: _tuples(value) for name, value in saved.items()}))
 
 
 def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedState:
@@ -242,11 +244,11 @@ def unpack_state(state: dict[str, Any], camera: GroundCamera | None) -> SavedSta
         raise InputError("a state of another version", f"version {STATE_VERSION}")
     try:
         return SavedState(
-            str(state["engine"]),
+            state["engine"],
             _window(state, camera),
             {name: from_text(text) for name, text in state["arrays"].items()},
             None if state["last"] is None else _estimate(state["last"]),
-            int(state["next_index"]),
+            whole(state["next_index"]),
         )
     except DAMAGES as error:
         raise damaged(error) from error
@@ -258,24 +260,31 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     for entry in state["steps"]:
         previous = steps[-1].alone() if steps else None
         observation = unpack_observation(entry["observation"])
-        steps.append(Step(entry["index"], observation, previous, entry["dt"], entry["starts"], camera))
+        dt = None if entry["dt"] is None else real(entry["dt"])
+        if not isinstance(entry["starts"], bool):
+            raise TypeError(f"starts = {entry['starts']!r}")
+        if steps and not observation.t > steps[-1].observation.t:
+            raise ValueError("steps that are not in order")
+        steps.append(Step(whole(entry["index"]), observation, previous, dt, entry["starts"], camera))
         x, y, vx, vy, body, head = _nans(entry["values"]).tolist()
         values[entry["index"]] = (x, y, vx, vy, body, head)
     prior = None
     if state["prior"] is not None:
         saved = state["prior"]
         prior = MarginalPrior(
-            tuple(saved["keys"]),
-            tuple(tuple(point) for point in saved["point"]),
-            np.array(saved["information"], dtype=float),
-            np.array(saved["linear"], dtype=float),
-            float(saved["constant"]),
+            tuple(map(whole, saved["keys"])),
+            tuple(tuple(map(real, point)) for point in saved["point"]),
+            _matrix(saved["information"]),
+            _nans(saved["linear"]),
+            real(saved["constant"]),
         )
     anchor = None
     if state["anchor"] is not None:
         body, head = _nans(state["anchor"]).tolist()
         anchor = (body, head)
-    modes = None if state["modes"] is None else np.array(state["modes"], dtype=float).reshape(2, -1)
+    modes = None if state["modes"] is None else _matrix(state["modes"])
+    if modes is not None and (modes.shape[0] != 2 or not modes.size):
+        raise ValueError(f"modes {modes.shape}")
     return Window(tuple(steps), values, prior, anchor, modes)
 
 
@@ -287,20 +296,24 @@ def _tuples(value: Any) -> Any:
 
 
 def _estimate(saved: dict[str, Any]) -> Estimate:
-    state = _nans(saved["state"])
+    state = _nans(saved["state"]).reshape(6)
     aligned, offset = _nans(saved["modes"]).tolist()
     return Estimate(
-        saved["t"],
-        saved["frame"],
+        real(saved["t"]),
+        whole(saved["frame"]),
         state[:2],
         state[2:4],
         float(state[4]),
         float(state[5]),
-        np.array([_nans(row) for row in saved["covariance"]]).reshape(6, 6),
+        _matrix(saved["covariance"]).reshape(6, 6),
         "new",
         aligned_p=aligned,
         gait_offset=offset,
     )
+
+
+def _matrix(rows: list[list[float | None]]) -> FloatArray:
+    return np.array([_nans(row) for row in rows])
 
 
 def _nulls(numbers: Any) -> list[float | None]:
@@ -308,4 +321,4 @@ def _nulls(numbers: Any) -> list[float | None]:
 
 
 def _nans(numbers: list[float | None]) -> FloatArray:
-    return np.array([math.nan if x is None else x for x in numbers], dtype=float)
+    return np.array([math.nan if x is None else real(x) for x in numbers], dtype=float)

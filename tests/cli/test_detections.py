@@ -13,7 +13,6 @@ from crossing_people import street
 from graphtrack.association.tracker import OnlineTracker
 from graphtrack.cli import live
 from graphtrack.cli.detections import Scenes
-from graphtrack.cli.state_file import seal
 from graphtrack.model import Model
 from graphtrack.scene import SceneParameters
 
@@ -163,7 +162,7 @@ def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path: Path
         except Killed:
             data = (tmp_path / "left").read_bytes()
             if rng.random() < 0.3:  # the kill came while a row was added, which then has no answer
-                data += seal([10**6, "a row"])[: int(rng.integers(20))]
+                data += b"0123456789abcdef0123"[: int(rng.integers(20))]
             state.write_bytes(data)
             kills += 1
             capsys.readouterr()
@@ -177,6 +176,6 @@ def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path: Path
 
 def _last_row(state: Path) -> int:
     """The last row that a state knows, to which a run that goes on answers once more."""
-    entries = [json.loads(line[9:]) for line in state.read_bytes().split(b"\n")[:-1]]
+    entries = [json.loads(line[33:]) for line in state.read_bytes().split(b"\n")[1:-1]]
     rows = [entry[0] for entry in entries if isinstance(entry, list)]
     return rows[-1] if rows else entries[0]["rows"]

@@ -1,5 +1,6 @@
 """`graphtrack track -` as a user runs it: its state file, its ends, and what it says."""
 
+import copy
 import io
 import json
 import os
@@ -14,7 +15,7 @@ import pytest
 from command import TRACK_STREAM, going_on
 
 from graphtrack.cli import live, main
-from graphtrack.cli.state_file import StateFile, seal
+from graphtrack.cli.state_file import StateFile
 from graphtrack.errors import InputError
 from graphtrack.model import Model
 
@@ -143,7 +144,7 @@ def test_kills_leave_no_trace_in_the_answers(monkeypatch, capsys, tmp_path, engi
         except Killed:
             data = (tmp_path / "left").read_bytes()
             if rng.random() < 0.3:  # the kill came while a row was added, which then has no answer
-                data += seal([10**6, "a row"])[: int(rng.integers(20))]
+                data += b"0123456789abcdef0123"[: int(rng.integers(20))]
             state.write_bytes(data)
             kills, resumed = kills + 1, True
     assert kills > 5
@@ -231,6 +232,92 @@ def test_a_damaged_state_is_one_error_and_stays_as_it_is(track, state):
     assert (status, answers, said.count("\n")) == (2, [], 1)
     assert re.match(r"error: .*state, line \d+: found a damaged line", said)
     assert state.read_bytes() == data
+
+
+def refused(track, state, *options):
+    """Whether a run with a state is one error, and leaves the file as it is."""
+    before = state.read_bytes()
+    status, answers, said = track(scene(1), *options, "--state", state)
+    assert (status, answers, said.count("\n")) == (2, [], 1), said
+    assert said.startswith("error: ") and "state: found" in said.replace(", line", ": found")
+    assert state.read_bytes() == before
+
+
+def lines_with(lines, how, other):
+    """The lines of a state file, changed."""
+    return {
+        "cut in half": [b"".join(lines)[: len(b"".join(lines)) // 2]],
+        "without its second line": [lines[0], *lines[2:]],
+        "without the first person": [*lines[:2], *lines[3:]],
+        "without the last": lines[:-1],
+        "a line twice": [*lines[:3], *lines[2:]],
+        "moved": [*lines[:2], lines[3], lines[2], *lines[4:]],
+        "foreign lines": [*lines, *other[2:]],
+        "a foreign person": [*lines[:2], other[2], *lines[3:]],
+    }[how]
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        "cut in half",
+        "without its second line",
+        "without the first person",
+        "without the last",
+        "a line twice",
+        "moved",
+        "foreign lines",
+        "a foreign person",
+    ],
+)
+def test_a_state_with_other_lines_is_refused(track, state, tmp_path, how):
+    options = [word for pair in SAME.items() for word in pair]
+    track(scene(7), *options, "--state", tmp_path / "other")
+    lines, other = (path.read_bytes().splitlines(keepends=True) for path in (state, tmp_path / "other"))
+    state.write_bytes(b"".join(lines_with(lines, how, other)))
+    refused(track, state, *options)
+
+
+def leaves(value, path=()):
+    """Where the values of a JSON-able value are that hold no others."""
+    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    inner = [leaf for key, part in parts for leaf in leaves(part, (*path, key))]
+    return inner or [path]
+
+
+def replaced(entries, path, new):
+    """A copy with another value at a place."""
+    entries = copy.deepcopy(entries)
+    within = entries
+    for key in path[:-1]:
+        within = within[key]
+    within[path[-1]] = new
+    return entries
+
+
+def test_values_of_a_wrong_type_are_refused(track, state, tmp_path):
+    """In a file whose digests are right: each place, one after the other, holds something else."""
+    options = [word for pair in SAME.items() for word in pair]
+    file = StateFile(state, 60.0)
+    entries = copy.deepcopy(file.entries)
+    file.close()
+    places, taken = leaves(entries), []
+    assert len(places) > 100
+    for k, path in enumerate(places):
+        if "settings" in path or (path[-1] == 1 and isinstance(entries[path[0]], list)):
+            continue
+        new = [{"a": 1}, [[]], "?", True][k % 4]
+        (tmp_path / "state").unlink()
+        file = StateFile(tmp_path / "state", 60.0)
+        file.mark()
+        file.replace([json.dumps(one).encode() for one in replaced(entries, path, new)])
+        file.wait()
+        file.close()
+        try:
+            refused(track, tmp_path / "state", *options)
+        except AssertionError as error:
+            taken.append((path, new, str(error)[:30]))
+    assert not taken, "\n".join(map(str, taken))
 
 
 @pytest.mark.parametrize(

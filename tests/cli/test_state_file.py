@@ -4,9 +4,11 @@ import json
 import os
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from graphtrack.cli import state_file
-from graphtrack.cli.state_file import StateFile, seal
+from graphtrack.cli.state_file import StateFile, StateInUse, packed, remove
 from graphtrack.errors import InputError
 
 VALUES = [{"first": 1}, [2, "grün \udcff"], [3, "x"]]
@@ -14,8 +16,17 @@ HOUR = 3600.0
 
 
 def made(path, values=VALUES):
-    path.write_bytes(b"".join(map(seal, values)))
+    file = StateFile(path, HOUR)
+    file.mark()
+    file.replace(list(map(packed, values)))
+    file.wait()
+    file.close()
     return path
+
+
+def values_in(path):
+    """The values in a file that is open."""
+    return [json.loads(line[33:]) for line in path.read_bytes().splitlines()[1:]]
 
 
 def content(path):
@@ -29,14 +40,14 @@ def test_what_is_added_is_there_at_once(tmp_path):
     file = StateFile(path, HOUR)
     for k, value in enumerate(VALUES[1:], 2):
         file.append(value)
-        assert path.read_bytes() == b"".join(map(seal, VALUES[:k]))
+        assert values_in(path) == VALUES[:k]
     file.close()
     assert content(path) == VALUES
 
 
 def test_any_flipped_bit_is_found(tmp_path):
     data = made(tmp_path / "state").read_bytes()
-    for place in range(len(data) - 1):
+    for place in range(len(data)):
         damaged = bytearray(data)
         damaged[place] ^= 1 << (place % 8)
         (tmp_path / "state").write_bytes(damaged)
@@ -45,12 +56,81 @@ def test_any_flipped_bit_is_found(tmp_path):
         assert (tmp_path / "state").read_bytes() == damaged
 
 
-def test_a_last_line_that_was_cut_is_left_aside(tmp_path):
-    data = made(tmp_path / "state").read_bytes()
-    for end in range(data.index(b"\n") + 1, len(data)):
-        (tmp_path / "state").write_bytes(data[:end])
-        assert content(tmp_path / "state") == VALUES[: data[:end].count(b"\n")]
-        assert (tmp_path / "state").read_bytes().endswith(b"\n")
+def test_a_file_that_was_cut_off_is_refused_and_stays(tmp_path):
+    path = made(tmp_path / "state")
+    data = path.read_bytes()
+    for end in range(len(data)):
+        path.write_bytes(data[:end])
+        with pytest.raises(InputError, match=r"cut off|no saved state"):
+            StateFile(path, HOUR)
+        assert path.read_bytes() == data[:end]
+
+
+def test_lines_that_no_flush_has_reached_may_be_cut_off(tmp_path):
+    """As a failure of the power leaves them."""
+    path = made(tmp_path / "state")
+    flushed = path.stat().st_size
+    file = StateFile(path, HOUR)
+    file.append([4, "x"])
+    file.append([5, "long" * 9])
+    data = path.read_bytes()
+    file.close()
+    for end in range(flushed, len(data)):
+        path.write_bytes(data[:end])
+        known = [*VALUES, [4, "x"]][: data[:end].count(b"\n") - 1]
+        assert content(path) == known
+        assert path.read_bytes() == data[:end]  # nobody has added anything
+        file = StateFile(path, HOUR)
+        file.append(6)
+        file.close()
+        assert content(path) == [*known, 6]
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data(), n=st.integers(2, 6))
+def test_lines_that_are_missing_repeated_moved_or_foreign_are_found(tmp_path_factory, data, n):
+    folder = tmp_path_factory.mktemp("states")
+    values = [{"rows": 0}, *([k, "row"] for k in range(n))]
+    whole = made(folder / "state", values).read_bytes()
+    foreign = made(folder / "other", [{"rows": 1}, *values[1:]]).read_bytes().splitlines(keepends=True)
+    lines = whole.splitlines(keepends=True)
+    changed = data.draw(st.lists(st.sampled_from([*lines, *foreign]), max_size=n + 4))
+    after = b"".join(changed) + data.draw(st.binary(max_size=3))
+    (folder / "state").write_bytes(after)
+    try:
+        found = content(folder / "state")
+    except InputError:
+        pass
+    else:  # nothing but what was never written whole, behind what was
+        assert found in (values, [{"rows": 1}, *values[1:]])
+    assert (folder / "state").read_bytes() == after
+
+
+def test_a_file_of_the_version_before_is_refused_by_its_version(tmp_path):
+    before = b'0a1b2c3d {"graphtrack state":1,"settings":{},"rows":0,"line":0,"people":0}\n'
+    (tmp_path / "state").write_bytes(before)
+    with pytest.raises(InputError, match="a state of version 1, expected version 2"):
+        StateFile(tmp_path / "state", HOUR)
+    assert (tmp_path / "state").read_bytes() == before
+
+
+def test_a_state_that_is_open_is_not_removed(tmp_path):
+    path, link = tmp_path / "state", tmp_path / "link"
+    link.symlink_to(path)
+    file = StateFile(path, HOUR)
+    with pytest.raises(StateInUse):  # it is about to be made
+        remove(path)
+    file.close()
+    assert not remove(path)
+    file = StateFile(made(path), HOUR)
+    before = path.read_bytes()
+    for name in (path, link):
+        with pytest.raises(StateInUse):
+            remove(name)
+    assert path.read_bytes() == before
+    file.close()
+    assert remove(link)
+    assert not list(tmp_path.iterdir())
 
 
 def test_one_process_at_a_time(tmp_path):
@@ -59,7 +139,7 @@ def test_one_process_at_a_time(tmp_path):
     for name in (path, link):
         file = StateFile(path, HOUR)
         file.mark()
-        file.replace([seal(VALUES[0])])
+        file.replace([packed(VALUES[0])])
         file.wait()  # another file has the name now
         with pytest.raises(InputError, match="another process"):
             StateFile(name, HOUR)
@@ -72,7 +152,7 @@ def test_a_new_content_takes_the_place_of_the_old_with_all_that_was_added_since(
     (tmp_path / "state").chmod(0o640)
     file.mark()
     file.append("since the mark")
-    file.replace([seal("new"), seal("content")])
+    file.replace([packed("new"), packed("content")])
     file.append("while it is written, or after")
     file.wait()
     assert not file.is_replacing
@@ -94,7 +174,7 @@ def test_a_file_that_is_not_there_appears_whole(tmp_path):
     assert not list(tmp_path.iterdir())
     file = StateFile(path, HOUR)
     file.mark()
-    file.replace([seal(1)])
+    file.replace([packed(1)])
     file.wait()
     file.append(2)
     file.close()
@@ -112,7 +192,7 @@ def test_a_disk_that_is_full_is_told_and_what_was_there_stays(tmp_path, monkeypa
         with pytest.raises(InputError, match="No space left"):
             file.append("x")
         file.mark()
-        file.replace([seal("new")])
+        file.replace([packed("new")])
         with pytest.raises(InputError, match="No space left"):
             file.wait()
     with pytest.raises(InputError, match="No space left"):  # and by then no row is answered
@@ -123,12 +203,12 @@ def test_a_disk_that_is_full_is_told_and_what_was_there_stays(tmp_path, monkeypa
 
 def test_it_is_flushed_from_time_to_time(tmp_path, monkeypatch):
     flushed = []
-    monkeypatch.setattr(os, "fsync", lambda file: flushed.append(os.fstat(file).st_size))
     path = made(tmp_path / "state")
+    monkeypatch.setattr(os, "fsync", lambda file: flushed.append(os.fstat(file).st_size))
     file = StateFile(path, 0.01)
     file.append("x")
     while not flushed:
         pass
     file.close()
     assert flushed == [path.stat().st_size]
-    assert json.loads(path.read_bytes().splitlines()[-1][9:]) == "x"
+    assert json.loads(path.read_bytes().splitlines()[-1][33:]) == "x"

@@ -149,6 +149,27 @@ def test_a_stream_goes_on_where_its_connection_ended(service):
         assert connection.recv(timeout=60) == whole[0]
 
 
+def test_a_stream_that_another_service_has_open_is_not_forgotten(service, tmp_path_factory):
+    (folder,) = (path for path in service.process.args if path.endswith("states0"))
+    kept = Path(folder) / "shared.state"
+    with serving("--state", folder) as other:
+        with service.connect("shared") as connection:
+            connection.send(rows(1)[0])
+            first = connection.recv(timeout=60)
+            before = kept.stat().st_ino, kept.read_bytes()
+            status, told = other.request("DELETE", "/v1/streams/shared")
+            assert status == 409 and "another process" in told
+            assert (kept.stat().st_ino, kept.read_bytes()) == before
+            connection.send("")
+            everything(connection)
+        assert other.request("DELETE", "/v1/streams/shared")[0] == 204
+        assert not kept.exists()
+        assert other.request("DELETE", "/v1/streams/shared")[0] == 404
+        with service.connect("shared") as connection:
+            connection.send(rows(1)[0])
+            assert connection.recv(timeout=60) == first
+
+
 @pytest.mark.slow
 def test_a_killed_service_goes_on(tmp_path):
     sent, found = rows(30), []

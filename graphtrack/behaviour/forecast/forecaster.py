@@ -18,6 +18,7 @@ from graphtrack.behaviour.forecast.places import EVERY, LAGS, Places, Seen
 from graphtrack.behaviour.forecast.spread import LEVELS, offsets, radius
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.saved import real, whole
 
 LONGEST_HORIZON = 60.0
 """Seconds ahead beyond which nothing of a person's motion is left to forecast from."""
@@ -188,8 +189,8 @@ class Forecaster:
             If the state is damaged.
         """
         found = cls(parameters)
-        found.t = -math.inf if state["t"] is None else state["t"]
-        found._numbers = state["numbers"]
+        found.t = -math.inf if state["t"] is None else real(state["t"])
+        found._numbers = whole(state["numbers"])
         found._of = dict(state["of"].tolist())
         found._free = state["free"].tolist()
         for name in _OF_A_PLACE:

@@ -23,6 +23,7 @@ from graphtrack.cli.service.connections import Connection, Connections, Requests
 from graphtrack.cli.service.metrics import Metrics
 from graphtrack.cli.service.settings import STREAM_NAME, Service
 from graphtrack.cli.service.stream import Stream, open_stream, prepare
+from graphtrack.cli.state_file import StateInUse, remove
 
 _NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
 """HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
@@ -157,9 +158,12 @@ class Streams:
         if name in self._open:
             raise Refused(409, f"stream {name} has a connection; expected none")
         state = self.service.state_of(name)
-        if state is None or not state.exists():
+        try:
+            is_removed = state is not None and remove(state)
+        except StateInUse as error:
+            raise Refused(409, f"stream {name} is open in another process; expected none") from error
+        if not is_removed:
             raise Refused(404, f"nothing is kept of stream {name}")
-        state.unlink()
 
 
 def refusal(request: Request, refused: Exception) -> Response:
