@@ -15,7 +15,7 @@ from graphtrack.behaviour.partition import partitions
 from graphtrack.behaviour.people import People
 from graphtrack.behaviour.places import Place
 from graphtrack.behaviour.smoothing import merged
-from graphtrack.readiness import Rehearsal
+from graphtrack.readiness import Rehearsal, make_ready
 
 ONLINE, FORECASTS = "groups and looks", "forecasts"
 """What is compiled here, in words."""
@@ -26,6 +26,11 @@ def online_rehearsal() -> Rehearsal:
     # Seconds that compiling takes on a core, about.
     called = {of_frames: 2.3, merged: 0.8, partitions: 3.0, concentration: 0.2, half_angle: 0.1}
     return Rehearsal(_rehearse, {**called, looks_of_frame: 5.5})
+
+
+def make_behaviour_ready() -> None:
+    """Compile or load what groups and attention call; the log reports a long wait before and after."""
+    make_ready(ONLINE, online_rehearsal())
 
 
 def forecast_rehearsal() -> Rehearsal:

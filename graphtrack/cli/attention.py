@@ -58,6 +58,7 @@ def attention(
     from graphtrack.behaviour.looks import attention_columns, summary_of
     from graphtrack.behaviour.places import read_places
     from graphtrack.behaviour.tables import read_looks
+    from graphtrack.behaviour.warm import make_behaviour_ready
     from graphtrack.evaluation.looks import score_looks
     from graphtrack.io.groups import write_columns
     from graphtrack.table.as_read import with_names
@@ -81,6 +82,7 @@ def attention(
     chosen = None if parameters is None else load_attention(parameters)
     labels = None if truth is None else read_looks(truth)
     tracks = estimated(reading.tracks(inputs), model)
+    make_behaviour_ready()
     found = find(tracks, known, chosen, online=online)
     score = None if labels is None else score_looks(found, labels)
     columns = attention_columns(found)

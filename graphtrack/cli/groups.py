@@ -57,6 +57,7 @@ def groups(
 ) -> None:
     """Find who stands in conversation with whom, and who walks together, in every frame."""
     from graphtrack.behaviour.groups import groups as find
+    from graphtrack.behaviour.warm import make_behaviour_ready
     from graphtrack.evaluation.groups import score_groups
     from graphtrack.io.groups import write_columns
     from graphtrack.table.as_read import with_names
@@ -69,6 +70,7 @@ def groups(
     chosen = parameters_of(parameters)
     labels = None if truth is None else read_quietly(truth)
     tracks = estimated(reading.tracks(inputs), model)
+    make_behaviour_ready()
     found = find(tracks, chosen, online=online)
     true = None if labels is None else labels.labels(found.frame, found.t, found.track_id)
     write_columns(with_names(found.columns(), tracks.as_read), output)

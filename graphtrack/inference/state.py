@@ -228,7 +228,9 @@ def pack_observation(observation: Observation) -> dict[str, Any]:
 
 def unpack_observation(saved: Mapping[str, Any]) -> Observation:
     """The inverse of `pack_observation`; an error of `DAMAGES` if a value has another type."""
-    real(saved["t"]), whole(saved["frame"])
+    whole(saved["frame"])
+    for value in saved.values():
+        _check_numbers(value)
     return checked(Observation(**{name: _tuples(value) for name, value in saved.items()}))
 
 
@@ -286,6 +288,15 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
     if modes is not None and (modes.shape[0] != 2 or not modes.size):
         raise ValueError(f"modes {modes.shape}")
     return Window(tuple(steps), values, prior, anchor, modes)
+
+
+def _check_numbers(value: Any) -> None:
+    """Raise TypeError unless a value of an observation consists of finite numbers."""
+    if isinstance(value, dict | list):
+        for part in value.values() if isinstance(value, dict) else value:
+            _check_numbers(part)
+    else:
+        real(value)
 
 
 def _tuples(value: Any) -> Any:

@@ -16,6 +16,9 @@ from graphtrack.errors import GraphtrackError, InputError
 ERRORS = (OSError, EOFError, MemoryError, UnicodeError, sqlite3.Error, zlib.error, struct.error)
 """Exceptions that say something of a file or of the machine, and not of a mistake in this package."""
 
+WRITING = (OSError, sqlite3.Error)
+"""Those of them that writing raises; what is written is often computed in the same block."""
+
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a place to which no more can be written."""
 
@@ -60,7 +63,7 @@ def write_errors(path: Path, folder: Path) -> Iterator[None]:
         raise
     except Exception as error:
         full = _why_full(folder)
-        if full is None and not isinstance(error, ERRORS):
+        if full is None and not isinstance(error, WRITING):
             raise
         found = f"{full or described(error)} when writing"
         raise InputError(found, "a place that can be written to", path=path) from error

@@ -307,6 +307,8 @@ def test_values_of_a_wrong_type_are_refused(track, state, tmp_path):
         if "settings" in path or (path[-1] == 1 and isinstance(entries[path[0]], list)):
             continue
         new = [{"a": 1}, [[]], "?", True][k % 4]
+        if new is True and path[-1] == "starts":
+            continue
         (tmp_path / "state").unlink()
         file = StateFile(tmp_path / "state", 60.0)
         file.mark()

@@ -267,10 +267,7 @@ def test_an_error_leaves_nothing_that_the_next_run_trips_over(
     with monkeypatch.context() as patch:
         if where == "writing":
             patch.setattr("graphtrack.io.write", full)
-            assert run(*arguments).returncode == 2
-        else:
-            with pytest.raises(MemoryError):
-                run(*arguments)
+        assert run(*arguments).returncode == 2
     journal = tmp_path / "o.csv.journal"
     with journal.open("a") as stream:
         stream.write('{"frame": 77, "known": {"people": [{"frame": 77}], "refused": []}}\n')

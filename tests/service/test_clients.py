@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from test_service import OPTIONS, everything, rows, serving, wait_until
+from serving import OPTIONS, everything, rows, serving, wait_until
 from websockets.exceptions import InvalidStatus
 
 HEAD = b"POST /v1/streams/%s HTTP/1.1\r\nHost: localhost\r\n"

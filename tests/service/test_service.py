@@ -1,92 +1,24 @@
 """`graphtrack serve` as clients see it: answers of `track -`, nothing lost, and nobody hurt by others."""
 
-import http.client
 import json
 import os
-import re
 import signal
 import socket
 import subprocess
 import sys
-import time
 from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from serving import OPTIONS, answers, everything, rows, serving, wait_until
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
-
-OPTIONS = ("--model", "position", "--port", "0")
-
-
-class Service:
-    """A running service."""
-
-    def __init__(self, *options, **environment):
-        command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, *options]
-        self.process = subprocess.Popen(
-            command, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment}
-        )
-        said = []
-        for line in self.process.stderr:
-            said.append(line)
-            if found := re.search(r"ws://127\.0\.0\.1:(\d+)/", line):
-                self.port = int(found[1])
-                return
-        raise AssertionError("".join(said))
-
-    def connect(self, name, **more):
-        return connect(f"ws://127.0.0.1:{self.port}/v1/streams/{name}", **more)
-
-    def request(self, method, path, body=None, **headers):
-        asking = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
-        asking.request(method, path, body, headers)
-        answer = asking.getresponse()
-        return answer.status, answer.read().decode()
-
-    def stop(self, how=signal.SIGTERM):
-        self.process.send_signal(how)
-        status = self.process.wait(timeout=60)
-        self.process.stderr.close()
-        return status
-
-
-@contextmanager
-def serving(*options, **environment):
-    service = Service(*options, **environment)
-    try:
-        yield service
-    finally:
-        if service.process.poll() is None:
-            service.stop()
 
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
     with serving("--state", str(tmp_path_factory.mktemp("states")), "--max-streams", "3") as running:
         yield running
-
-
-def rows(n, people=2, first=0):
-    return [
-        json.dumps({"track_id": one, "frame": k, "t": k / 10, "x": 0.13 * k + one, "y": 0.1 * (k % 3)})
-        for k in range(first, first + n)
-        for one in range(people)
-    ]
-
-
-def answers(connection, n):
-    return [connection.recv(timeout=60) for _ in range(n)]
-
-
-def everything(connection):
-    """All messages until the service closes."""
-    found = []
-    with pytest.raises(ConnectionClosed) as closed:
-        while True:
-            found.append(connection.recv(timeout=60))
-    return found, closed.value.rcvd
 
 
 def of_track(lines, *options):
@@ -149,8 +81,9 @@ def test_a_stream_goes_on_where_its_connection_ended(service):
         assert connection.recv(timeout=60) == whole[0]
 
 
-def test_a_stream_that_another_service_has_open_is_not_forgotten(service, tmp_path_factory):
-    (folder,) = (path for path in service.process.args if path.endswith("states0"))
+def test_a_stream_that_another_service_has_open_is_not_forgotten(service):
+    arguments = service.process.args
+    folder = arguments[arguments.index("--state") + 1]
     kept = Path(folder) / "shared.state"
     with serving("--state", folder) as other:
         with service.connect("shared") as connection:
@@ -265,6 +198,12 @@ def processes_of(service):
 
 
 def test_counts(service):
+    with service.connect("counted") as connection:
+        for row in rows(30):
+            connection.send(row)
+        answers(connection, 60)
+        connection.send("")
+        everything(connection)
     status, text = service.request("GET", "/metrics")
     counted = dict(line.rsplit(" ", 1) for line in text.splitlines() if not line.startswith("#"))
     assert status == 200 and float(counted["graphtrack_rows_total"]) > 50
@@ -274,14 +213,6 @@ def test_counts(service):
         key = "graphtrack_rows_waiting" if name == "waiting" else f"graphtrack_{name}"
         wait_until(lambda key=key: f"\n{key} 0.0\n" in service.request("GET", "/metrics")[1])
     assert json.loads(service.request("GET", "/health")[1]) == {"status": "ok", "streams": 0}
-
-
-def wait_until(holds):
-    for _ in range(300):
-        if holds():
-            return
-        time.sleep(0.1)
-    raise AssertionError("it never held")
 
 
 @pytest.mark.slow
