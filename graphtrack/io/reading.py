@@ -110,9 +110,11 @@ def rows_of_table(cells: Cells, options: ReadOptions) -> Rows:
     """The rows of a table's cells, in metres and with times."""
     from graphtrack.io.cameras import place_pixels
     from graphtrack.io.tables.rows import rows_of_cells
+    from graphtrack.io.tables.synonyms import with_synonyms
 
+    options, notes = with_synonyms(list(cells.columns), options, cells.path)
     rows = rows_of_cells(cells, options.layout() or Layout(), fps=options.fps, beside=options.beside)
-    return place_pixels(rows, options)
+    return place_pixels(rows.with_notes(*notes), options)
 
 
 def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOptions) -> TrackSet:
@@ -256,6 +258,10 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
     source = _opened(path, options)
     layout = options.layout()
     if layout is None:
+        table = _table_with_synonyms(source, format, options)
+        if table is not None:
+            with read_errors(source.path):
+                return rows_of_table(_cells(source, table, Layout()), options)
         chosen = _chosen(source, format)
         if not source.data and chosen.name != BAG:
             raise InputError(f"format {chosen.name!r} of a ROS 2 recording", BAG, path=path)
@@ -274,6 +280,20 @@ def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) ->
         with read_errors(source.path):
             return taking.read(source, options)
     return rows_of_table(_cells(source, format, layout), options)
+
+
+def _table_with_synonyms(source: Source, format: str | None, options: ReadOptions) -> str | None:
+    """The format of a table whose columns have well-known names that are not the native ones; else None."""
+    from graphtrack.io.tables.synonyms import names_in, says_places, with_synonyms
+
+    known = format
+    if known is None:
+        known = next((one.name for one in formats() if one.looks_like(source.head, source.path)), "csv")
+    if not source.data or known not in ("csv", "ndjson", "parquet"):
+        return None
+    names = names_in(source, known)
+    found, notes = with_synonyms(names, options, source.path)
+    return known if notes and says_places(found.columns, names) else None
 
 
 def _check_taken(taking: Format, options: ReadOptions, path: Path) -> None:
