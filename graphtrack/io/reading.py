@@ -110,11 +110,13 @@ def rows_of_table(cells: Cells, options: ReadOptions) -> Rows:
     """The rows of a table's cells, in metres and with times."""
     from graphtrack.io.cameras import place_pixels
     from graphtrack.io.tables.rows import rows_of_cells
-    from graphtrack.io.tables.synonyms import with_synonyms
+    from graphtrack.io.tables.synonyms import unit_notes, with_synonyms
 
-    options, notes = with_synonyms(list(cells.columns), options, cells.path)
-    rows = rows_of_cells(cells, options.layout() or Layout(), fps=options.fps, beside=options.beside)
-    return place_pixels(rows.with_notes(*notes), options)
+    found, notes = with_synonyms(list(cells.columns), options, cells.path)
+    rows = rows_of_cells(cells, found.layout() or Layout(), fps=found.fps, beside=found.beside)
+    if found is not options:
+        notes += unit_notes(found, rows.channels["t"])
+    return place_pixels(rows.with_notes(*notes), found)
 
 
 def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOptions) -> TrackSet:

@@ -22,7 +22,7 @@ from graphtrack.io.registry import formats
 from graphtrack.io.source import Source
 from graphtrack.io.tables.cells import Cells
 from graphtrack.io.tables.headings import LENGTHS, TIMES, meanings, plain, wide
-from graphtrack.io.tables.synonyms import READ_AS
+from graphtrack.io.tables.synonyms import UNSURE_UNIT
 from graphtrack.io.tables.values import is_empty
 from graphtrack.table.moments import EPOCH, NANOSECONDS_IN, is_iso
 from graphtrack.table.rows import Rows
@@ -58,7 +58,7 @@ def suggest(path: Path) -> Suggestion:
         warnings.simplefilter("ignore", InputWarning)
         try:
             rows = rows_of_file(path, None, ReadOptions())
-            if _as_people(rows) and not _may_be_milliseconds(rows):
+            if _as_people(rows) and UNSURE_UNIT not in rows.notes:
                 return Suggestion()
         except InputError:
             if not _may_be_table(Source.open(path)):
@@ -90,13 +90,6 @@ def _read_options(found: Suggestion) -> ReadOptions:
 def _as_people(rows: Rows) -> bool:
     """Whether what was read moves as people do."""
     return not rows.has_identity or not _too_fast(rows)
-
-
-def _may_be_milliseconds(rows: Rows) -> bool:
-    """Test for times of a column without the native name that lie 5 and more apart."""
-    steps = np.diff(np.unique(rows.channels["t"]))
-    by_name = any(note.startswith(READ_AS) for note in rows.notes)
-    return by_name and len(steps) > 0 and float(np.median(steps)) >= 5.0
 
 
 def _too_fast(rows: Rows) -> bool:

@@ -8,8 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from graphtrack.display import shortened
 from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.layout import SHORT
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
@@ -35,6 +38,11 @@ are proposed by ``graphtrack info --suggest`` and never taken by themselves.
 
 READ_AS = "read column"
 """Beginning of the note that names the columns that were read by their well-known names."""
+
+UNSURE_UNIT = (
+    "times were read as seconds, though they lie 5 and more apart: --time-unit ms if they are milliseconds"
+)
+"""Note on a column of times without a unit in its name."""
 
 _NO_METRES = frozenset(("u", "v", "lat", "lon"))
 """Columns beside which no other column is taken for metres."""
@@ -102,6 +110,14 @@ def with_synonyms(
 
 _MOST = 10_000
 """Columns of a table from which on no names are looked at."""
+
+
+def unit_notes(options: ReadOptions, t: FloatArray) -> tuple[str, ...]:
+    """Return the notes on times (n,) in seconds that were read by a well-known name of their column."""
+    by_name = isinstance(options.columns, Mapping) and "t" in options.columns
+    steps = np.diff(np.unique(t))
+    unsure = by_name and options.time_unit is None and len(steps) > 0 and float(np.median(steps)) >= 5.0
+    return (UNSURE_UNIT,) if unsure else ()
 
 
 def _means(name: str, words: Iterable[str], units: Mapping[str, str]) -> bool:
