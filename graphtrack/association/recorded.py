@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.association.rows import usable, with_rows
+from graphtrack.association.rows import usable
 from graphtrack.association.tracker import OnlineTracker, PersonEstimate
 from graphtrack.bounds import INPUT
+from graphtrack.gaps import with_rows
 from graphtrack.inference.recorded import as_track
 from graphtrack.model.observation import CHANNELS, observation_at
 from graphtrack.table.rows import Rows

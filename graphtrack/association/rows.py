@@ -10,6 +10,7 @@ import numpy as np
 from graphtrack.association.detections import Detections, frames_between
 from graphtrack.association.offline import APPEARANCE, associate_detections, repair_detections
 from graphtrack.errors import InputError
+from graphtrack.gaps import with_rows
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import GivenScene, SceneParameters, known_values
 from graphtrack.table.rows import Rows
@@ -166,30 +167,3 @@ def _filled(track: Track, frames: np.ndarray, t: FloatArray, step: int, longest:
     frame = np.unique(np.concatenate([track.frame, *inside, *between]))
     times = np.interp(frame, frames, t)
     return with_rows(track, frame, times)
-
-
-def with_rows(track: Track, frame: np.ndarray, t: FloatArray) -> Track:
-    """A track with a row for each of some frames, its own among them; nothing was observed in the others.
-
-    Parameters
-    ----------
-    track : of observations
-    frame, t : (n,) frames in order, and their times in seconds
-    """
-    if len(frame) == len(track):
-        return track
-    place = np.searchsorted(frame, track.frame)
-    channels: dict[str, FloatArray] = {}
-    for name, values in vars(track).items():
-        if isinstance(values, np.ndarray) and name != "frame":
-            channels[name] = np.full((len(frame), *values.shape[1:]), np.nan)
-            channels[name][place] = values
-    channels["t"] = np.where(np.isin(frame, track.frame), channels["t"], t)
-    observed = np.zeros(len(frame))
-    observed[place] = 1.0
-    channels["observed"] = observed
-    inputs = {}
-    for name, values in track.inputs.items():
-        inputs[name] = np.full((len(frame), *values.shape[1:]), np.nan)
-        inputs[name][place] = values
-    return Track(track.track_id, frame, label=track.label, inputs=inputs, **channels)

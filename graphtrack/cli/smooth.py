@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +13,10 @@ from graphtrack.cli import options
 from graphtrack.cli.console import BAD_INPUT, console, progress_bar
 from graphtrack.cli.dataset import check_streamed, is_streamed, smooth_streamed
 from graphtrack.cli.of_tables import OfTables
-from graphtrack.display import duration
+from graphtrack.display import counted, duration
+
+if TYPE_CHECKING:
+    from graphtrack.tracks import TrackSet
 
 _LARGE = "Data sets larger than memory"
 
@@ -32,6 +35,20 @@ def smooth(
         ),
     ] = "auto",
     trust: options.TrustNoise = None,
+    fill: Annotated[
+        bool | None,
+        typer.Option(
+            "--fill/--no-fill",
+            help="Estimate the frames between a person's rows that the table leaves out. [default: fill]",
+            show_default=False,
+        ),
+    ] = None,
+    resample: Annotated[
+        float | None,
+        typer.Option(
+            "--resample", metavar="HZ", help="Estimates at so many frames a second.", show_default=False
+        ),
+    ] = None,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -71,6 +88,7 @@ def smooth(
     ] = None,
 ) -> None:
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
+    from graphtrack.gaps import at_times, with_times_at
     from graphtrack.inference.chain.side_by_side import those_beside
     from graphtrack.inference.offline import engine_of, solve_tracks
     from graphtrack.inference.solution import Failure, Solution
@@ -93,6 +111,7 @@ def smooth(
             "--class": reading.classes,
             "--image-scale": reading.image_scale,
         }
+        unused["--fill"], unused["--resample"] = fill, resample
         unused["--trust"] = trust not in (None, "declared")
         unused |= {options.option_name(one.name): getattr(reading, one.name) for one in fields(OfTables)}
         unused["--format"] = reading.format not in (None, "parquet")
@@ -109,6 +128,11 @@ def smooth(
         )
         return
     tracks = reading.tracks(inputs, scene=chosen.scene)
+    origin = min(float(track.t[0]) for track in tracks)
+    if fill is not False:
+        tracks = _without_gaps(tracks)
+    if resample is not None:
+        tracks = with_times_at(tracks, resample)
     observed, chosen, said = trusted(tracks, chosen, trust or "check")
     for line in said:
         console.print(f"  note: {line}", markup=False)
@@ -122,7 +146,7 @@ def smooth(
     bad = [result for result in found if isinstance(result, Failure)]
     estimates = tracks.with_tracks(result.track for result in good)
     if good:
-        write(estimates, output)
+        write(estimates if resample is None else at_times(estimates, resample, origin), output)
     unconverged = [result for result in good if not result.converged]
     console.print(
         f"smoothed {len(good)} of {len(tracks)} tracks, {estimates.n_frames} person-frames in "
@@ -146,3 +170,21 @@ def smooth(
         console.print(f"error: track {failure.track_id}: {failure.reason}", markup=False)
     if bad:
         raise typer.Exit(BAD_INPUT)
+
+
+def _without_gaps(tracks: TrackSet) -> TrackSet:
+    """Insert missing frames, and report how many there are."""
+    from graphtrack.gaps import LONGEST_FILLED, filled, unfilled_gaps
+
+    found = filled(tracks)
+    inserted, left = found.n_frames - tracks.n_frames, unfilled_gaps(tracks)
+    if inserted:
+        share = 100.0 * tracks.n_frames / found.n_frames
+        there = f"{tracks.n_frames:,} of {found.n_frames:,} frames have rows ({share:.1f} %)"
+        said = f"{there}; the others are filled"
+        console.print(f"  note: {said}", markup=False)
+    if left:
+        console.print(
+            f"  note: {counted(left, 'gap')} of more than {LONGEST_FILLED:g} s not filled", markup=False
+        )
+    return found

@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
 from graphtrack.bounds import check_count
 from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
+from graphtrack.gaps import at_times, filled, with_times_at
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain, solve_packed
@@ -170,6 +171,9 @@ def smooth(
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
     trust: Trust = "declared",
+    fill: bool = False,
+    resample: float | None = None,
+    **reading: Any,
 ) -> Track: ...
 
 
@@ -183,6 +187,9 @@ def smooth(
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
     trust: Trust = "declared",
+    fill: bool = False,
+    resample: float | None = None,
+    **reading: Any,
 ) -> TrackSet: ...
 
 
@@ -195,10 +202,18 @@ def smooth(
     options: SolverOptions | None = None,
     progress: Callable[[int], None] | None = None,
     trust: Trust = "declared",
+    fill: bool = False,
+    resample: float | None = None,
+    **reading: Any,
 ) -> TrackSet | Track:
     """Smooth tracks offline: the maximum a posteriori estimate of every track, with covariances.
 
-    The parameters are those of `solve`.
+    Parameters
+    ----------
+    tracks, model, engine, jobs, options, progress, trust : as in `solve`
+    fill : estimate the frames between a track's rows that its table leaves out, too; see `gaps.filled`
+    resample : estimates at so many frames a second (Hz) in place of the tracks' own; see `gaps.with_times_at`
+    **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
 
     Returns
     -------
@@ -211,12 +226,19 @@ def smooth(
         For the first track that cannot be smoothed; use `solve` to get the others all the same.
     """
     model = Model.named(model)
-    given = tracks_of(tracks, scene=model.scene)
+    given = tracks_of(tracks, scene=model.scene, **reading)
+    origin = min((float(track.t[0]) for track in given), default=0.0)
+    if fill:
+        given = filled(given)
+    if resample is not None:
+        given = with_times_at(given, resample)
     found = solve(given, model, engine=engine, jobs=jobs, options=options, progress=progress, trust=trust)
     for result in found:
         if isinstance(result, Failure):
             raise SolveError(result.track_id, result.reason)
     estimates = given.with_tracks(result.track for result in found if isinstance(result, Solution))
+    if resample is not None:
+        estimates = at_times(estimates, resample, origin)
     return estimates.tracks[0] if isinstance(tracks, Track) else estimates
 
 

@@ -38,6 +38,7 @@ def track_online(
     lag: float | None = 2.0,
     camera: GroundCamera | None = None,
     progress: Progress = ...,
+    **reading: Any,
 ) -> Track: ...
 
 
@@ -50,6 +51,7 @@ def track_online(
     lag: float | None = 2.0,
     camera: GroundCamera | None = None,
     progress: Progress = ...,
+    **reading: Any,
 ) -> TrackSet: ...
 
 
@@ -61,6 +63,7 @@ def track_online(
     lag: float | None = 2.0,
     camera: GroundCamera | None = None,
     progress: Progress = lambda frames: None,
+    **reading: Any,
 ) -> TrackSet | Track:
     """The online estimates of recorded tracks: at each frame, from what came before. NaN while waiting.
 
@@ -73,6 +76,7 @@ def track_online(
     model, engine, lag : as in `OnlineSmoother`
     camera : camera of the scene; by default that of the `TrackSet`
     progress : called with the numbers of person-frames that are done
+    **reading : options of `read`, where ``tracks`` is a path or a table, such as ``fps``
 
     Raises
     ------
@@ -80,8 +84,8 @@ def track_online(
         For a file of detections without identities too: who is who is found out from past and future by
         `associate`, and from the past alone by `OnlineTracker`.
     """
-    if not isinstance(tracks, Track):
-        scene, chosen = tracks_of(tracks, associate="never"), Model.named(model)
+    if not isinstance(tracks, Track) or reading:
+        scene, chosen = tracks_of(tracks, **{"associate": "never", **reading}), Model.named(model)
         camera = scene.camera if camera is None else camera
         options: Options = {"engine": engine, "lag": lag, "camera": camera}
         if chosen.has_groups and lacks_groups(scene):

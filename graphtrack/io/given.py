@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 import numpy as np
 
@@ -23,32 +23,44 @@ if TYPE_CHECKING:
     Given: TypeAlias = Track | Scene
 
 
-def tracks_of(given: Given, associate: Associate = "auto", scene: GivenScene = None) -> TrackSet:
+def tracks_of(
+    given: Given, associate: Associate = "auto", scene: GivenScene = None, **reading: Any
+) -> TrackSet:
     """Tracks, a track, several of them, the path of a file or of several, or a table, as a set of tracks.
 
     Parameters
     ----------
     associate, scene : what to do with a file's rows without identities, as in `ReadOptions`
+    **reading : other options of `read`, for paths and tables
 
     Raises
     ------
     InputError
         For anything else, and for a file or table that cannot be read.
     """
+    if reading and not (isinstance(given, str | Path) or is_table(given) or _are_paths(given)):
+        names = ", ".join(reading)
+        raise InputError(
+            f"{names} with a {type(given).__name__}", "options of reading with a path or a table"
+        )
     if isinstance(given, TrackSet):
         return given
     if isinstance(given, Track):
         return TrackSet((given,))
     if isinstance(given, str | Path):
-        return read(given, associate=associate, scene=scene)
+        return read(given, associate=associate, scene=scene, **reading)
     if is_table(given):
-        return TrackSet.from_table(given)
+        return read(given, **reading) if reading else TrackSet.from_table(given)
     if isinstance(given, list | tuple) and given:
         if all(isinstance(one, Track) for one in given):
             return TrackSet(tuple(given))
-        if all(isinstance(one, str | Path) for one in given):
-            return read(given, associate=associate, scene=scene)
+        if _are_paths(given):
+            return read(given, associate=associate, scene=scene, **reading)
     raise InputError(_described(given), f"a TrackSet, a Track, a table or the path of a file{_hint(given)}")
+
+
+def _are_paths(given: object) -> TypeGuard[Sequence[str | Path]]:
+    return isinstance(given, list | tuple) and all(isinstance(one, str | Path) for one in given)
 
 
 def _described(given: object) -> str:

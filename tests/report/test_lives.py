@@ -11,8 +11,8 @@ import pytest
 from made_up import walker
 from page_scripts import in_node
 
-from graphtrack.association.rows import with_rows
 from graphtrack.evaluation.tracking.events import IdentityEvent
+from graphtrack.gaps import with_rows
 from graphtrack.report.build import tracking_report
 from graphtrack.report.coding import SURE_STEP, delta_decode
 from graphtrack.report.content import MAX_ROWS, DataTable, Timeline

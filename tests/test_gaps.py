@@ -1,0 +1,110 @@
+"""Missing rows become frames without observations; estimates at other times are the model's own."""
+
+import numpy as np
+import pytest
+from command import run
+from hypothesis import given
+from hypothesis import strategies as st
+
+import graphtrack as gt
+from graphtrack.errors import InputError
+from graphtrack.gaps import at_times, filled, unfilled_gaps, with_times_at
+
+
+def walk(n=60, seed=0, track_id=1, dt=0.1):
+    rng = np.random.default_rng(seed)
+    t = dt * np.arange(n)
+    position = np.column_stack([1.2 * t, np.sin(t)]) + rng.normal(0.0, 0.1, (n, 2))
+    return gt.Track(track_id, frame=np.arange(n), t=t, position=position)
+
+
+@given(st.sets(st.integers(1, 58), max_size=20))
+def test_rows_that_are_left_out_come_back_as_frames_without_observations(missing):
+    whole = walk()
+    there = np.array([k not in missing for k in range(60)])
+    found = filled(gt.TrackSet((whole[there],))).tracks[0]
+    np.testing.assert_array_equal(found.frame, whole.frame)
+    np.testing.assert_allclose(found.t, whole.t, atol=1e-9)
+    np.testing.assert_array_equal(np.isfinite(found.position[:, 0]), there)
+    assert (found.observed is None) == (not missing)
+    if missing:
+        np.testing.assert_array_equal(found.observed, there)
+
+
+def test_filling_is_smoothing_with_empty_rows():
+    whole = walk()
+    there = np.ones(60, bool)
+    there[20:31] = False
+    position = np.where(there[:, None], whole.position, np.nan)
+    empty = gt.Track(1, frame=whole.frame, t=whole.t, position=position)
+    by_hand = gt.smooth(empty, "position")
+    by_filling = gt.smooth(filled(gt.TrackSet((whole[there],))), "position").tracks[0]
+    np.testing.assert_allclose(by_filling.position, by_hand.position, atol=1e-10)
+    np.testing.assert_allclose(by_filling.covariance, by_hand.covariance, atol=1e-10)
+    # Frames without observations change nothing elsewhere: the model is linear.
+    without = gt.smooth(whole[there], "position")
+    np.testing.assert_allclose(by_filling.position[there], without.position, atol=1e-8)
+
+
+def test_steps_of_a_recording_are_no_gaps():
+    every_fifth = walk()[::5]
+    assert filled(gt.TrackSet((every_fifth,))).tracks[0] is every_fifth
+    beside = filled(gt.TrackSet((walk(track_id=2), walk()[[0, 1, 2, 5, 6, 7]])))
+    assert [len(track) for track in beside] == [60, 8]
+
+
+def test_gaps_beyond_the_longest_are_left_and_counted():
+    track = gt.Track(1, frame=[0, 1, 2, 36_000], t=[0.0, 0.1, 0.2, 3600.0], position=np.zeros((4, 2)))
+    tracks = gt.TrackSet((track,))
+    assert filled(tracks).n_frames == 4 and unfilled_gaps(tracks) == 1
+
+
+@pytest.mark.parametrize("hz", [3.0, 10.0, 20.0, 25.0])
+def test_estimates_at_another_rate_are_those_of_a_model_without_these_frames(hz):
+    tracks = gt.TrackSet((walk(), walk(50, 1, 2)))
+    found = at_times(gt.smooth(with_times_at(tracks, hz), "position"), hz, 0.0)
+    for track, one in zip(tracks, found, strict=True):
+        np.testing.assert_allclose(one.t, one.frame / hz, atol=1e-6)
+        assert one.t[0] == 0.0 and track.t[-1] - one.t[-1] < 1.0 / hz
+        plain = gt.smooth(track, "position")
+        common = [(j, k) for j, t in enumerate(one.t) for k in np.flatnonzero(np.abs(track.t - t) < 1e-6)]
+        assert len(common) >= 5
+        for j, k in common:
+            np.testing.assert_allclose(one.position[j], plain.position[k], atol=1e-8)
+
+
+@pytest.mark.parametrize("hz", [0.0, -1.0, float("nan"), float("inf"), 1e12])
+def test_a_rate_that_cannot_be_is_an_error(hz):
+    with pytest.raises(InputError, match="Hz"):
+        with_times_at(gt.TrackSet((walk(),)), hz)
+
+
+def test_the_command_fills_and_resamples(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    there = np.ones(60, bool)
+    there[20:31] = False
+    gt.write(gt.TrackSet((walk()[there], walk(track_id=2))), "tracks.csv")
+    rows = {}
+    for name, *options in (("filled",), ("left", "--no-fill"), ("fast", "--resample", "20")):
+        done = run(
+            "smooth", "tracks.csv", "--model", "position", "-o", f"{name}.csv", *options, program="graphtrack"
+        )
+        assert done.returncode == 0, done.stderr
+        rows[name] = gt.read(f"{name}.csv")
+    assert [len(track) for track in rows["filled"]] == [60, 60]
+    assert [len(track) for track in rows["left"]] == [49, 60]
+    assert [len(track) for track in rows["fast"]] == [119, 119]
+    np.testing.assert_array_equal(rows["filled"][1].observed, there)
+
+
+def test_options_of_reading_go_with_paths_and_tables(tmp_path):
+    gt.write(gt.TrackSet((walk(),)), tmp_path / "a.csv")
+    table = gt.read(tmp_path / "a.csv").to_table().drop(columns="t")
+    table.to_csv(tmp_path / "b.csv", index=False)
+    for given in (tmp_path / "b.csv", [tmp_path / "b.csv"], table):
+        np.testing.assert_allclose(gt.smooth(given, "position", fps=5)[1].t, 0.2 * np.arange(60))
+        np.testing.assert_allclose(gt.track_online(given, "position", fps=5)[1].t, 0.2 * np.arange(60))
+    for wrong, options in ((walk(), {"fps": 5}), (tmp_path / "b.csv", {"fpz": 5})):
+        for call in (gt.smooth, gt.track_online):
+            with pytest.raises(InputError, match="fp"):
+                call(wrong, "position", **options)
