@@ -292,7 +292,7 @@ def _window(state: dict[str, Any], camera: GroundCamera | None) -> Window:
 
 def _check_numbers(value: Any) -> None:
     """Raise TypeError unless a value of an observation consists of finite numbers."""
-    if isinstance(value, dict | list):
+    if isinstance(value, dict | list | tuple):
         for part in value.values() if isinstance(value, dict) else value:
             _check_numbers(part)
     else:
