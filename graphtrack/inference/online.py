@@ -21,7 +21,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrapped
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import is_chain
-from graphtrack.inference.chain.window import MOST_STEPS, ChainWindow, extend_together
+from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.extremes import with_extreme_of
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.guided import Guided
@@ -48,8 +48,6 @@ from graphtrack.saved import DAMAGES, damaged
 
 _PROMISED_DECREASE = 1e-8
 """Of the cost, relative, below which the chain engine takes no further Newton step for an observation."""
-_MOST_GAUSS_NEWTON_STEPS = 20
-"""GTSAM's steps for an observation, by default."""
 
 
 class OnlineSmoother:
@@ -68,7 +66,7 @@ class OnlineSmoother:
         again (metres, m/s, radians)
     step_tolerance : GTSAM: the Gauss–Newton steps for an observation end when no variable changes by more
         than this (metres, m/s, radians); by default one or two mostly do, and the errors are no larger for it
-    max_iterations : or after so many; None: 500 of the chain's, 20 of GTSAM's
+    max_iterations : or after so many
 
     Examples
     --------
@@ -87,13 +85,13 @@ class OnlineSmoother:
         camera: GroundCamera | None = None,
         relinearize_threshold: float = 0.1,
         step_tolerance: float = 0.1,
-        max_iterations: int | None = None,
+        max_iterations: int = 20,
     ) -> None:
         if not relinearize_threshold > 0.0:
             raise InputError(f"relinearize_threshold = {relinearize_threshold}", "a positive number")
         if not step_tolerance >= 0.0:
             raise InputError(f"step_tolerance = {step_tolerance}", "a number that is not negative")
-        if max_iterations is not None and max_iterations < 1:
+        if max_iterations < 1:
             raise InputError(f"max_iterations = {max_iterations}", "at least 1")
         self.model = Model.named(model)
         self.engine = online_engine(self.model, engine)
@@ -103,12 +101,10 @@ class OnlineSmoother:
         self._smoother: ChainWindow | Guided | FixedLag | Isam2
         if self.engine == "chain":
             make_ready(ONLINE, online_rehearsal(self.model))
-            self._smoother = ChainWindow(
-                self.model, self.lag, _PROMISED_DECREASE, max_iterations or MOST_STEPS
-            )
+            self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
         else:
             couplings: dict[int, tuple[float, ...]] | None = {} if self.model.has_modes else None
-            ends = step_tolerance, max_iterations or _MOST_GAUSS_NEWTON_STEPS, couplings
+            ends = step_tolerance, max_iterations, couplings
             graph: FixedLag | Isam2 = (
                 Isam2(self.model, self.lag, relinearize_threshold, *ends)
                 if self.engine == "isam2"

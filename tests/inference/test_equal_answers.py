@@ -2,8 +2,7 @@
 
 The draw: 15 to 60 frames at 2.5, 5 or 10 Hz, a velocity that wanders (0.8 m/s each axis at first, 0.4 m/s
 after a second), positions with noise of 0.1 m, a head that drifts from any direction and is observed in four
-frames of five with noise of 0.6 rad, and a body that is not observed, or is seen about the head with
-noise of 0.8 rad.
+frames of five with noise of 0.6 rad, and a body that is not observed.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,22 +25,16 @@ FAR = 1e9
 SAME = math.radians(1.0)
 
 
-NEAR = math.radians(5.1)
-"""Engines that keep a window start anew where they are more than 5° from the chain."""
-
-
-def drawn(seed: int, body: bool = False) -> Track:
+def drawn(seed: int) -> Track:
     rng = np.random.default_rng(seed)
     n, dt = int(rng.integers(15, 61)), float(rng.choice([0.1, 0.2, 0.4]))
     velocity = rng.normal(0.0, 0.8, 2) + np.cumsum(rng.normal(0.0, 0.4 * math.sqrt(dt), (n, 2)), axis=0)
     position = np.cumsum(velocity * dt, axis=0) + rng.normal(0.0, 5.0, 2)
     head = rng.uniform(-np.pi, np.pi) + np.cumsum(rng.normal(0.0, 0.5 * math.sqrt(dt), n))
-    true_head = head.copy()
     head += rng.normal(0.0, 0.6, n)
     head[rng.random(n) < 0.2] = np.nan
     seen = position + rng.normal(0.0, 0.1, (n, 2))
-    bodies = wrap(true_head + rng.normal(0.0, 0.8, n)) if body else None
-    return Track(seed, np.arange(n), np.arange(n) * dt, seen, head=wrap(head), body=bodies)
+    return Track(seed, np.arange(n), np.arange(n) * dt, seen, head=wrap(head))
 
 
 def later(track: Track) -> Track:
@@ -114,26 +106,3 @@ def test_online_estimates_do_not_depend_on_the_origin_of_time(tracks: list[Track
             estimates = [smoother.update(one) for one in observations(given)]
             found.append([[estimate.body, estimate.head] for estimate in estimates])
         assert np.abs(difference(np.array(found[0]), np.array(found[1]))).max() < SAME
-
-
-def online(track: Track, model: str, **options: Any) -> np.ndarray:
-    """Body and head (n, 2) as told in each frame."""
-    smoother = OnlineSmoother(model, **options)
-    estimates = [smoother.update(one) for one in observations(track)]
-    return np.array([[estimate.body, estimate.head] for estimate in estimates])
-
-
-@pytest.mark.parametrize("body", [False, True], ids=["no-body", "body"])
-@pytest.mark.parametrize("model", ["joint", "full"])
-def test_online_engines_agree(model: str, body: bool) -> None:
-    for track in (drawn(seed, body) for seed in range(12)):
-        chain = online(track, model)
-        for engine in ("isam2", "fixed-lag"):
-            assert np.abs(difference(online(track, model, engine=engine), chain)).max() < NEAR
-
-
-@pytest.mark.parametrize("body", [False, True], ids=["no-body", "body"])
-def test_the_chain_takes_as_many_steps_as_an_observation_needs(body: bool) -> None:
-    for track in (drawn(seed, body) for seed in range(100)):
-        found = online(track, "joint")
-        assert np.abs(difference(found, online(track, "joint", max_iterations=2000))).max() < SAME

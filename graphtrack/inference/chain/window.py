@@ -29,9 +29,6 @@ _OF_WINDOW = ("shared", "origin", "prior", "modes_before", "classified")
 """The arrays of a slot that move with a window: those with a row for each frame, beside its records, and
 others."""
 
-MOST_STEPS = 500
-"""Newton steps for an observation, by default. Nearly all need 2 to 5; where a person hardly moves and the
-observations contradict each other, more than 100 occur."""
 _LEAST_FRAMES = 64
 _KNOWN = (math.nan, math.nan)
 

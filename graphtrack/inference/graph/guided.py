@@ -9,21 +9,21 @@ from dataclasses import replace
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.window import MOST_STEPS, ChainWindow
+from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import is_ambiguous
 from graphtrack.inference.graph.couplings import couplings_of
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.state import Newest, Window, predicted
-from graphtrack.inference.warm import ONLINE, has_own_kernels, online_rehearsal
+from graphtrack.inference.warm import ONLINE, online_rehearsal
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import COUPLED
 from graphtrack.readiness import make_ready
 
-_APART, _ELSEWHERE = math.cos(math.radians(5.0)), math.cos(math.radians(60.0))
-"""Cosines of the greatest turn between the graph's newest body or head and the chain's: in a window, and over
-a full history, which takes as long to build again as it is."""
+_ELSEWHERE = math.cos(math.radians(60.0))
+"""Cosine of the turn beyond which two estimates of an orientation are in different basins."""
 _PROMISED_DECREASE = 1e-8
+_MOST_STEPS = 20
 _LAG = 2.0
 """Seconds of the chain's window beside a full history."""
 _BESIDE = "beside."
@@ -31,21 +31,17 @@ _BESIDE = "beside."
 
 
 class Guided:
-    """A smoother of GTSAM's that starts anew from the chain's solution where it has not reached it.
+    """A smoother of GTSAM's that has basins, and the couplings' modes, from a window of the chain's.
 
-    The few Gauss–Newton steps of an observation do not always arrive, least where a person hardly moves or
-    couplings alone hold an orientation, and they end in the basin that they began in. So a `ChainWindow` of
-    the same lag is fed the same observations: it takes Newton's steps to the end, and searches its window for
-    other basins where observations may speak for several directions (class likelihoods, or angles with
-    outliers). Where its newest body or head is more than 5° from GTSAM's, the graph starts anew from the
-    chain's window: its states, and what it knows of the past. A full history does so where they are more than
-    60° apart, from the chain's solution of the whole history. A model with a kernel of its own, for which the
-    chain has to be compiled first, has that from the first observation on that may speak for several
-    directions.
+    Gauss–Newton ends in the basin that it began in. From the first observation on that may speak for several
+    directions (class likelihoods, or angles with outliers) a `ChainWindow` of the same lag is fed beside,
+    which searches its window with each. Where its newest orientation is more than 60° from GTSAM's, the graph
+    begins anew from the chain's window: its states, and what it knows of the past; a full history from the
+    chain's solution of the whole history.
 
-    Where the couplings have modes, GTSAM's factors have the couplings and the steering that the chain infers,
-    which are no variables of the graph. All estimates but those of the modes are GTSAM's. Beside a full
-    history the chain keeps a window; the couplings of what has left it stay.
+    Where the couplings have modes it is fed from the start, and GTSAM's factors have the couplings and the
+    steering that it infers, which are no variables of the graph. All estimates but those of the modes are
+    GTSAM's. Beside a full history the chain keeps a window; the couplings of what has left it stay.
 
     Whatever a method raises, it leaves the smoother as it was.
 
@@ -66,13 +62,7 @@ class Guided:
     ) -> None:
         self._graph, self._model, self._lag, self._couplings = graph, model, lag, couplings
         self._chain: ChainWindow | None = None
-        self._near = _APART if lag < math.inf else _ELSEWHERE
-        oriented = model.has_body or model.has_head
-        self._always = (
-            model.has_modes
-            or model.parameters.likelihood.outlier_probability > 0.0
-            or (oriented and not has_own_kernels(model))
-        )
+        self._always = model.has_modes or model.parameters.likelihood.outlier_probability > 0.0
         if self._always:
             self._begin()
 
@@ -126,7 +116,7 @@ class Guided:
     def _begin(self) -> ChainWindow:
         make_ready(ONLINE, online_rehearsal(self._model))
         lag = self._lag if self._lag < math.inf else _LAG
-        self._chain = ChainWindow(self._model, lag, _PROMISED_DECREASE, MOST_STEPS, show_coupled=True)
+        self._chain = ChainWindow(self._model, lag, _PROMISED_DECREASE, _MOST_STEPS, show_coupled=True)
         return self._chain
 
     def _couple(self, chain: ChainWindow, steps: Sequence[Step]) -> None:
@@ -153,12 +143,12 @@ class Guided:
         return state, covariance + chain.spread
 
     def _agreed(self, chain: ChainWindow, ahead: Newest, newest: Newest) -> Newest:
-        if not _are_apart(ahead[0], newest[0], self._near):
+        if not _is_elsewhere(ahead[0], newest[0]):
             return newest
         window = self._graph.window()
         try:
             if self._lag == math.inf:
-                whole = ChainWindow(self._model, math.inf, _PROMISED_DECREASE, MOST_STEPS, show_coupled=True)
+                whole = ChainWindow(self._model, math.inf, _PROMISED_DECREASE, _MOST_STEPS, show_coupled=True)
                 whole.rework(window)
                 found = replace(whole.window(), steps=window.steps)
                 # From here on both know the same of the past.
@@ -214,14 +204,8 @@ class Guided:
         if beside:
             newest = len(beside["states"].ravel()) // 6
             self._begin().resume(replace(window, steps=window.steps[-newest:]), beside)
-        elif self._always:
-            # Saved by a version that did not feed the chain yet.
-            self._begin().restore(window)
 
 
-def _are_apart(a: FloatArray, b: FloatArray, near: float) -> bool:
-    """Return whether body or head of two states (6,) differ by more than ``near``, a cosine, allows.
-
-    NaN differs from nothing.
-    """
-    return any(math.cos(a[place] - b[place]) < near for place in (4, 5))
+def _is_elsewhere(a: FloatArray, b: FloatArray) -> bool:
+    """Whether body or head of two states (6,) are in different basins."""
+    return any(math.cos(a[place] - b[place]) < _ELSEWHERE for place in (4, 5))
