@@ -106,3 +106,28 @@ def test_online_estimates_do_not_depend_on_the_origin_of_time(tracks: list[Track
             estimates = [smoother.update(one) for one in observations(given)]
             found.append([[estimate.body, estimate.head] for estimate in estimates])
         assert np.abs(difference(np.array(found[0]), np.array(found[1]))).max() < SAME
+
+
+def out_and_back(seed: int) -> Track:
+    """A straight walk out, a stop, and the same line back: to turn either way is as likely."""
+    rng = np.random.default_rng(seed)
+    n, dt, still = int(rng.integers(15, 40)), float(rng.choice([0.1, 0.2, 0.4])), int(rng.integers(0, 10))
+    out = np.arange(n) * rng.uniform(0.5, 1.6) * dt
+    x = np.concatenate([out, np.full(still, out[-1]), out[::-1]])
+    return Track(seed, np.arange(len(x)), np.arange(len(x)) * dt, np.column_stack([x, np.zeros(len(x))]))
+
+
+@pytest.mark.parametrize("preset", ["joint", "full"])
+@pytest.mark.parametrize("degrees", [180.0, 37.0])
+def test_who_may_turn_either_way_turns_the_same_way_wherever_the_track_lies(
+    preset: str, degrees: float
+) -> None:
+    walks = [out_and_back(seed) for seed in range(30)]
+    angle = math.radians(degrees)
+    c, s = math.cos(angle), math.sin(angle)
+    others = [replace(w, position=w.position @ np.array([[c, s], [-s, c]])) for w in walks]
+    found = [smooth(TrackSet(them), preset).tracks for them in (walks, others)]
+    for one, other in zip(*found, strict=True):
+        assert one.body is not None and other.body is not None
+        assert np.abs(difference(other.body - angle, one.body)).max() < SAME
+        assert np.sum(difference(one.body[1:], one.body[:-1])) > 0.0  # counter-clockwise

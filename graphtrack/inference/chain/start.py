@@ -13,6 +13,13 @@ from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, TIME_TOLERANCE, VX, VY
 
 
+OPPOSITE = math.cos(math.pi - 1e-5)
+"""Cosine below which two angles are opposite: rounding is less, and what noise leaves is more."""
+
+_ASIDE = math.radians(30.0)
+"""By which opposite angles of two frames in a row begin nearer to each other."""
+
+
 class Seen(NamedTuple):
     """What the first orientations are made of."""
 
@@ -61,7 +68,9 @@ def headings(states: FloatArray, threshold: float, angle: FloatArray) -> None:
 def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
     """Put the fallback where an angle is NaN, else the nearest in time of either, else 0.
 
-    Of two that are as near as `TIME_TOLERANCE` can tell, the earlier one.
+    Of two that are as near as `TIME_TOLERANCE` can tell, the earlier one. Between two that are opposite, to
+    either side of which a turn is as likely, angles turn evenly and counter-clockwise, however the track lies
+    in the world.
     """
     n = len(t)
     last = -1
@@ -69,7 +78,13 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
         if not math.isfinite(angle[k]):
             angle[k] = fallback[k]
         if math.isfinite(angle[k]):
+            opposite = last >= 0 and math.cos(angle[k] - angle[last]) < OPPOSITE
+            if opposite and last == k - 1:
+                angle[last], angle[k] = angle[last] + _ASIDE, angle[last] + math.pi - _ASIDE
             for gap in range(last + 1, k):
+                if opposite:
+                    angle[gap] = angle[last] + math.pi * (t[gap] - t[last]) / (t[k] - t[last])
+                    continue
                 earlier = last >= 0 and t[gap] - t[last] <= t[k] - t[gap] + TIME_TOLERANCE
                 angle[gap] = angle[last] if earlier else angle[k]
             last = k
