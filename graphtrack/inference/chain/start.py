@@ -12,7 +12,6 @@ from graphtrack.inference.chain.linear import Linear, solve_linear
 from graphtrack.model.kernels.compiled import apart, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, TIME_TOLERANCE, VX, VY
 
-
 OPPOSITE = math.cos(math.pi - 1e-5)
 """Cosine below which two angles are opposite: rounding is less, and what noise leaves is more."""
 
