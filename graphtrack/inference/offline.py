@@ -56,7 +56,7 @@ def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
     ------
     InputError
         For an engine that is none of whole tracks; if the chain engine was asked for and a term has no
-        compiled kernel, or one has none beside modes of the couplings: the message names it.
+        compiled kernel: the message names it.
     """
     if engine in ("isam2", "fixed-lag"):
         raise InputError(
@@ -65,8 +65,6 @@ def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
         )
     if engine not in ("auto", "chain", "gtsam"):
         raise InputError(f"engine {engine!r}", "auto, chain or gtsam")
-    if engine == "gtsam" or not is_chain(model):
-        refuse_only_compiled(model, "gtsam")
     if engine == "gtsam" or (engine == "auto" and not is_chain(model)):
         return "gtsam"
     for term in model.terms:
@@ -76,18 +74,6 @@ def engine_of(model: Model, engine: str = "auto") -> OfflineEngine:
                 "engine 'auto' or 'gtsam'",
             )
     return "chain"
-
-
-def refuse_only_compiled(model: Model, engine: str) -> None:
-    """Raise InputError if a term needs the chain beside ``engine``, and another has no compiled kernel."""
-    if is_chain(model):
-        return
-    for term in model.terms:
-        if term.only_compiled:
-            raise InputError(
-                f"engine {engine!r} and the term {type(term).__name__}",
-                "no other term without a compiled kernel",
-            )
 
 
 def solve(

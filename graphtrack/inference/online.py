@@ -20,7 +20,6 @@ from graphtrack.display import html_pairs
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrapped
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.engine import is_chain
 from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.extremes import with_extreme_of
 from graphtrack.inference.graph.fixed_lag import FixedLag
@@ -59,7 +58,7 @@ class OnlineSmoother:
     ----------
     model : a `Model`, the name of a preset or a model file; by default "full"
     engine : "chain", "fixed-lag" or "isam2"; "auto": "chain" where every term has a compiled kernel, else
-        "fixed-lag"
+        "isam2"
     lag : seconds of history that are kept open; None: all of it, with isam2
     camera : camera of the scene, for observations in pixels
     relinearize_threshold : isam2: change of a variable beyond which the factors of its step are linearised
@@ -83,8 +82,8 @@ class OnlineSmoother:
         engine: OnlineEngine = "auto",
         lag: float | None = 2.0,
         camera: GroundCamera | None = None,
-        relinearize_threshold: float = 0.1,
-        step_tolerance: float = 0.1,
+        relinearize_threshold: float = 0.05,
+        step_tolerance: float = 0.05,
         max_iterations: int = 20,
     ) -> None:
         if not relinearize_threshold > 0.0:
@@ -98,20 +97,19 @@ class OnlineSmoother:
         check_lag(lag, self.engine)
         self.lag = math.inf if lag is None else float(lag)
         self.camera = camera
-        self._smoother: ChainWindow | Guided | FixedLag | Isam2
+        self._smoother: ChainWindow | Guided
         if self.engine == "chain":
             make_ready(ONLINE, online_rehearsal(self.model))
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
         else:
-            couplings: dict[int, tuple[float, ...]] | None = {} if self.model.has_modes else None
+            couplings: dict[int, Sequence[float]] | None = {} if self.model.has_modes else None
             ends = step_tolerance, max_iterations, couplings
             graph: FixedLag | Isam2 = (
                 Isam2(self.model, self.lag, relinearize_threshold, *ends)
                 if self.engine == "isam2"
                 else FixedLag(self.model, self.lag, *ends)
             )
-            guided = is_chain(self.model)
-            self._smoother = Guided(graph, self.model, self.lag, couplings) if guided else graph
+            self._smoother = Guided(graph, self.model, self.lag, couplings)
         self._next_index = 0
         self._last: Estimate | None = None
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 from graphtrack.errors import InputError
 from graphtrack.inference.chain.engine import is_chain
-from graphtrack.inference.offline import engine_of, refuse_only_compiled
+from graphtrack.inference.offline import engine_of
 from graphtrack.model import Model
 
 OnlineEngine = Literal["auto", "chain", "fixed-lag", "isam2"]
@@ -20,17 +20,14 @@ def online_engine(model: Model, engine: OnlineEngine = "auto") -> OnlineEngine:
     Raises
     ------
     InputError
-        If the engine is unknown, the chain was asked for and a term has no compiled kernel, or one has none
-        beside modes of the couplings.
+        If the engine is unknown, or the chain was asked for and a term has no compiled kernel.
     """
     if engine not in ENGINES:
         raise InputError(f"engine {engine!r}", f"one of {', '.join(ENGINES)}")
     if engine == "auto":
-        engine = "chain" if is_chain(model) else "fixed-lag"
+        engine = "chain" if is_chain(model) else "isam2"
     if engine == "chain":
         engine_of(model, "chain")
-    else:
-        refuse_only_compiled(model, engine)
     return engine
 
 

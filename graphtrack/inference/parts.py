@@ -111,7 +111,8 @@ def _grid(model: Model) -> None:
 def _modes(model: Model) -> None:
     problem, result, _ = made_up(model)
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(TRACK), 2))
-    compile_for(renew_tracks, problem, result.states, gait, result.modes, spread)
+    before, kept = np.zeros((2, ROW)), np.empty((2, 0, ROW))
+    compile_for(renew_tracks, problem, result.states, gait, before, result.modes, spread, kept)
 
 
 def _couplings(model: Model) -> None:

@@ -77,7 +77,7 @@ def warm_up(
     elif engine == "gtsam":
         make_ready(WHOLE, solver_rehearsal(model, engine))
     elif engine in ("fixed-lag", "isam2"):
-        make_ready(ONLINE, online_rehearsal(model))
+        make_ready(ONLINE, graph_rehearsal(model))
     else:
         whole = solver_rehearsals(model, "chain", beside=(False, large and has_lanes(model)))
         make_ready(SOLVER, *whole, online_rehearsal(model))
@@ -184,7 +184,8 @@ def _may_be_linear(model: Model) -> bool:
 
 def graph_rehearsal(model: Model) -> Rehearsal:
     """What GTSAM's batch engine calls: where it starts, and the search for basins where the chain has one."""
-    if not is_chain(model) or not (model.has_body or model.has_head):
+    model = model.compiled
+    if not (model.has_body or model.has_head):
         return start_rehearsal()
     called = {**_START, program_of(model).find_other_basin: 5.0}
     if model.has_modes:

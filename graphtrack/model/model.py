@@ -183,6 +183,14 @@ class Model:
         known = tuple(term for term in self.terms if term.is_compiled)
         return (*known, Anchor(self.parameters, self.has_body, self.has_head))
 
+    @property
+    def compiled(self) -> Model:
+        """The model without those terms of its own that have no compiled kernel."""
+        known = [kind for kind in self.own_terms if "kernels" in vars(kind)]
+        if len(known) == len(self.own_terms):
+            return self
+        return Model(self.preset, self.parameters, known, self.scene)
+
     def is_linear(self, packed: PackedTracks) -> bool:
         """Whether the linear solution of tracks that were packed is all there is to find."""
         return all(term.states("is_linear") and term.is_linear(packed) for term in self.terms)

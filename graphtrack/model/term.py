@@ -33,8 +33,6 @@ class Term(ABC):
     uses : the orientations that the term acts on; a model estimates those that some term acts on
     fields, shared : what the kernels are given of each frame, and of all alike; `pack` fills it in
     kernels : the compiled functions that add the term up
-    only_compiled : whether the term says what factors cannot, and the chain has to beside GTSAM: no other
-        term may be without compiled kernels then
     reads : the parameters that it reads, as ``group.key``; None: it does not say, so that none is learned
     repeats : whether frames in which the same was seen, as long after the frame before, are packed alike but
         for what is `live`; then one of them is remembered online
@@ -44,7 +42,6 @@ class Term(ABC):
     fields: ClassVar[tuple[Field, ...]] = ()
     shared: ClassVar[tuple[Field, ...]] = ()
     kernels: ClassVar[tuple[Kernel, ...]] = ()
-    only_compiled: ClassVar[bool] = False
     reads: ClassVar[tuple[str, ...] | None] = None
     repeats: ClassVar[bool] = False
 

@@ -31,7 +31,7 @@ EVERY_ENGINE = pytest.mark.parametrize("engine", ["chain", "fixed-lag", "isam2"]
 PRESETS = ["position", "separate", "joint"]
 EVERY_PRESET = pytest.mark.parametrize("preset", PRESETS)
 # How far a smoother that was built again may be from one that was not (metres, m/s, radians; their squares).
-REBUILT = {"fixed-lag": 1e-10, "isam2": 1e-6}
+REBUILT = {"fixed-lag": 1e-10, "isam2": 5e-3}
 
 
 def run(smoother: OnlineSmoother, seen: Sequence[Observation]) -> list[Estimate]:

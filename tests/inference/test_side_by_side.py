@@ -39,7 +39,7 @@ from graphtrack.model import (
 )
 from graphtrack.model.kernels.lanes import LANES
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import Gait, gait_of
+from graphtrack.model.terms.gait import ROW, Gait, gait_of
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.tracks import Track, TrackSet
 
@@ -203,7 +203,9 @@ def test_modes_side_by_side_are_those_of_each_track() -> None:
             if together:
                 renew_beside(problem, states, gait, spread, result)
             else:
-                renew_tracks(problem, states, gait, result.modes, spread)
+                renew_tracks(
+                    problem, states, gait, np.zeros((2, ROW)), result.modes, spread, np.empty((2, 0, ROW))
+                )
             couplings = [
                 problem.records[f"{name}_body_{of}"] for name in ("motion", "head") for of in _COUPLING
             ]

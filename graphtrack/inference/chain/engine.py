@@ -22,7 +22,7 @@ from graphtrack.model.kernels.compiled import apart
 from graphtrack.model.kernels.layout import BODY, HEAD, VY, N, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.terms.gait import ROW, gait_of
 from graphtrack.tracks import Track
 
 PASSES = 2
@@ -125,9 +125,10 @@ def solve_terms(
     if guessed is not None:
         angles[guessed] = first[guessed]
     gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
+    before, nothing = np.zeros((2, ROW)), np.empty((2, 0, ROW))
     classified = are_classified(problem) if restart else np.zeros(len(problem.offsets) - 1, bool)
     for left in range(PASSES - 1, -1, -1):
-        renew_tracks(problem, result.states, gait, result.modes, spread)
+        renew_tracks(problem, result.states, gait, before, result.modes, spread, nothing)
         ending = on_the_way if left else tolerance
         solve_tracks(problem, max_iterations, ending, False, memory, result)
         if classified.any():

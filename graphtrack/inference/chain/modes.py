@@ -258,10 +258,18 @@ def renew_couplings(
 
 @apart
 def renew_tracks(
-    problem: Problem, states: FloatArray, gait: Gait, modes: FloatArray, spread: FloatArray
+    problem: Problem,
+    states: FloatArray,
+    gait: Gait,
+    before: FloatArray,
+    modes: FloatArray,
+    spread: FloatArray,
+    kept: FloatArray,
 ) -> None:
-    """`renew_couplings` of all tracks, whole."""
-    before = np.zeros((2, ROW))
+    """`renew_couplings` of all tracks, each with the same probabilities ``before`` its first frame.
+
+    ``kept`` (2, N, ROW) is filled in with the filtered probabilities of all frames; no frames: nobody asks.
+    """
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         filtered = np.empty((2, b - a, ROW))
@@ -269,3 +277,8 @@ def renew_tracks(
         renew_couplings(
             problem, track, states[a:b], gait, classified, before, filtered, modes[a:b], spread[a:b]
         )
+        if kept.shape[1] > 0:
+            for coupling in range(2):
+                for k in range(b - a):
+                    for j in range(ROW):
+                        kept[coupling, a + k, j] = filtered[coupling, k, j]

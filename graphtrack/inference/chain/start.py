@@ -16,7 +16,7 @@ OPPOSITE = math.cos(math.pi - 1e-5)
 """Cosine below which two angles are opposite: rounding is less, and what noise leaves is more."""
 
 _ASIDE = math.radians(30.0)
-"""By which opposite angles of two frames in a row begin nearer to each other."""
+"""By which opposite angles that stand in for those of two frames in a row begin nearer to each other."""
 
 
 class Seen(NamedTuple):
@@ -67,17 +67,18 @@ def headings(states: FloatArray, threshold: float, angle: FloatArray) -> None:
 def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
     """Put the fallback where an angle is NaN, else the nearest in time of either, else 0.
 
-    Of two that are as near as `TIME_TOLERANCE` can tell, the earlier one. Between two that are opposite, to
-    either side of which a turn is as likely, angles turn evenly and counter-clockwise, however the track lies
-    in the world.
+    Of two that are as near as `TIME_TOLERANCE` can tell, the earlier one. Between two fallbacks that are
+    opposite a turn to either side is as likely: angles turn evenly and counter-clockwise, however the track
+    lies in the world.
     """
     n = len(t)
-    last = -1
+    last, guessed = -1, False
     for k in range(n):
-        if not math.isfinite(angle[k]):
+        guess = not math.isfinite(angle[k])
+        if guess:
             angle[k] = fallback[k]
         if math.isfinite(angle[k]):
-            opposite = last >= 0 and math.cos(angle[k] - angle[last]) < OPPOSITE
+            opposite = guess and guessed and math.cos(angle[k] - angle[last]) < OPPOSITE
             if opposite and last == k - 1:
                 angle[last], angle[k] = angle[last] + _ASIDE, angle[last] + math.pi - _ASIDE
             for gap in range(last + 1, k):
@@ -86,7 +87,7 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
                     continue
                 earlier = last >= 0 and t[gap] - t[last] <= t[k] - t[gap] + TIME_TOLERANCE
                 angle[gap] = angle[last] if earlier else angle[k]
-            last = k
+            last, guessed = k, guess
     for gap in range(last + 1, n):
         angle[gap] = angle[last] if last >= 0 else 0.0
 

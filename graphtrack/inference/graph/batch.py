@@ -10,7 +10,7 @@ import numpy as np
 from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.engine import PASSES, is_chain
+from graphtrack.inference.chain.engine import PASSES
 from graphtrack.inference.chain.restart import AT_END, AT_START
 from graphtrack.inference.extremes import not_finite, with_extreme
 from graphtrack.inference.graph.chain_view import ChainView, is_ambiguous
@@ -119,10 +119,11 @@ def smooth_graph(
 ) -> Solution:
     """Smooth one track; the covariances are those of the Gauss–Newton curvature.
 
-    Where all terms have compiled kernels, it starts from the chain's grid of orientations where that has a
-    better basin, and again where the grid has one once it has ended; with terms of your own only where what
-    was seen may speak for several directions, since an engine for them is to be compiled first. Modes of
-    couplings are inferred as by the chain engine, from the graph's own states, in turns.
+    It starts from the grid of orientations where that has a better basin, and again where the grid has one
+    once it has ended; with kernels of your own only where what was seen may speak for several directions,
+    since an engine for them is to be compiled first. Modes of couplings are inferred as by the chain engine,
+    from the graph's own states, in turns. Terms without a kernel take part in the graph, not in the grid or
+    in what the modes leave open.
 
     Raises
     ------
@@ -170,15 +171,14 @@ def smooth_graph(
 
 
 def _view(track: Track, model: Model, camera: GroundCamera | None, steps: Sequence[Step]) -> ChainView | None:
-    """The chain's view of a track where it is worth its compiled engine."""
-    if not is_chain(model):
-        return None
+    """The kernels' view of a track where it is worth an engine that is compiled for terms of one's own."""
+    known = model.compiled
     if has_own_kernels(model) and not model.has_modes:
         outliers = model.parameters.likelihood.outlier_probability > 0.0
         if not outliers and not any(map(is_ambiguous, steps)):
             return None
-        make_ready(WHOLE, graph_rehearsal(model))
-    return ChainView(track, model, camera)
+        make_ready(WHOLE, graph_rehearsal(known))
+    return ChainView(track, known, camera)
 
 
 class _Descent:

@@ -1,4 +1,4 @@
-"""What the chain engine's kernels say of a track that GTSAM solves: other basins, and modes of couplings."""
+"""What compiled kernels say of the states that GTSAM found: other basins, and the modes of the couplings."""
 
 from __future__ import annotations
 
@@ -10,37 +10,39 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.engine import never_seen
+from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import program_of
-from graphtrack.inference.graph.couplings import couplings_of
 from graphtrack.inference.initial import pack, problem_of, seen_in
+from graphtrack.inference.prior import MarginalPrior, on_state
 from graphtrack.model import Model, Step
-from graphtrack.model.terms.gait import gait_of
+from graphtrack.model.factors.derived import COUPLED
+from graphtrack.model.kernels.layout import N
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.terms.gait import ROW, gait_of
 from graphtrack.tracks import Track
 
+_ROWS = 32
+"""Frames of a window for which there is room at first."""
 
-class ChainView:
-    """A track packed for the chain engine, which searches its orientations and infers its modes.
 
-    Parameters
-    ----------
-    track, camera : the observations
-    model : its terms, a chain (see `chain.engine.is_chain`)
+class _View:
+    """Frames packed for the kernels. Terms of one's own without a kernel have no part in it.
 
     Attributes
     ----------
-    couplings : what factors read the couplings from; those of the model until `decouple` or `renew`
+    couplings : index of a step → what its factors read the couplings from
     modes : (n, 2) as in `chain.result.Result`; NaN until `renew`
     """
 
-    def __init__(self, track: Track, model: Model, camera: GroundCamera | None) -> None:
-        self._model = model
-        self._packed = pack([track], model, camera)
-        self._problem = problem_of(self._packed)
+    def __init__(self, model: Model) -> None:
+        self._model, self._program = model, program_of(model)
         self.couplings: dict[int, Sequence[float]] = {}
-        self.modes = np.full((len(track), 2), np.nan)
-        self._spread = np.zeros((len(track), 2))
-        self._note()
+
+    def _start(self, problem: Problem, n: int) -> None:
+        self._problem = problem
+        self.modes, self._spread = np.full((n, 2), np.nan), np.zeros((n, 2))
+        self._before, self._n_filtered = np.zeros((2, ROW)), 0
 
     def other(self, states: FloatArray, near: float) -> FloatArray | None:
         """States (n, 6) in a better basin by the grid, with the same motion; None where there is none.
@@ -51,12 +53,52 @@ class ChainView:
             return None
         here = self._here(states)
         again = np.empty_like(here)
-        search = program_of(self._model).find_other_basin
-        return again if search(self._problem, 0, here, near, again) else None
+        if not self._program.find_other_basin(self._problem, 0, here, near, again):
+            return None
+        again[:, :2] += self._problem.origin[0]
+        return again
+
+    def renew(self, states: FloatArray) -> None:
+        """Set the couplings by the modes that the states (n, 6) imply."""
+        gait = gait_of(self._model.parameters.gait)
+        here, filtered = self._here(states), np.empty((2, self._n_filtered, ROW))
+        renew_tracks(self._problem, here, gait, self._before, self.modes, self._spread, filtered)
+        self._filtered = filtered
+        self._note()
+
+    def widen(self, states: FloatArray, covariance: FloatArray) -> None:
+        """Add to the covariances (n, 6, 6) of the states (n, 6) what the modes leave open, in place."""
+        memory = workspace(len(states))
+        self._program.spread_tracks(self._problem, self._here(states), self._spread, memory, covariance)
+
+    def _note(self) -> None:
+        raise NotImplementedError
+
+    def _here(self, states: FloatArray) -> FloatArray:
+        """The states as the kernels have them: from the track's origin, and 0 for what there is not."""
+        here = np.nan_to_num(states)
+        here[:, :2] -= self._problem.origin[0]
+        return here
+
+
+class ChainView(_View):
+    """A whole track; its couplings are those of the model until `decouple` or `renew`.
+
+    Parameters
+    ----------
+    track, camera : the observations
+    model : its terms (see `Model.compiled`)
+    """
+
+    def __init__(self, track: Track, model: Model, camera: GroundCamera | None) -> None:
+        super().__init__(model)
+        self._packed = pack([track], model, camera)
+        self._start(problem_of(self._packed), len(track))
+        self._note()
 
     def decouple(self) -> None:
         """Switch off the couplings, and the head that steers."""
-        for gate in program_of(self._model).switched:
+        for gate in self._program.switched:
             self._problem.records[gate] = 0.0
         self._note()
 
@@ -64,31 +106,114 @@ class ChainView:
         """(n, 2) orientations of body and head that only couplings hold (see `never_seen`)."""
         return never_seen(self._packed, seen_in(self._packed, self._model))
 
-    def renew(self, states: FloatArray) -> None:
-        """Set the couplings by the modes that the states (n, 6) imply."""
-        gait = gait_of(self._model.parameters.gait)
-        renew_tracks(self._problem, self._here(states), gait, self.modes, self._spread)
-        self._note()
-
-    def widen(self, states: FloatArray, covariance: FloatArray) -> None:
-        """Add to the covariances (n, 6, 6) of the states (n, 6) what the modes leave open, in place."""
-        memory = workspace(len(states))
-        program_of(self._model).spread_tracks(
-            self._problem, self._here(states), self._spread, memory, covariance
-        )
-
     def _note(self) -> None:
         if self._model.has_modes:
             self.couplings.update(enumerate(couplings_of(self._problem.records)))
 
-    def _here(self, states: FloatArray) -> FloatArray:
-        """The states as the kernels have them: from the track's origin, and 0 for what there is not."""
-        here = np.nan_to_num(states)
-        here[:, :2] -= self._packed.origin[0]
-        return here
+
+class WindowView(_View):
+    """The steps of a window, which follows a smoother's.
+
+    Parameters
+    ----------
+    model : its terms (see `Model.compiled`)
+    couplings : that of the smoother's factors; None for a model without modes
+    """
+
+    def __init__(self, model: Model, couplings: dict[int, Sequence[float]] | None) -> None:
+        super().__init__(model)
+        if couplings is not None:
+            self.couplings = couplings
+        self._frames = FrameRows(model)
+        self._steps: list[Step] = []
+        self._before, self._filtered = np.zeros((2, ROW)), np.empty((2, 0, ROW))
+        self._room = 0
+
+    @property
+    def before(self) -> FloatArray:
+        """(2, ROW) probabilities of both couplings' modes in the frame before the window."""
+        return self._before.copy()
+
+    @before.setter
+    def before(self, probabilities: FloatArray) -> None:
+        self._before = probabilities.copy()
+
+    def follow(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
+        """Take these steps, with states (n, 6), and what is known about the first, from now on."""
+        known = [step.index for step in self._steps]
+        gone = known.index(steps[0].index) if steps[0].index in known else len(known)
+        kept = self._steps[gone:]
+        if 0 < gone <= self._filtered.shape[1]:
+            self._before = self._filtered[:, gone - 1].copy()
+        if len(kept) > len(steps) or not all(map(_is_same, kept, steps)):
+            kept = []
+        self._take(steps, gone, len(kept))
+        for row in range(len(kept), len(steps)):
+            self._frames.put(row, steps[row])
+        if gone or not kept:
+            first = self._frames.rows[0]
+            for name in self._program.links:
+                # They are part of the prior, or reach out of the window.
+                first[self._frames.place[name]] = 0.0
+        origin = self._problem.origin[0]
+        origin[:], self._prior[:] = states[0, :2], 0.0
+        if prior is not None:
+            information, linear, point = on_state(prior, steps[0], self._model)
+            point[:2] -= origin
+            self._prior[:] = np.vstack([information, linear, point])
+
+    def _take(self, steps: Sequence[Step], gone: int, kept: int) -> None:
+        """Have as many rows as there are steps; ``kept`` of them are known, after those that are gone."""
+        n, old = len(steps), self._frames.problem if kept else None
+        if n > self._room or old is None:
+            self._room = max(_ROWS, 2 * n)
+            self._prior = np.zeros((N + 2, N))
+            self._frames.make(self._room, np.zeros(2), np.array([0, n]), self._prior)
+        problem = self._frames.problem
+        if old is not None:
+            for name in ("records", "body_heights", "head_heights"):
+                getattr(problem, name)[:kept] = getattr(old, name)[gone : gone + kept].copy()
+            problem.shared[:] = old.shared
+        problem.offsets[1] = n
+        self._steps = list(steps)
+        self._problem = problem
+        self.modes, self._spread = np.full((n, 2), np.nan), np.zeros((n, 2))
+        self._filtered, self._n_filtered = np.empty((2, 0, ROW)), n
+
+    def _note(self) -> None:
+        rows = couplings_of(self._problem.records[: len(self._steps)])
+        # What links the first step to the one before it is cut here, and may not be in the graph.
+        for step, row in zip(self._steps[1:], rows[1:], strict=True):
+            self.couplings[step.index] = row
+        self.couplings.setdefault(self._steps[0].index, rows[0])
+
+
+def couplings_of(records: np.ndarray) -> list[tuple[float, ...]]:
+    """The `COUPLED` fields of packed frames, a row for each.
+
+    A step that nothing steers is one of white-noise acceleration, for which the chain has another kernel;
+    here it has the same moments.
+    """
+    rows = np.stack([records[name] for name in COUPLED], axis=1)
+    unsteered = (rows[:, COUPLED.index("steer_gain")] == 0.0) & (records["motion_information"] > 0.0)
+    if unsteered.any():
+        dt, information = records["dt"][unsteered], records["motion_information"][unsteered]
+        moments = (dt, 12.0 * information / dt**3, -6.0 * information / dt**2, 4.0 * information / dt)
+        for name, values in zip(COUPLED[-4:], moments, strict=True):
+            rows[unsteered, COUPLED.index(name)] = values
+    return list(map(tuple, rows.tolist()))
 
 
 def is_ambiguous(step: Step) -> bool:
     """Whether what was seen may speak for several directions, as class likelihoods do."""
     seen = step.observation
     return seen.body_likelihood is not None or seen.head_likelihood is not None
+
+
+def _is_same(known: Step, step: Step) -> bool:
+    """Whether a step is one that was packed; the first of a window has lost its link to the one before."""
+    return (
+        known.index == step.index
+        and known.observation is step.observation
+        and (known.dt == step.dt or step.dt is None)
+    )

@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.graph.batch import anchors, variable_keys
-from graphtrack.inference.prior import marginal_prior
+from graphtrack.inference.prior import MarginalPrior, marginal_prior
 from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, present, read_step
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
@@ -126,6 +126,15 @@ class FixedLag:
         """Take over a window that was changed; what is known about its newest step then."""
         return self._solve(self._from_window(window))
 
+    def recoupled(self, steps: Sequence[Step]) -> Newest:
+        """What is known about the newest step now that the couplings of some steps are others."""
+        del steps  # all are linearised anew
+        return self._solve(self._chain)
+
+    def prior(self) -> MarginalPrior | None:
+        """What has left the window says about its first step."""
+        return marginal_prior(self._chain.marginal, self._chain.marginal_point)
+
     def restore(self, window: Window) -> None:
         """Take over a window as it stands."""
         self._chain = self._from_window(window)
@@ -136,7 +145,7 @@ class FixedLag:
         return Window(
             self.steps,
             {link.step.index: self.state(link.step) for link in chain.links},
-            marginal_prior(chain.marginal, chain.marginal_point),
+            self.prior(),
             chain.anchor,
         )
 

@@ -1,4 +1,4 @@
-"""A smoother of GTSAM's with the chain's window beside it, for other basins and the couplings' modes."""
+"""What a smoother of GTSAM's is guided by: the modes of the couplings, and the search for other basins."""
 
 from __future__ import annotations
 
@@ -9,46 +9,48 @@ from dataclasses import replace
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.window import ChainWindow
-from graphtrack.inference.graph.chain_view import is_ambiguous
-from graphtrack.inference.graph.couplings import couplings_of
+from graphtrack.inference.chain.restart import AT_END
+from graphtrack.inference.graph.batch import anchors, optimize, variable_keys
+from graphtrack.inference.graph.chain_view import WindowView, is_ambiguous
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam import Isam2
-from graphtrack.inference.state import Newest, Window, predicted
-from graphtrack.inference.warm import ONLINE, online_rehearsal
+from graphtrack.inference.prior import MarginalPrior
+from graphtrack.inference.solution import SolverOptions
+from graphtrack.inference.state import FAILURES, Newest, Window, insert_step, read_step
+from graphtrack.inference.warm import ONLINE, graph_rehearsal
+from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
+from graphtrack.model.factors.custom import variable_dimension
 from graphtrack.model.factors.derived import COUPLED
+from graphtrack.model.kernels.layout import TIME_TOLERANCE
 from graphtrack.readiness import make_ready
 
-_ELSEWHERE = math.cos(math.radians(60.0))
-"""Cosine of the turn beyond which two estimates of an orientation are in different basins."""
-_PROMISED_DECREASE = 1e-8
-_MOST_STEPS = 20
-_LAG = 2.0
-"""Seconds of the chain's window beside a full history."""
-_BESIDE = "beside."
-"""Before the names of the chain's arrays in a saved state."""
+_LAG = 5.0
+"""Seconds of a full history in which modes are inferred and basins are searched."""
+_RECOUPLED = 0.01
+"""Share by which what the modes set has to change for a step's factors to be evaluated anew."""
+_SEARCH = SolverOptions(max_iterations=30, relative_tolerance=1e-6)
+"""Of the descent in another basin."""
 
 
 class Guided:
-    """A smoother of GTSAM's that has basins, and the couplings' modes, from a window of the chain's.
+    """A smoother of GTSAM's with the modes of the couplings, and other basins, from its own states.
 
-    Gauss–Newton ends in the basin that it began in. From the first observation on that may speak for several
-    directions (class likelihoods, or angles with outliers) a `ChainWindow` of the same lag is fed beside,
-    which searches its window with each. Where its newest orientation is more than 60° from GTSAM's, the graph
-    begins anew from the chain's window: its states, and what it knows of the past; a full history from the
-    chain's solution of the whole history.
+    The modes are no variables of the graph. With each observation they are inferred from the graph's states
+    of the window, by the hidden Markov chain that the chain engine has, and the factors of the steps whose
+    couplings have changed are evaluated anew.
 
-    Where the couplings have modes it is fed from the start, and GTSAM's factors have the couplings and the
-    steering that it infers, which are no variables of the graph. All estimates but those of the modes are
-    GTSAM's. Beside a full history the chain keeps a window; the couplings of what has left it stay.
+    Gauss–Newton ends in the basin that it began in. Where what was seen may speak for several directions
+    (class likelihoods, or angles with outliers) the window's orientations are searched on a grid with each
+    observation. Where another course promises to cost less, and a descent from it does, the graph begins anew
+    from there.
 
     Whatever a method raises, it leaves the smoother as it was.
 
     Parameters
     ----------
     graph : the smoother
-    model : its terms, a chain (see `chain.engine.is_chain`)
+    model : its terms
     lag : seconds of the smoother's window; infinite: all history
     couplings : what the graph's factors read the couplings from; None for a model without modes
     """
@@ -58,18 +60,29 @@ class Guided:
         graph: FixedLag | Isam2,
         model: Model,
         lag: float,
-        couplings: dict[int, tuple[float, ...]] | None = None,
+        couplings: dict[int, Sequence[float]] | None = None,
     ) -> None:
-        self._graph, self._model, self._lag, self._couplings = graph, model, lag, couplings
-        self._chain: ChainWindow | None = None
-        self._always = model.has_modes or model.parameters.likelihood.outlier_probability > 0.0
-        if self._always:
+        self._graph, self._whole, self._couplings = graph, model, couplings
+        self._model = model.compiled
+        self._lag = min(lag, _LAG) if lag == math.inf else lag
+        self._outliers = model.parameters.likelihood.outlier_probability > 0.0
+        self._view: WindowView | None = None
+        self._searches = False
+        if self._model.has_modes:
             self._begin()
 
     @property
     def modes(self) -> tuple[float, float]:
         """Probability of an aligned body, and its offset from the motion, in the newest frame; or NaN."""
-        return (math.nan, math.nan) if self._chain is None else self._chain.modes
+        if self._view is None or self._couplings is None or not self.steps:
+            return math.nan, math.nan
+        aligned, offset = self._view.modes[-1].tolist()
+        return aligned, offset
+
+    @property
+    def graph(self) -> FixedLag | Isam2:
+        """The smoother."""
+        return self._graph
 
     @property
     def steps(self) -> Sequence[Step]:
@@ -82,109 +95,147 @@ class Guided:
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
         """Add a step whose variables start at ``state``; what is known about it then."""
-        if (chain := self._chain) is None:
-            if not is_ambiguous(step):
-                return self._graph.extend(step, state)
-            chain = self._begin()
-            chain.restore(self._graph.window())
-        modes = chain.modes_before
-        ahead = chain.extend(step, predicted(step, chain))
-        try:
-            self._couple(chain, [*self._graph.steps, step])
-            newest = self._graph.extend(step, state)
-        except BaseException:
-            chain.restore(replace(self._graph.window(), modes=modes))
-            raise
-        return self._followed(chain, ahead, newest)
+        self._notice([step])
+        if self._view is None:
+            return self._graph.extend(step, state)
+        if self._couplings is not None:
+            recent = self._recent()
+            states = np.array([*map(self.state, recent), tuple(state)])
+            self._view.follow([*recent, step], states, self._prior(recent))
+            self._view.renew(states)
+        return self._guided(self._graph.extend(step, state))
 
     def rework(self, window: Window) -> Newest:
         """Take over a window that was changed; what is known about its newest step then."""
-        if (chain := self._chain) is None:
-            if not any(map(is_ambiguous, window.steps)):
-                return self._graph.rework(window)
-            chain = self._begin()
-        modes = chain.modes_before
+        self._notice(window.steps)
+        if self._view is None:
+            return self._graph.rework(window)
+        if self._couplings is not None:
+            recent = self._recent_of(window.steps)
+            states = np.array([window.values[step.index] for step in recent])
+            self._view.follow(recent, states, window.prior if len(recent) == len(window.steps) else None)
+            self._view.renew(states)
+        return self._guided(self._graph.rework(window))
+
+    def _notice(self, steps: Sequence[Step]) -> None:
+        """Search from the first step on that may speak for several directions."""
+        if not self._searches and (self._outliers or any(map(is_ambiguous, steps))):
+            self._searches = True
+            if self._view is None:
+                self._begin()
+
+    def _begin(self) -> WindowView:
+        make_ready(ONLINE, graph_rehearsal(self._model))
+        self._view = WindowView(self._model, self._couplings)
+        return self._view
+
+    def _recent(self) -> Sequence[Step]:
+        return self._recent_of(self.steps)
+
+    def _recent_of(self, steps: Sequence[Step]) -> Sequence[Step]:
+        """The steps that are looked at: with a lag all there are."""
+        if not steps:
+            return steps
+        begin, first = steps[-1].observation.t - self._lag - TIME_TOLERANCE, len(steps) - 1
+        while first > 0 and steps[first - 1].observation.t >= begin:
+            first -= 1
+        return steps[first:]
+
+    def _prior(self, recent: Sequence[Step]) -> MarginalPrior | None:
+        """What the graph knows about the first of the recent steps beside its factors."""
+        return self._graph.prior() if len(recent) == len(self.steps) else None
+
+    def _guided(self, newest: Newest) -> Newest:
+        """What is known about the newest step once the couplings, and the basin, are those of the states."""
+        view = self._view
+        assert view is not None
+        recent = self._recent()
+        states = np.array([self.state(step) for step in recent])
+        view.follow(recent, states, self._prior(recent))
         try:
-            ahead = chain.rework(replace(window, modes=modes))
-            self._couple(chain, window.steps)
-            newest = self._graph.rework(window)
-        except BaseException:
-            chain.restore(replace(self._graph.window(), modes=modes))
-            raise
-        return self._followed(chain, ahead, newest)
-
-    def _begin(self) -> ChainWindow:
-        make_ready(ONLINE, online_rehearsal(self._model))
-        lag = self._lag if self._lag < math.inf else _LAG
-        self._chain = ChainWindow(self._model, lag, _PROMISED_DECREASE, _MOST_STEPS, show_coupled=True)
-        return self._chain
-
-    def _couple(self, chain: ChainWindow, steps: Sequence[Step]) -> None:
-        """Give the newest of some steps the couplings that the chain has, and forget what has gone."""
-        if self._couplings is None or chain.coupled is None or not steps:
-            return
-        rows = couplings_of(chain.coupled)
-        if len(rows) < len(steps):
-            # What links the chain's oldest frame to the one before it is cut there, and not here.
-            rows = rows[1:]
-        else:
-            self._couplings.clear()
-        for step, row in zip(steps[len(steps) - len(rows) :], rows, strict=True):
-            self._couplings[step.index] = row
-        if isinstance(self._graph, Isam2):
-            self._graph.renewed = len(rows)
-
-    def _followed(self, chain: ChainWindow, ahead: Newest, newest: Newest) -> Newest:
-        """What is known about the newest step, once the graph is where the chain is.
-
-        Its covariance has what the chain knows of the modes: they are no variables of the graph.
-        """
-        state, covariance = self._agreed(chain, ahead, newest)
-        return state, covariance + chain.spread
-
-    def _agreed(self, chain: ChainWindow, ahead: Newest, newest: Newest) -> Newest:
-        if not _is_elsewhere(ahead[0], newest[0]):
+            if self._couplings is not None:
+                before = [self._couplings.get(step.index) for step in recent]
+                view.renew(states)
+                changed = [
+                    step
+                    for step, old in zip(recent, before, strict=True)
+                    if is_recoupled(old, self._couplings[step.index], _RECOUPLED)
+                ]
+                if changed:
+                    newest = self._graph.recoupled(changed)
+                    states = np.array([self.state(step) for step in recent])
+            if self._searches and (found := self._found(recent, states)) is not None:
+                newest, states = found
+        except FAILURES:
+            # It is where the observation itself has led to.
             return newest
+        if self._couplings is None:
+            return newest
+        covariance = np.zeros((len(recent), 6, 6))
+        view.widen(states, covariance)
+        return newest[0], newest[1] + covariance[-1]
+
+    def _found(self, recent: Sequence[Step], states: FloatArray) -> tuple[Newest, FloatArray] | None:
+        """What is known about the newest step in another basin, and the recent states there; or None."""
+        assert self._view is not None
+        other = self._view.other(states, AT_END)
+        if other is None:
+            return None
         window = self._graph.window()
-        try:
-            if self._lag == math.inf:
-                whole = ChainWindow(self._model, math.inf, _PROMISED_DECREASE, _MOST_STEPS, show_coupled=True)
-                whole.rework(window)
-                found = replace(whole.window(), steps=window.steps)
-                # From here on both know the same of the past.
-                chain.rework(found)
-                self._couple(chain, found.steps)
-            else:
-                found = replace(chain.window(), steps=window.steps)
-            return self._graph.rework(found)
-        except (RuntimeError, ArithmeticError, np.linalg.LinAlgError):
-            # It is as it was: where Gauss–Newton led to.
-            return newest
+        turn = other[0] - states[0]
+        prior = None if window.prior is None else _turned(window.prior, recent[0], turn)
+        here, there = replace(window, steps=tuple(recent)), replace(window, steps=tuple(recent), prior=prior)
+        cost = self._problem(here).error(_values(recent, states, self._whole))
+        graph, values = self._problem(there), _values(recent, other, self._whole)
+        ordering = gtsam.Ordering([key for step in recent for key in variable_keys(step, self._whole)])
+        values, costs, _ = optimize(graph, values, ordering, _SEARCH)
+        if not costs[-1] < cost:
+            return None
+        known = {step.index: self.state(step) for step in window.steps}
+        known |= {step.index: read_step(values, step, self._whole) for step in recent}
+        newest = self._graph.rework(replace(window, values=known, prior=prior))
+        return newest, np.array([self.state(step) for step in recent])
+
+    def _problem(self, window: Window) -> gtsam.NonlinearFactorGraph:
+        """The factors of a window's steps and what is known of the first; what came before is as it is."""
+        first, graph = window.steps[0], gtsam.NonlinearFactorGraph()
+        if window.prior is not None:
+            graph.push_back(window.prior.factor())
+        elif first.dt is None and window.anchor is not None:
+            for factor in anchors(first, self._whole, *window.anchor):
+                graph.push_back(factor)
+        for k, step in enumerate(window.steps):
+            inside = {
+                key for one in window.steps[max(0, k - 1) : k + 1] for key in variable_keys(one, self._whole)
+            }
+            for factor in self._whole.factors(step, self._couplings):
+                if inside.issuperset(factor.keys()):
+                    graph.push_back(factor)
+        return graph
 
     # -- saved states --------------------------------------------------------------------------------------
 
     def window(self) -> Window:
         """What another smoother needs to go on from here."""
         window = self._graph.window()
-        return window if self._chain is None else replace(window, modes=self._chain.modes_before)
+        return window if self._view is None else replace(window, modes=self._view.before)
 
     def restore(self, window: Window) -> None:
         """Take over a window as it stands."""
-        self._chain = None
-        if self._always or any(map(is_ambiguous, window.steps)):
-            chain = self._begin()
-            chain.restore(window)
-            self._couple(chain, window.steps)
+        self._take(window)
+        if self._view is not None and self._couplings is not None and window.steps:
+            recent = self._recent_of(window.steps)
+            states = np.array([window.values[step.index] for step in recent])
+            self._view.follow(recent, states, None)
+            self._view.renew(states)
         self._graph.restore(window)
 
     def arrays(self) -> dict[str, FloatArray]:
         """What makes the next estimates the same beside the window; see `resume`."""
         own = self._graph.arrays()
-        if self._chain is None:
-            return own
         if self._couplings is not None:
             own["couplings"] = np.array([self._couplings[step.index] for step in self.steps])
-        return own | {_BESIDE + name: values for name, values in self._chain.arrays().items()}
+        return own
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
         """Go on where `window` and `arrays` were taken, as if nothing had happened.
@@ -194,18 +245,55 @@ class Guided:
         KeyError, ValueError
             If the arrays do not fit the window.
         """
-        self._chain = None
+        self._take(window)
         if self._couplings is not None:
             rows = arrays["couplings"].reshape(len(window.steps), len(COUPLED)).tolist()
             for step, row in zip(window.steps, rows, strict=True):
                 self._couplings[step.index] = tuple(row)
         self._graph.resume(window, arrays)
-        beside = {name.removeprefix(_BESIDE): v for name, v in arrays.items() if name.startswith(_BESIDE)}
-        if beside:
-            newest = len(beside["states"].ravel()) // 6
-            self._begin().resume(replace(window, steps=window.steps[-newest:]), beside)
+        if self._view is not None and window.steps:
+            recent = self._recent()
+            self._view.follow(recent, np.array([self.state(step) for step in recent]), None)
+
+    def _take(self, window: Window) -> None:
+        self._view, self._searches = None, False
+        self._notice(window.steps)
+        if self._view is None and self._model.has_modes:
+            self._begin()
+        if self._view is not None and window.modes is not None:
+            self._view.before = window.modes
 
 
-def _is_elsewhere(a: FloatArray, b: FloatArray) -> bool:
-    """Whether body or head of two states (6,) are in different basins."""
-    return any(math.cos(a[place] - b[place]) < _ELSEWHERE for place in (4, 5))
+def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: float) -> bool:
+    """Whether a coupling, the steering or a doubt differs by more than a share; rows as in `COUPLED`."""
+    if old is None:
+        return True
+    for kappa, cos, sin in ((0, 1, 2), (3, 4, 5)):
+        a, b = old[kappa], new[kappa]
+        change = math.hypot(b * new[cos] - a * old[cos], b * new[sin] - a * old[sin])
+        if change > threshold * max(a, b):
+            return True
+    if abs(new[6] - old[6]) > threshold:
+        return True
+    return abs(new[7] - old[7]) > threshold * max(new[7], old[7])
+
+
+def _values(steps: Sequence[Step], states: FloatArray, model: Model) -> gtsam.Values:
+    """States (n, 6) as the variables of some steps."""
+    values = gtsam.Values()
+    for step, state in zip(steps, states.tolist(), strict=True):
+        insert_step(values, step, model, state)
+    return values
+
+
+def _turned(prior: MarginalPrior, step: Step, turn: FloatArray) -> MarginalPrior:
+    """A prior whose step went to another basin by ``turn`` (6,).
+
+    What the Gaussian says holds about its own basin; that it is as sure of the other one is the best guess.
+    """
+    turns = {step.body_key: turn[4], step.head_key: turn[5]}
+    point = tuple(
+        (there[0] + turns[key],) if variable_dimension(key) == 1 and math.cos(turns[key]) < AT_END else there
+        for key, there in zip(prior.keys, prior.point, strict=True)
+    )
+    return replace(prior, point=point)

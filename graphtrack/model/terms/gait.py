@@ -355,7 +355,6 @@ class GaitOffsets(Term):
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
-    only_compiled: ClassVar[bool] = True
     repeats = True
     reads = tuple(f"gait.{field.name}" for field in dataclasses.fields(GaitParameters))
     fields = (
