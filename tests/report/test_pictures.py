@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -111,3 +112,9 @@ def test_the_timeline_of_groups_spans_the_recording() -> None:
     found = groups(pair())
     low, high = plot_group_timeline(found, ()).axes[0].get_xlim()
     assert (low, high) == (found.t.min(), found.t.max())
+
+
+def test_small_pictures_are_not_enlarged_on_phones_and_plots_are_dark_in_dark_mode() -> None:
+    style = resources.files("graphtrack.report").joinpath("assets/page.css").read_text(encoding="utf-8")
+    assert "figure img { max-width: 42rem; }" in style
+    assert 'figure img[src^="data:image/png"] { filter: invert(.88)' in style
