@@ -83,4 +83,4 @@ def test_people_at_random_times_walk_as_they_did() -> None:
     for one, other in zip(people, moved, strict=True):
         assert abs((other.t[-1] - other.t[0]) - (one.t[-1] - one.t[0])) <= 0.4
         assert set(map(tuple, other.position)) <= set(map(tuple, one.position))
-        assert -0.4 <= other.t[0] and other.t[-1] <= end + 0.8
+        assert other.t[0] >= -0.4 and other.t[-1] <= end + 0.8

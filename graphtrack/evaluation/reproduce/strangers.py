@@ -251,8 +251,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         tables.append(Table.of("Recorded people at random times in groups", recorded))
     tables.append(Table.of("True groups", _kept(settings, progress)))
     notes = (
-        f"Per cent of person-frames, means of {_count(settings, SEEDS)} seeds. Nobody is in a group: simulated "
-        f"walkers, {PEOPLE} in a square at a time, each on a course of their own, σ = {POSITION_STD} m, head "
+        f"Per cent of person-frames, means of {_count(settings, SEEDS)} seeds. Nobody is in a group: "
+        f"simulated walkers, {PEOPLE} in a square at a time, each on a course of their own, σ = {POSITION_STD} m, head "
         f"κ = {HEAD_KAPPA:g}; recorded people, each shifted to a random time.",
         "Without and with the log odds against groups of people who just met (encounter_odds).",
     )
@@ -266,7 +266,8 @@ def _figure(records: list[dict[str, Cell]]) -> Figure:
     panels = figure.subplots(1, len(EVIDENCE), sharey=True)
     for axes, evidence in zip(panels, EVIDENCE, strict=True):
         for way, marker in (("offline", "o"), ("online", "s")):
-            chosen = [r for r in records if r["evidence"] == evidence and r["way"] == way and r["who stop (%)"]]
+            stopping = [record for record in records if record["who stop (%)"]]
+            chosen = [r for r in stopping if (r["evidence"], r["way"]) == (evidence, way)]
             for name, style in (("without", "--"), ("with", "-")):
                 rates = [float(r[f"conversing, {name} (%)"] or 0.0) for r in chosen]
                 axes.plot(SIDES, rates, style, marker=marker, label=f"{way}, {name}")
