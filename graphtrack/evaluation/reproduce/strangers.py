@@ -209,7 +209,7 @@ def _labels(found: Groups, truth: Truth) -> np.ndarray:
 
 def _labelled(settings: Settings) -> Iterator[tuple[str, list[tuple[TrackSet, Truth]]]]:
     for evidence in EVIDENCE:
-        scenes = []
+        scenes: list[tuple[TrackSet, Truth]] = []
         for seed in range(_count(settings, PARTIES)):
             rng = settings.rng(seed, 2)
             known = party(rng, people=12, steps=300, fps=2.0)
@@ -252,8 +252,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     tables.append(Table.of("True groups", _kept(settings, progress)))
     notes = (
         f"Per cent of person-frames, means of {_count(settings, SEEDS)} seeds. Nobody is in a group: "
-        f"simulated walkers, {PEOPLE} in a square at a time, each on a course of their own, σ = {POSITION_STD} m, head "
-        f"κ = {HEAD_KAPPA:g}; recorded people, each shifted to a random time.",
+        f"simulated walkers, {PEOPLE} in a square at a time, each on a course of their own, "
+        f"σ = {POSITION_STD} m, head κ = {HEAD_KAPPA:g}; recorded people, each shifted to a random time.",
         "Without and with the log odds against groups of people who just met (encounter_odds).",
     )
     return Reproduction("strangers", tuple(tables), _figure(walkers), notes)
