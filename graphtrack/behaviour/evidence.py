@@ -104,7 +104,7 @@ def walking_odds(people: People, left: IntArray, right: IntArray, parameters: Gr
 
 
 def encounter_odds(share: FloatArray, seconds: FloatArray, parameters: GroupParameters) -> FloatArray:
-    """Log odds, (n,), against a group of two who met a short time ago: strangers soon part.
+    """Log odds, (n,), against a conversation of two who met a short time ago: strangers soon part.
 
     They are encounter_odds · exp(−share · seconds/encounter_seconds). Two who were together for as long as
     they were seen near each other may have met long before: for them there are none.
@@ -157,7 +157,8 @@ class PairValues:
         """The evidence, given the averages of the three, and the seconds (n,) that those of looks are of."""
         start = np.searchsorted(people.frame_of[self.left], np.arange(len(people.frame) + 1))
         odds = place[:, 0] + look[:, 0] + walking[:, 0]
-        odds = odds - (1.0 - walking[:, 1]) * encounter_odds(look[:, 1], seconds, parameters)
+        standing = np.maximum(1.0 - 2.0 * walking[:, 1], 0.0)  # groups that walk are judged by how they do
+        odds = odds - standing * encounter_odds(look[:, 1], seconds, parameters)
         return PairEvidence(self.left, self.right, start, odds, place[:, 1], walking[:, 1])
 
 

@@ -93,7 +93,7 @@ class GroupParameters:
     others_density : people per square metre who walk near somebody by chance
     walking_seconds : over which walking is averaged
     walking_share : of near pairs of walkers that are together
-    encounter_odds : log odds against a group of two who have just come to stand near each other
+    encounter_odds : log odds against a conversation of two who have just come near each other
     encounter_seconds : time constant with which that decays in the seconds for which they stay together
     """
 
