@@ -10,7 +10,7 @@ from graphtrack.behaviour.facing import facing
 from graphtrack.behaviour.features import pair_features
 from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.behaviour.people import IntArray, People
-from graphtrack.behaviour.smoothing import averaged
+from graphtrack.behaviour.smoothing import averaged, averaged_seconds
 from graphtrack.geometry.angles import FloatArray
 
 _SLOW = np.array([False, True, False, False, True])
@@ -21,6 +21,8 @@ ALONG = 1.5
 """Those who walk together are side by side: a metre along their way counts as so many across it."""
 _MOST = 6.0
 """Log odds that one frame of walking says at most."""
+_CAME = 0.1
+"""Share of the time near each other, not spent together, from which two are known to have met in sight."""
 _UNSURE = 0.01
 """How much shorter than 1 the expected direction of a body is that is looked for among the others."""
 
@@ -101,6 +103,22 @@ def walking_odds(people: People, left: IntArray, right: IntArray, parameters: Gr
     return odds
 
 
+def encounter_odds(share: FloatArray, seconds: FloatArray, parameters: GroupParameters) -> FloatArray:
+    """Log odds, (n,), against a conversation of two who met a short time ago: strangers soon part.
+
+    They are encounter_odds · exp(−share · seconds/encounter_seconds). Two who were together for as long as
+    they were seen near each other may have met long before: for them there are none.
+
+    Parameters
+    ----------
+    share : (n,) of the time for which two were near each other that they stood, or walked together
+    seconds : (n,) that time, weighted by exp(−|Δt|/look_seconds)
+    """
+    met = np.minimum((1.0 - share) / _CAME, 1.0)
+    decay = np.exp(-share * seconds / parameters.encounter_seconds)
+    return np.asarray(parameters.encounter_odds * met * decay)
+
+
 def walks(people: People, parameters: GroupParameters) -> FloatArray:
     """(n,) how much each walks, 0 to 1, by speed."""
     speed = np.linalg.norm(people.velocity, axis=1)
@@ -116,7 +134,8 @@ class PairValues:
     ----------
     left, right : (n,) rows in `People`, the left one first
     place : (n, 2) log odds by places and bodies, and the caution; averaged over ``place_seconds``
-    look : (n, 1) log odds by looks and the crowd; averaged over ``look_seconds``
+    look : (n, 2) log odds by looks and the crowd, and the probability that both stand, or walk together;
+        averaged over ``look_seconds``
     walking : (n, 2) log odds by walking, and how much both walk; averaged over ``walking_seconds``
     """
 
@@ -127,11 +146,19 @@ class PairValues:
     walking: FloatArray
 
     def evidence(
-        self, people: People, place: FloatArray, look: FloatArray, walking: FloatArray
+        self,
+        people: People,
+        place: FloatArray,
+        look: FloatArray,
+        walking: FloatArray,
+        seconds: FloatArray,
+        parameters: GroupParameters,
     ) -> PairEvidence:
-        """The evidence, given the averages of the three."""
+        """The evidence, given the averages of the three, and the seconds (n,) that those of looks are of."""
         start = np.searchsorted(people.frame_of[self.left], np.arange(len(people.frame) + 1))
         odds = place[:, 0] + look[:, 0] + walking[:, 0]
+        standing = np.maximum(1.0 - 2.0 * walking[:, 1], 0.0)  # groups that walk are judged by how they do
+        odds = odds - standing * encounter_odds(look[:, 1], seconds, parameters)
         return PairEvidence(self.left, self.right, start, odds, place[:, 1], walking[:, 1])
 
 
@@ -155,13 +182,14 @@ def _values(people: People, parameters: GroupParameters) -> PairValues:
     walk = walks(people, parameters)
     walking, standing = walk[left] * walk[right], (1.0 - walk[left]) * (1.0 - walk[right])
     quick = standing * quick + (1.0 - standing - walking) * parameters.apart
-    together = walking * walking_odds(people, left, right, parameters)
+    alike = walking_odds(people, left, right, parameters)
+    company = standing + walking * 0.5 * (1.0 + np.tanh(0.5 * alike))
     return PairValues(
         left,
         right,
         np.column_stack([quick, standing * caution]),
-        (standing * slow)[:, None],
-        np.column_stack([together, walking]),
+        np.column_stack([standing * slow, company]),
+        np.column_stack([walking * alike, walking]),
     )
 
 
@@ -180,9 +208,13 @@ def pair_evidence(people: People, parameters: GroupParameters, *, both_sides: bo
         found = [averaged(pair, t, column, seconds, both_sides=both_sides) for column in columns.T]
         return np.column_stack(found)
 
+    long = parameters.look_seconds
+    company, seconds = averaged_seconds(pair, t, values.look[:, 1], long, both_sides=both_sides)
     return values.evidence(
         people,
         mean(values.place, parameters.place_seconds),
-        mean(values.look, parameters.look_seconds),
+        np.column_stack([mean(values.look[:, :1], long), company]),
         mean(values.walking, parameters.walking_seconds),
+        seconds,
+        parameters,
     )

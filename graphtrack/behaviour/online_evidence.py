@@ -14,7 +14,7 @@ from graphtrack.behaviour.smoothing import merged
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import from_text, to_text
 
-_PARTS = (2, 1, 2)
+_PARTS = (2, 2, 2)
 """How many values of a pair are averaged over each of the three times; see `PairValues`."""
 _COLUMNS = sum(_PARTS) + len(_PARTS)
 """Sums of a pair that are kept: its values, each times the seconds it counts for, and those seconds."""
@@ -39,8 +39,9 @@ class OnlineEvidence:
     def take(self, people: People) -> PairEvidence:
         """Take in the people of one frame, later than those before, or of none; the evidence of its pairs."""
         values = pair_values(people, self.parameters)
-        means = self._averaged(people, values)
-        return values.evidence(people, *np.split(means, np.cumsum(_PARTS)[:-1], axis=1))
+        means, seconds = self._averaged(people, values)
+        place, look, walking = np.split(means, np.cumsum(_PARTS)[:-1], axis=1)
+        return values.evidence(people, place, look, walking, seconds, self.parameters)
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on elsewhere, as JSON-able data; see `restore`."""
@@ -52,16 +53,17 @@ class OnlineEvidence:
         self._last = from_text(state["last"]).reshape(len(self._pairs))
         self._sums = from_text(state["sums"]).reshape(len(self._pairs), _COLUMNS)
 
-    def _averaged(self, people: People, values: PairValues) -> FloatArray:
-        """Averages of the values of each pair over its past, which they become a part of."""
+    def _averaged(self, people: People, values: PairValues) -> tuple[FloatArray, FloatArray]:
+        """Averages of the values of each pair over its past, and the seconds that the looks' ones are of."""
         parameters = self.parameters
         seconds = np.array([parameters.place_seconds, parameters.look_seconds, parameters.walking_seconds])
         now = np.column_stack([values.place, values.look, values.walking])
         if not len(people):
-            return now
+            return now, np.zeros(len(now))
         pairs = np.column_stack([people.ids[values.left], people.ids[values.right]])
         of, t = np.repeat(np.arange(3), _PARTS), float(people.t[0])
         self._pairs, self._last, self._sums, means = merged(
             self._pairs, self._last, self._sums, pairs, now, of, seconds, t
         )
-        return means
+        here = self._last == t  # in the order of the frame's pairs
+        return means, self._sums[here, sum(_PARTS) + 1]

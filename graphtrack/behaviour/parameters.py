@@ -93,6 +93,8 @@ class GroupParameters:
     others_density : people per square metre who walk near somebody by chance
     walking_seconds : over which walking is averaged
     walking_share : of near pairs of walkers that are together
+    encounter_odds : log odds against a conversation of two who have just come near each other
+    encounter_seconds : time constant with which that decays in the seconds for which they stay together
     """
 
     places: ConversationWeights = field(default_factory=ConversationWeights)
@@ -113,6 +115,8 @@ class GroupParameters:
     others_density: float = number(0.15, 1e-4, 10.0, "1/m²")
     walking_seconds: float = number(4.0, 0.0, 600.0, "s")
     walking_share: float = number(0.2, 0.001, 0.999)
+    encounter_odds: float = number(8.0, 0.0, 50.0)
+    encounter_seconds: float = number(7.0, 0.1, 600.0, "s")
 
     def __post_init__(self) -> None:
         check_numbers(self)

@@ -32,12 +32,19 @@ def averaged(
     values : (n,)
     both_sides : whether the future counts, or the past alone
     """
+    return averaged_seconds(pair, t, values, seconds, both_sides=both_sides)[0]
+
+
+def averaged_seconds(
+    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, *, both_sides: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Averages as `averaged`, and the sum of their weights, (n,) seconds; 0 without averaging."""
     if seconds <= 0.0 or not len(pair):
-        return values
+        return values, np.zeros(len(pair))
     order: NDArray[np.int64] = np.lexsort((t, pair))
-    found = np.empty_like(values)
-    found[order] = _averaged(pair[order], t[order], values[order], seconds, both_sides)
-    return found
+    found, weight = np.empty_like(values), np.empty(len(pair))
+    found[order], weight[order] = _averaged(pair[order], t[order], values[order], seconds, both_sides)
+    return found, weight
 
 
 @compiled
@@ -54,7 +61,9 @@ def since(gap: float, seconds: float) -> tuple[float, float]:
 
 
 @apart
-def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, both: bool) -> FloatArray:
+def _averaged(
+    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, both: bool
+) -> tuple[FloatArray, FloatArray]:
     n = len(pair)
     before = np.empty((n, 2))
     weight = np.empty(n)
@@ -74,7 +83,7 @@ def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float,
         if fade > 0.0:
             before[k, 0] += fade * before[k - 1, 0]
             before[k, 1] += fade * before[k - 1, 1]
-    found = np.empty(n)
+    found, whole = np.empty(n), np.empty(n)
     after, total = 0.0, 0.0
     for k in range(n - 1, -1, -1):
         if both and k + 1 < n and pair[k + 1] == pair[k]:
@@ -83,8 +92,9 @@ def _averaged(pair: IntArray, t: FloatArray, values: FloatArray, seconds: float,
             total = fade * (total + weight[k + 1])
         else:
             after, total = 0.0, 0.0
-        found[k] = (before[k, 0] + after) / (before[k, 1] + total)
-    return found
+        whole[k] = before[k, 1] + total
+        found[k] = (before[k, 0] + after) / whole[k]
+    return found, whole
 
 
 @apart
@@ -104,9 +114,9 @@ def merged(
     ----------
     known, pairs : (k, 2), (n, 2) ids, both ascending by the second, then by the first
     last : (k,) seconds
-    sums : (k, 8) of the values of each pair, times the seconds that they count for, and of the seconds
-    values : (n, 5)
-    of : (5,) which of the times of averaging each value has
+    sums : (k, 9) of the values of each pair, times the seconds that they count for, and of the seconds
+    values : (n, 6)
+    of : (6,) which of the times of averaging each value has
     seconds : (3,)
     """
     size, count = values.shape[1], len(pairs)

@@ -347,6 +347,27 @@ def meetings(results: Results) -> Measured:
     return {one: [rows[way, std, one] for way, std in cells] for one in evidence}
 
 
+# Groups among people who are independent of each other.
+
+
+def strangers(results: Results) -> Measured:
+    """Per cent in a conversation without and with the odds against people who just met, of who stop."""
+    rows = {
+        (row["side (m)"], row["evidence"], row["way"]): row
+        for row in results.rows("Independent walkers in groups")
+        if row["who stop (%)"]
+    }
+    return {
+        f"{side} m, {evidence}": [
+            rows[side, evidence, way][f"conversing, {odds} (%)"]
+            for way in ("offline", "online")
+            for odds in ("without", "with")
+        ]
+        for side in (8, 12, 18)
+        for evidence in ("positions", "positions and heads")
+    }
+
+
 CLAIMS: Sequence[Claim] = (
     Claim("docs/baselines.md", "baxter-statistics", deviations, "| deviation |"),
     Claim("docs/papers.md", "baxter-simulated", simulated_by_rate("MSE"), "| detected: squared error |"),
@@ -367,6 +388,7 @@ CLAIMS: Sequence[Claim] = (
     Claim("README.md", "baxter-occlusion", readme_windows, READMES),
     Claim("README.md", "chen-joint", readme_joint, READMES),
     Claim("docs/tracking.md", "meetings", meetings, "| switches, 120 meetings |"),
+    Claim("docs/behaviour.md", "strangers", strangers, "| in a conversation, % |"),
     *FOLLOWING,
     *PIXELS,
     *BEYOND,

@@ -16,6 +16,7 @@ from graphtrack.evaluation.reproduce import (
     gaits,
     honesty,
     meetings,
+    strangers,
 )
 from graphtrack.evaluation.reproduce.experiment import Experiment, Reproduction, Settings, Table
 
@@ -34,6 +35,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
             gaits,
             honesty,
             meetings,
+            strangers,
         )
     }
 )
