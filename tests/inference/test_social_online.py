@@ -93,7 +93,8 @@ def test_engines_agree(engine: Any) -> None:
     _, seen = positions(people=3, steps=15)
     chain, graph = (gt.track_online(seen, "social", engine=one, lag=4.0) for one in ("chain", engine))
     for a, b in zip(chain, graph, strict=True):
-        assert np.median(np.abs(wrap(a.body - b.body))) < 0.1
+        # Who stands alone in the first seconds may face anywhere.
+        assert np.median(np.abs(wrap(a.body - b.body)) / np.sqrt(a.covariance[:, 4, 4])) < 0.3
 
 
 def rows(seen: TrackSet, order: np.random.Generator | None = None) -> Iterator[dict[str, Any]]:

@@ -27,8 +27,6 @@ _WILDFIRE = 1e-6
 _OF_CLASSES = 0.1
 """Share of the threshold at which orientations are linearised again once class likelihoods have been seen:
 their peaks are sharper than what an observed angle says."""
-_LEAVING, _OPEN, _NEWEST = range(3)
-"""Order in which GTSAM eliminates variables that leave the window, others, and the newest."""
 _WATCHED = 50
 """Newest steps of which some has to be beyond the threshold for a further update."""
 
@@ -177,15 +175,15 @@ class Isam2:
     ) -> list[int]:
         """One update of iSAM2; the indices of the new factors."""
         values = gtsam.Values() if values is None else values
-        order, again = None, None
-        if leaving := self._n_leaving():
-            order, again = gtsam.KeyGroupMap(), gtsam.KeyList()
-            last = len(self._steps) - 1
-            for i, step in enumerate(self._steps):
+        # The newest variables last: the root of the tree is where the next observation comes in.
+        order, again, leaving = gtsam.KeyGroupMap(), gtsam.KeyList(), self._n_leaving()
+        for key in self._keys[self._steps[-1].index]:
+            order.insert2(key, 2 if leaving else 1)
+        if leaving:
+            for i, step in enumerate(self._steps[:-1]):
                 for key in self._keys[step.index]:
-                    order.insert2(key, _LEAVING if i < leaving else _OPEN if i < last else _NEWEST)
-                    if i < last:
-                        again.push_back(key)
+                    order.insert2(key, 0 if i < leaving else 1)
+                    again.push_back(key)
         graph = gtsam.NonlinearFactorGraph()
         for factor in factors:
             graph.push_back(factor)
