@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from graphtrack.behaviour.parameters import GroupParameters
     from graphtrack.errors import GraphtrackError, InputError, InputWarning, SolveError
     from graphtrack.evaluation.compare import Comparison, compare
+    from graphtrack.evaluation.states import StateScore, score_states
     from graphtrack.evaluation.tracking import SequenceScore, TrackingScore, score
     from graphtrack.inference import (
         Estimate,
@@ -89,6 +90,7 @@ __all__ = [
     "presets",
     "read",
     "score",
+    "score_states",
     "simulate",
     "smooth",
     "solve",
@@ -118,6 +120,7 @@ _HOMES = {
     "simulation.degrade": ("add_noise",),
     "errors": ("GraphtrackError", "InputError", "InputWarning", "SolveError"),
     "evaluation.compare": ("Comparison", "compare"),
+    "evaluation.states": ("StateScore", "score_states"),
     "evaluation.tracking": ("SequenceScore", "TrackingScore", "score"),
     "inference": (
         "Estimate",

@@ -19,6 +19,9 @@ from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.compare import Comparison
+    from graphtrack.model import Model
+    from graphtrack.tracks import TrackSet
+    from graphtrack.trust import Trust
 
 FIGURES = ("errors.png", "nees.png")
 """What `write_figures` writes, and with --reliability one more."""
@@ -97,6 +100,7 @@ def compare(
             show_default=False,
         ),
     ] = None,
+    trust: options.TrustNoise = None,
     occlude: Annotated[
         float | None,
         typer.Option("--occlude", help="Seconds around the sharpest turn to withhold and to score."),
@@ -155,6 +159,7 @@ def compare(
             "--figures": figures,
             "--reliability": reliability,
             "--position-noise": position_noise,
+            "--trust": trust,
         }
         of_tracks |= {"--body-kappa": body_kappa, "--head-kappa": head_kappa}
         refuse(of_tracks, "without --truth", "with it the input is detections, and trackers are compared")
@@ -188,9 +193,10 @@ def compare(
         tracks = add_noise(
             tracks, position_std=position_noise, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng
         )
+    tracks, model_used = _trusted(tracks, model, trust or "check")
     names = named(methods) or METHODS
     with input_warnings_as_notes(), progress_bar(tracks.n_frames) as advance:
-        found = compare_methods(tracks, names, model=model, occlude_seconds=occlude, progress=advance)
+        found = compare_methods(tracks, names, model=model_used, occlude_seconds=occlude, progress=advance)
     if not found.rows:
         first = found.failures[0]
         raise InputError(
@@ -209,6 +215,23 @@ def compare(
         console.print(f"wrote {json_path}", markup=False)
     if figures is not None:
         write_figures(found, figures, reliability)
+
+
+def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSet, Model | str | None]:
+    """The tracks and the model of all methods, with the noise that is taken; None: each method its own."""
+    from graphtrack.model import Model
+    from graphtrack.trust import trusted
+
+    given = Model.named(model)
+    tracks, learned, said = trusted(tracks, given, trust)
+    for line in said:
+        console.print(f"  note: {line}", markup=False)
+    if model is None and learned.parameters != given.parameters:
+        raise InputError(
+            "--trust learn of a file that does not declare its noise, with a model for each method",
+            "--model, so that all methods have the noise that was learned",
+        )
+    return tracks, None if model is None else learned
 
 
 def print_comparison(comparison: Comparison) -> None:

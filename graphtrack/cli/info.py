@@ -86,8 +86,32 @@ def _shown(value: Any) -> Any:
     return ("yes" if value else "no") if isinstance(value, bool) else value
 
 
+_WINDOW = 0.5
+"""Seconds to either side over which a line is fitted to the positions."""
+
+
+def _speeds(track: Track) -> Any:
+    """Speeds (m/s) of a person along the smoothed path: differences of noisy positions are faster.
+
+    The slopes of straight lines that are fitted by least squares to what was seen around each moment.
+    """
+    import numpy as np
+
+    seen = np.isfinite(track.position).all(axis=1)
+    t, position = track.t[seen] - track.t[0], track.position[seen]
+    begin = np.searchsorted(t, t - _WINDOW - 1e-6)
+    end = np.searchsorted(t, t + _WINDOW + 1e-6)
+    columns = np.column_stack([np.ones(len(t)), t, t * t, position, t[:, None] * position])
+    sums = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(columns, axis=0)])
+    n, first, second, x, y, tx, ty = (sums[end] - sums[begin]).T
+    spread = n * second - first**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        slopes = (n * np.array([tx, ty]) - first * np.array([x, y])) / spread
+    return np.linalg.norm(slopes[:, (n > 1) & (spread > 1e-9)], axis=0)
+
+
 def describe(track: Track) -> dict[str, Any]:
-    """One line about a track: extent, rate, gaps, what was observed, median speed."""
+    """One line about a track: extent, rate, gaps, what was observed, median speed of the smoothed path."""
     import numpy as np
 
     seen = np.isfinite(track.position).all(axis=1)
@@ -95,8 +119,7 @@ def describe(track: Track) -> dict[str, Any]:
     usual = float(np.median(steps)) if len(steps) else float("nan")
     step_frames = np.diff(track.frame)
     frames = int(np.median(step_frames)) if len(step_frames) else 1
-    speeds = np.linalg.norm(np.diff(track.position, axis=0), axis=1) / steps
-    speeds = speeds[np.isfinite(speeds)]
+    speeds = _speeds(track)
 
     def count(name: str) -> int:
         values = [getattr(track, channel) for channel in (name, f"{name}_likelihood")]

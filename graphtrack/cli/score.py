@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +14,7 @@ from graphtrack.cli.console import console, print_reading, print_table
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
+    from graphtrack.evaluation.states import StateScore, TrackErrors
     from graphtrack.evaluation.tracking.judge import Pair
     from graphtrack.evaluation.tracking.scores import SequenceScore, Threshold, TrackingScore
     from graphtrack.table.rows import Rows
@@ -67,11 +68,15 @@ def score(
         ),
     ] = None,
 ) -> None:
-    """Judge tracks against the truth (HOTA, IDF1, MOTA, switches), and tables of forecasts and of groups.
+    """Judge tracks against the truth: HOTA, IDF1, MOTA, switches; errors of states, and whether intervals hold.
+
+    Errors of position, velocity, body and head are those of people with the same track_id in both. Tables of
+    forecasts and of groups are judged, too.
 
     The names of files, without their endings, are those of the sequences.
     """
     from graphtrack.cli.score_forecast import are_forecasts, score_forecasts
+    from graphtrack.evaluation.states import summary
     from graphtrack.evaluation.tracking.judge import judge, threshold_of
     from graphtrack.io import atomic_path
     from graphtrack.io.groups import is_group_table
@@ -98,13 +103,18 @@ def score(
     if report is not None and len(pairs) > 1:
         raise InputError(f"--report of {len(pairs)} sequences", "one sequence: a file and its truth")
     read: list[tuple[TrackSet, TrackSet]] = []
-    found = judge(_read(pairs, reading, threshold, read), threshold)
+    errors: list[TrackErrors] = []
+    found = judge(_read(pairs, reading, threshold, read, errors), threshold)
     print_score(found)
+    states = None if threshold.measure == "iou" else summary(errors)
+    if states is not None:
+        print_states(states)
     if report is not None:
         _write_report(report, found, *read[0])
     if json_path is not None:
         with atomic_path(json_path) as temporary:
-            temporary.write_text(json.dumps(found.to_dict(), indent=1), encoding="utf-8")
+            content = found.to_dict() | ({} if states is None else {"states": states.to_dict()})
+            temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
         console.print(f"wrote {json_path}", markup=False)
 
 
@@ -113,8 +123,13 @@ def _read(
     reading: options.CameraReading,
     threshold: Threshold,
     kept: list[tuple[TrackSet, TrackSet]],
+    errors: list[TrackErrors],
 ) -> Iterator[Pair]:
-    """What is compared of each pair of files, as they are read; of one pair the tracks are kept."""
+    """What is compared of each pair of files, as they are read, with the errors of the people in both.
+
+    Of one pair the tracks are kept.
+    """
+    from graphtrack.evaluation.states import track_errors
     from graphtrack.evaluation.tracking.detections import boxes, estimated_detections, true_detections
 
     if threshold.measure == "iou" and reading.select:
@@ -127,6 +142,7 @@ def _read(
             estimated, true = estimated_detections(found), reading.tracks([truth], beside=found)
             if len(pairs) == 1:
                 kept.append((found, true))
+            errors += track_errors(found, true)
             yield name, estimated, true_detections(true)
 
 
@@ -180,6 +196,31 @@ def print_score(found: TrackingScore) -> None:
 
     print_table(f"Tracks and identities, {found.threshold}", rows(SHARES))
     print_table("Counted", rows(COUNTS))
+    for note in found.notes:
+        console.print(f"  note: {note}", markup=False)
+
+
+def print_states(found: StateScore) -> None:
+    """Errors and whether intervals hold, as a table on standard output."""
+
+    def shown(row: dict[str, Any]) -> dict[str, object]:
+        numbers = {"RMSE": row["rmse"], "MAE": row["mae"], "median": row["median"]}
+        line = {"": row["quantity"], "unit": row["unit"], "tracks": row["tracks"], "frames": row["frames"]}
+        line |= {name: f"{value:.3g}" for name, value in numbers.items()}
+        if row["coverage_95"] is not None:
+            line |= {"95 % holds": f"{100.0 * row['coverage_95']:.0f} %"}
+        if row["nees"] is not None:
+            band = f"{row['nees_low']:.2f}–{row['nees_high']:.2f}"
+            line |= {"NEES / dof": f"{row['nees']:.2f}", "1 if honest, within": band}
+        return line
+
+    if found.rows:
+        rows = [shown(row) for row in found.rows]
+        headings = dict.fromkeys(name for row in rows for name in row)
+        print_table(
+            "Errors of people with the same track_id in both",
+            [{name: row.get(name, "–") for name in headings} for row in rows],
+        )
     for note in found.notes:
         console.print(f"  note: {note}", markup=False)
 

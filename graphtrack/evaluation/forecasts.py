@@ -54,7 +54,8 @@ class ForecastScore:
     ----------
     forecasts : that were judged
     left_out : whose person's truth is not known at all times ahead and a step before
-    methods : "forecast", "constant velocity", "Kalman filter"
+    methods : "forecast", "constant velocity", "Kalman filter"; of a truth that has true positions beside the
+        observed ones "constant velocity, true last step" too
     by_ahead : a row for each time ahead
     reliability : share that circles should hold → share that they do
     drawn : whether the best of `SAMPLES` is of paths drawn from the table's Gaussian, for it has no samples
@@ -75,8 +76,9 @@ class ForecastScore:
 def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> ForecastScore:
     """Judge a table of forecasts.
 
-    Constant velocity is that of the last step of the truth before the forecast, as long as the table's own
-    first time ahead; the Kalman filter sees the true positions with the default parameters.
+    Constant velocity is that of the last step before the forecast, as long as the table's own first time
+    ahead. It and the Kalman filter, with the default parameters, get the positions that the forecast had: the
+    observed ones of the truth, where it has true ones beside. The true last step stands there by that name.
 
     Parameters
     ----------
@@ -96,14 +98,14 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
         raise InputError("forecasts for differing times ahead", "each one for the same times")
     grid = {name: values.reshape(shape) for name, values in grid.items()}
     people, made = grid["track_id"][:, 0].astype(int), grid["t"][:, 0]
-    true, straight, filtered = _references(truth, people, made, ahead)
-    known = np.asarray(np.isfinite(true).all(axis=(1, 2)) & np.isfinite(straight).all(axis=(1, 2)))
+    true, straight, informed, filtered = _references(truth, people, made, ahead)
+    known = np.asarray(np.isfinite(np.stack([true, straight, informed])).all(axis=(0, 2, 3)))
     if not known.any():
         raise InputError(
             f"{len(known)} forecasts, none of whose outcomes is known", "truth of the same people and times"
         )
     grid = {name: values[known] for name, values in grid.items()}
-    true, straight, filtered = true[known], straight[known], filtered[known]
+    true, straight, informed, filtered = true[known], straight[known], informed[known], filtered[known]
     mean = np.stack([grid["x"], grid["y"]], axis=2)
     error = np.linalg.norm(mean - true, axis=2)
     off = true - mean
@@ -143,7 +145,14 @@ def judge_forecasts(table: Mapping[str, FloatArray], truth: TrackSet) -> Forecas
         }
         for k in range(len(ahead))
     )
-    methods = {"forecast": own, "constant velocity": MethodScore(*_errors(other)), "Kalman filter": kalman}
+    methods = {
+        "forecast": own,
+        "constant velocity": MethodScore(*_errors(other)),
+        "Kalman filter": kalman,
+    }
+    if any(track.has_truth for track in truth):
+        errors = _errors(np.linalg.norm(informed - true, axis=2))
+        methods["constant velocity, true last step"] = MethodScore(*errors)
     curve = {level: float((held <= level).mean()) for level in LEVELS}
     return ForecastScore(int(known.sum()), int((~known).sum()), methods, rows, curve, drawn)
 
@@ -181,10 +190,13 @@ def _paths(grid: Mapping[str, FloatArray], mean: FloatArray, spread: FloatArray)
 
 def _references(
     truth: TrackSet, people: NDArray[np.int64], made: FloatArray, ahead: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where people were and would be going straight on (n, A, 2), and what the filter says (n, A, 3)."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Where people were (n, A, 2), and what the filter says (n, A, 3).
+
+    Between them where people would be going straight on, by the last observed step and by the true one.
+    """
     shape = (len(people), len(ahead))
-    true, straight = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
+    true, straight, informed = (np.full((*shape, 2), np.nan) for _ in range(3))
     filtered = np.full((*shape, 3), np.nan)
     tracks = {track.track_id: track for track in truth}
     parameters = Parameters()
@@ -196,14 +208,15 @@ def _references(
             continue
         position = track.true_position if track.has_truth else track.position
         assert position is not None
-        seen = np.isfinite(position).all(axis=1)
-        if seen.sum() < 2:
+        known = np.isfinite(position).all(axis=1)
+        seen = np.isfinite(track.position).all(axis=1)
+        if known.sum() < 2 or seen.sum() < 2:
             continue
-        t, position = track.t[seen], position[seen]
-        now, before = _between(t, position, made[rows]), _between(t, position, made[rows] - ahead[0])
-        true[rows] = _between(t, position, (made[rows, None] + ahead).ravel()).reshape(len(rows), -1, 2)
-        velocity = (now - before) / ahead[0]
-        straight[rows] = now[:, None] + velocity[:, None] * ahead[:, None]
+        at = (made[rows, None] + ahead).ravel()
+        true[rows] = _between(track.t[known], position[known], at).reshape(len(rows), -1, 2)
+        informed[rows] = _straight_on(track.t[known], position[known], made[rows], ahead)
+        t, position = track.t[seen], track.position[seen]
+        straight[rows] = _straight_on(t, position, made[rows], ahead)
         alone = Track(one, np.flatnonzero(seen), t, position)
         states, _ = filter_states(alone, parameters)
         last = np.clip(np.searchsorted(t, made[rows] + 1e-6) - 1, 0, len(t) - 1)
@@ -213,7 +226,14 @@ def _references(
         own, cross, speed = spread[:, 0, 0], spread[:, 0, 2], spread[:, 2, 2]
         variance = own[:, None] + 2.0 * since * cross[:, None] + since**2 * speed[:, None]
         filtered[rows, :, 2] = variance + density * since**3 / 3.0
-    return true, straight, filtered
+    return true, straight, informed, filtered
+
+
+def _straight_on(t: FloatArray, position: FloatArray, made: FloatArray, ahead: FloatArray) -> FloatArray:
+    """Positions (n, A, 2) going on with the velocity of the last step, as long as the first time ahead."""
+    now, before = _between(t, position, made), _between(t, position, made - ahead[0])
+    velocity = (now - before) / ahead[0]
+    return np.asarray(now[:, None] + velocity[:, None] * ahead[:, None])
 
 
 def _between(t: FloatArray, position: FloatArray, at: FloatArray) -> FloatArray:

@@ -297,5 +297,5 @@ EXPERIMENT = Experiment(
     "no paper's: groups found among independent people, and true groups kept",
     work,
     run,
-    "one seed",
+    f"about {PEOPLE} people at a time, one seed",
 )
