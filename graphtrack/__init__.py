@@ -74,6 +74,7 @@ __all__ = [
     "Solution",
     "SolveError",
     "SolverOptions",
+    "StateScore",
     "Term",
     "Track",
     "TrackSet",

@@ -68,7 +68,7 @@ def score(
         ),
     ] = None,
 ) -> None:
-    """Judge tracks against the truth: HOTA, IDF1, MOTA, switches; errors of states, and whether intervals hold.
+    """Judge tracks against the truth: HOTA, IDF1, MOTA, switches; errors of states, and if intervals hold.
 
     Errors of position, velocity, body and head are those of people with the same track_id in both. Tables of
     forecasts and of groups are judged, too.

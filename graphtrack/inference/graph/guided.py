@@ -29,7 +29,9 @@ _LAG = 5.0
 """Seconds of a full history in which modes are inferred and basins are searched."""
 _RECOUPLED = 0.01
 """Share by which what the modes set has to change for a step's factors to be evaluated anew."""
-_SEARCH = SolverOptions(max_iterations=30, relative_tolerance=1e-6)
+_REST = 0.5
+"""Seconds for which basins are not searched after a descent that led nowhere better."""
+_SEARCH = SolverOptions(max_iterations=100, relative_tolerance=1e-6)
 """Of the descent in another basin."""
 
 
@@ -67,7 +69,7 @@ class Guided:
         self._lag = min(lag, _LAG) if lag == math.inf else lag
         self._outliers = model.parameters.likelihood.outlier_probability > 0.0
         self._view: WindowView | None = None
-        self._searches = False
+        self._searches, self._search_from = False, -math.inf
         if self._model.has_modes:
             self._begin()
 
@@ -178,19 +180,24 @@ class Guided:
     def _found(self, recent: Sequence[Step], states: FloatArray) -> tuple[Newest, FloatArray] | None:
         """What is known about the newest step in another basin, and the recent states there; or None."""
         assert self._view is not None
-        other = self._view.other(states, AT_END)
+        t = recent[-1].observation.t
+        other = None if t < self._search_from else self._view.other(states, AT_END)
         if other is None:
             return None
         window = self._graph.window()
         turn = other[0] - states[0]
         prior = None if window.prior is None else _turned(window.prior, recent[0], turn)
-        here, there = replace(window, steps=tuple(recent)), replace(window, steps=tuple(recent), prior=prior)
-        cost = self._problem(here).error(_values(recent, states, self._whole))
-        graph, values = self._problem(there), _values(recent, other, self._whole)
         ordering = gtsam.Ordering([key for step in recent for key in variable_keys(step, self._whole)])
-        values, costs, _ = optimize(graph, values, ordering, _SEARCH)
-        if not costs[-1] < cost:
+        ends = []
+        # From here, too: one or two Gauss–Newton steps an observation may be far from their end.
+        for held, begun in ((window.prior, states), (prior, other)):
+            graph = self._problem(replace(window, steps=tuple(recent), prior=held))
+            values, costs, _ = optimize(graph, _values(recent, begun, self._whole), ordering, _SEARCH)
+            ends.append((costs[-1], values, held, costs[0]))
+        if not min(ends[0][0], ends[1][0]) < ends[0][3] - _SEARCH.relative_tolerance * (1.0 + ends[0][3]):
+            self._search_from = t + _REST
             return None
+        _, values, prior, _ = min(ends, key=lambda end: end[0])
         known = {step.index: self.state(step) for step in window.steps}
         known |= {step.index: read_step(values, step, self._whole) for step in recent}
         newest = self._graph.rework(replace(window, values=known, prior=prior))
@@ -235,7 +242,7 @@ class Guided:
         own = self._graph.arrays()
         if self._couplings is not None:
             own["couplings"] = np.array([self._couplings[step.index] for step in self.steps])
-        return own
+        return own | {"search_from": np.array([self._search_from])}
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
         """Go on where `window` and `arrays` were taken, as if nothing had happened.
@@ -250,13 +257,14 @@ class Guided:
             rows = arrays["couplings"].reshape(len(window.steps), len(COUPLED)).tolist()
             for step, row in zip(window.steps, rows, strict=True):
                 self._couplings[step.index] = tuple(row)
+        (self._search_from,) = arrays["search_from"].tolist()
         self._graph.resume(window, arrays)
         if self._view is not None and window.steps:
             recent = self._recent()
             self._view.follow(recent, np.array([self.state(step) for step in recent]), None)
 
     def _take(self, window: Window) -> None:
-        self._view, self._searches = None, False
+        self._view, self._searches, self._search_from = None, False, -math.inf
         self._notice(window.steps)
         if self._view is None and self._model.has_modes:
             self._begin()
