@@ -228,7 +228,7 @@ def _trusted(tracks: TrackSet, model: str | None, trust: Trust) -> tuple[TrackSe
         console.print(f"  note: {line}", markup=False)
     if model is None and learned.parameters != given.parameters:
         raise InputError(
-            "--trust learn of a file that does not declare its noise, with a model for each method",
+            "--trust learn, with a model of its own for each method",
             "--model, so that all methods have the noise that was learned",
         )
     return tracks, None if model is None else learned
