@@ -88,6 +88,7 @@ def test_folders_of_files_with_the_same_names(here):
     assert {one["name"]: one["matches"] for one in found["sequences"]} == {"a": 20, "b": 40}
     assert found["together"]["matches"] == 60 and found["together"]["rows"] == 80
     assert found["together"]["mean_distance"] == pytest.approx(0.2)
+    assert found.pop("states")["rows"]
     assert gt.score("estimates", "true", metres=0.5).to_dict() == found
 
 
