@@ -14,6 +14,7 @@ from walks import walk
 from graphtrack.geometry.angles import difference
 from graphtrack.inference import OnlineSmoother, smooth_track
 from graphtrack.inference.graph.chain_view import couplings_of
+from graphtrack.inference.graph.guided import Guided
 from graphtrack.inference.initial import pack
 from graphtrack.model import Model, Step, Term
 from graphtrack.model.factors.derived import COUPLED
@@ -127,6 +128,16 @@ def test_late_observations_and_saved_states_keep_the_modes(engine: Any, lag: Any
     np.testing.assert_allclose(found.position, whole[-1].position, atol=1e-3)
     assert abs(difference(found.body, whole[-1].body)) < 1e-2
     assert found.aligned_p == pytest.approx(whole[-1].aligned_p, abs=1e-3)
+
+
+@pytest.mark.parametrize("engine", ["fixed-lag", "isam2"])
+def test_couplings_of_what_has_left_the_window_are_forgotten(engine: Any) -> None:
+    smoother = OnlineSmoother("full", engine=engine, lag=0.5)
+    for seen in observations(side_stepping(2.0)):
+        smoother.update(seen)
+    guided = smoother._smoother
+    assert isinstance(guided, Guided) and guided._couplings is not None
+    assert guided._couplings.keys() == {step.index for step in guided.steps}
 
 
 def test_a_step_that_nothing_steers_is_one_of_white_noise() -> None:

@@ -154,6 +154,9 @@ class Guided:
         recent = self._recent()
         states = np.array([self.state(step) for step in recent])
         view.follow(recent, states, self._prior(recent))
+        if self._couplings is not None and len(recent) == len(self.steps):
+            for index in self._couplings.keys() - {step.index for step in recent}:
+                del self._couplings[index]
         try:
             if self._couplings is not None:
                 before = [self._couplings.get(step.index) for step in recent]
