@@ -176,8 +176,14 @@ class HeadLocaliser(Stored):
 
     def parameters(self) -> dict[str, Any]:
         """Arguments of the constructor, threshold and weight of the place."""
-        settings = {"weak": self.weak, "rounds": self.rounds, "seed": self.seed, "plain": self.plain}
-        settings |= {"around": self.around, "normalised": self.normalised}
+        settings: dict[str, Any] = {
+            "weak": self.weak,
+            "rounds": self.rounds,
+            "seed": self.seed,
+            "plain": self.plain,
+            "around": self.around,
+            "normalised": self.normalised,
+        }
         return {"settings": settings, "threshold": self.threshold, "place_weight": self._place_weight}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
