@@ -50,7 +50,8 @@ def train(
         bool,
         typer.Option(
             "--as-published",
-            help="body_pose, templates or head_localiser as Chen, Heili & Odobez (2011) printed them.",
+            help="body_pose, templates or head_localiser as Chen, Heili & Odobez (2011) printed them; "
+            "exemplars or head_exemplars as Ba & Odobez (2003) did.",
         ),
     ] = False,
     seed: Seed = 0,

@@ -34,8 +34,11 @@ def recognition_table(
     rng: np.random.Generator,
     *,
     repetitions: int = 1,
+    as_published: bool = False,
 ) -> tuple[list[RecognitionRow], FloatArray]:
     """Ba & Odobez's Table 1 (68 people, 1 or 2 exemplars) and Table 3 (140 people, several splits), rendered.
+
+    With ``as_published`` the exemplars are those of `Exemplars.as_published`.
 
     Half of the people train, the other half test; each is seen once at the nine pans −90° … 90°.
 
@@ -54,7 +57,7 @@ def recognition_table(
     for train, test in _splits(people, repetitions, rng):
         fitted, judged = (np.flatnonzero(np.isin(person, part)) for part in (train, test))
         for count, density in _cells(exemplars):
-            model = Exemplars(classes, exemplars=count, density=density)
+            model = Exemplars(classes, exemplars=count, density=density, plain=as_published)
             features = model.features([heads.images[i] for i in fitted])
             model.fit_features(features, labels[fitted], np.random.default_rng(0))
             found = model.scores(model.features([heads.images[i] for i in judged])).argmax(axis=1)

@@ -53,8 +53,15 @@ def load_head_localiser(path: str | Path | None = None) -> HeadLocaliser:
     return HeadLocaliser.load(path or model_path(HeadLocaliser.kind))
 
 
-def load_head_exemplars(path: str | Path | None = None) -> HeadExemplars:
-    """The exemplars of the mixed-state tracker, of the package or of a file."""
+def load_head_exemplars(path: str | Path | None = None, *, plain: bool = False) -> HeadExemplars:
+    """Load the exemplars of the mixed-state tracker, of the package or of a file.
+
+    Parameters
+    ----------
+    plain : whether the package's are those of Ba & Odobez 2003 as printed (`HeadExemplars.plain`)
+    """
+    if path is None and plain:
+        path = Path(__file__).parent / "head_exemplars_as_published.npz"
     return HeadExemplars.load(path or model_path(HeadExemplars.kind))
 
 

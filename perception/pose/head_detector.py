@@ -80,20 +80,28 @@ class BoostedBlocks:
         return cls(np.array(block_), np.array(direction_), np.array(threshold), np.array(weight))
 
     def scores(
-        self, integral: NDArray[np.float32], windows: FloatArray, *, rounds: int | None = None
+        self,
+        integral: NDArray[np.float32],
+        windows: FloatArray,
+        *,
+        rounds: int | None = None,
+        normalised: bool = True,
     ) -> FloatArray:
         """Confidence (n,) in −1…1 of windows (n, 4) in an `integral_histogram`.
 
         Parameters
         ----------
         rounds : how many of the weak classifiers vote, from the first; all by default
+        normalised : whether histograms are divided by their sums, as in `block_histograms`
         """
         rows, columns = grid_lines(windows, integral.shape)
         weight = self.weight[:rounds]
         used = np.argsort(self.direction == 0.0, axis=1, kind="stable")
         count = np.count_nonzero(self.direction, axis=1)
         blocks = block_corners()[self.block[:rounds]]
-        total = _scores(integral, rows, columns, blocks, self.direction, used, count, self.threshold, weight)
+        total = _scores(
+            integral, rows, columns, blocks, self.direction, used, count, self.threshold, weight, normalised
+        )
         return np.asarray(total / float(weight.sum()), float)
 
 
@@ -135,6 +143,7 @@ def _scores(
     count: Any,
     threshold: Any,
     weight: Any,
+    normalised: bool,
 ) -> Any:
     """Votes (n,): each looks at the four corners of its block, in the directions that it uses."""
     n = len(rows)
@@ -148,6 +157,8 @@ def _scores(
             for k in range(count[t]):
                 d = used[t, k]
                 along += direction[t, d] * (high[b, d] - low[b, d] - high[a, d] + low[a, d])
-            whole = 1.0 + high[b, BINS] - low[b, BINS] - high[a, BINS] + low[a, BINS]
+            whole = 1.0
+            if normalised:
+                whole += high[b, BINS] - low[b, BINS] - high[a, BINS] + low[a, BINS]
             total[i] += weight[t] if along > threshold[t] * whole else -weight[t]
     return total

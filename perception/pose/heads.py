@@ -28,7 +28,6 @@ _STEP = 2.5
 _LOWEST = 0.30
 """Centres of heads lie in this upper share of the box, unless the localiser is plain."""
 _AROUND = 1.3
-"""A window is this much larger than the head, so that it holds the outline."""
 _OVERLAP = 0.2
 _FIRST_ROUNDS, _KEPT = 30, 250
 _NEGATIVE_OVERLAP = 0.35
@@ -58,22 +57,38 @@ class HeadLocaliser(Stored):
     weak : "differential" (eq. 1) or "fisher" (the comparison in Chen et al.'s Table 1)
     rounds : of AdaBoost
     seed : of the choice of training windows
-    plain : Chen et al. 2011, §2.2 as printed: windows all over the box, each judged by all weak classifiers
-        alone, and the
-        best one of a heap is its head. By default heads lie in the upper part, their place costs, the first
-        30 classifiers choose the 250 windows that the others judge, and those about the best are averaged.
+    plain : the search of Chen et al. 2011, §2.2: windows all over the box, each judged by all weak
+        classifiers alone, and the best one of a heap is its head (`as_published` is all of §2.2). By default
+        heads lie in the upper part, their place costs, the first 30 classifiers choose the 250 windows that
+        the others judge, and those about the best are averaged.
+    around : size of the window that is judged, in sizes of the head: 1.3 holds the outline; in the paper the
+        window is the head
+    normalised : whether the histogram of a block is divided by its sum; in the paper it is not
     """
 
     kind: ClassVar[str] = "head_localiser"
 
     def __init__(
-        self, weak: Weak = "differential", *, rounds: int = 500, seed: int = 0, plain: bool = False
+        self,
+        weak: Weak = "differential",
+        *,
+        rounds: int = 500,
+        seed: int = 0,
+        plain: bool = False,
+        around: float = _AROUND,
+        normalised: bool = True,
     ) -> None:
         self.weak, self.rounds, self.seed, self.plain = weak, rounds, seed, plain
+        self.around, self.normalised = around, normalised
         self.threshold = 0.0
         self.card = ModelCard(self.kind)
         self._detector: BoostedBlocks | None = None
         self._place, self._place_weight = np.array([np.zeros(4), np.ones(4)]), 0.0
+
+    @classmethod
+    def as_published(cls, *, seed: int = 0) -> Self:
+        """Chen et al. 2011, §2.2 as printed: plain, sums of gradients, in the window of the head."""
+        return cls(seed=seed, plain=True, around=1.0, normalised=False)
 
     def fit(self, images: Sequence[Image], head_boxes: ArrayLike, *, negatives: int = 4) -> Self:
         """Learn from crops of people and their head boxes (n, 4).
@@ -102,7 +117,8 @@ class HeadLocaliser(Stored):
             far = rng.permutation(np.flatnonzero(overlap < _NEGATIVE_OVERLAP))[: negatives - 1]
             edge = rng.permutation(np.flatnonzero((overlap > 0.05) & (overlap < _NEGATIVE_OVERLAP)))[:2]
             chosen = np.concatenate([near, windows[far], windows[edge]])
-            features.append(block_histograms(corner_sums(integral, enlarged(chosen, _AROUND))))
+            corners = corner_sums(integral, enlarged(chosen, self.around))
+            features.append(block_histograms(corners, normalised=self.normalised))
             labels += [1, 1] + [-1] * (len(far) + len(edge))
             places.append(_places(true[None], integral.shape[1] - 1)[0])
         self._detector = BoostedBlocks.fit(
@@ -145,19 +161,29 @@ class HeadLocaliser(Stored):
         """Windows (n, 4) and their scores (n,); the less promising ones are left out, unless plain."""
         assert self._detector is not None
         windows = self._windows(integral.shape[1] - 1)
-        surrounded = enlarged(windows, _AROUND)
+        surrounded, normalised = enlarged(windows, self.around), self.normalised
         if self.plain:
-            return windows, self._detector.scores(integral, surrounded)
+            return windows, self._detector.scores(integral, surrounded, normalised=normalised)
         # The first weak classifiers tell most windows apart from heads; the others judge what is left.
         away = np.square((_places(windows, integral.shape[1] - 1) - self._place[0]) / self._place[1])
         cost = 0.5 * self._place_weight * away.sum(axis=1)
-        first = self._detector.scores(integral, surrounded, rounds=_FIRST_ROUNDS) - cost
+        first = (
+            self._detector.scores(integral, surrounded, rounds=_FIRST_ROUNDS, normalised=normalised) - cost
+        )
         promising = np.argsort(-first, kind="stable")[:_KEPT]
-        return windows[promising], self._detector.scores(integral, surrounded[promising]) - cost[promising]
+        scores = self._detector.scores(integral, surrounded[promising], normalised=normalised)
+        return windows[promising], scores - cost[promising]
 
     def parameters(self) -> dict[str, Any]:
         """Arguments of the constructor, threshold and weight of the place."""
-        settings = {"weak": self.weak, "rounds": self.rounds, "seed": self.seed, "plain": self.plain}
+        settings: dict[str, Any] = {
+            "weak": self.weak,
+            "rounds": self.rounds,
+            "seed": self.seed,
+            "plain": self.plain,
+            "around": self.around,
+            "normalised": self.normalised,
+        }
         return {"settings": settings, "threshold": self.threshold, "place_weight": self._place_weight}
 
     def arrays(self) -> dict[str, NDArray[Any]]:

@@ -12,7 +12,14 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.style import new_figure, tidy
 from perception.images.pixels import Image
-from perception.reproduce.head_runs import AS_PRINTED, JOINT, REMEMBERED, SEQUENTIAL, Run
+from perception.reproduce.head_runs import (
+    AS_PRINTED,
+    JOINT,
+    OUR_EXEMPLARS,
+    REMEMBERED,
+    SEQUENTIAL,
+    Run,
+)
 from perception.reproduce.still_heads import CONFUSION, PANS
 from perception.synthetic.head_clips import HeadClip
 
@@ -23,6 +30,7 @@ if TYPE_CHECKING:
 ClipRuns = tuple[HeadClip, Mapping[str, Run]]
 
 COLOURS = {SEQUENTIAL: "#D55E00", REMEMBERED: "#E69F00", AS_PRINTED: "#66C7A3", JOINT: "#0072B2"}
+COLOURS[OUR_EXEMPLARS] = "#CC79A7"
 _WIDTHS = {AS_PRINTED: 3.2}
 """Of lines: that of the paper's own stays seen under the other, which often lies on it."""
 _TRUTH = "#222222"

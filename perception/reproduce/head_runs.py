@@ -25,6 +25,7 @@ from perception.trackers.tracker import Box, BoxEstimate, Tracker
 
 SEQUENTIAL, REMEMBERED = "colour, then pose", "colour with memory, then pose"
 JOINT, AS_PRINTED = "mixed-state", "mixed-state, as in the paper"
+OUR_EXEMPLARS = "mixed-state, as in the paper with our exemplars"
 
 _MEMORY = ColourMemory().rate
 
@@ -35,13 +36,15 @@ METHODS: Mapping[str, Callable[[HeadExemplars, int], Tracker]] = {
     REMEMBERED: lambda exemplars, seed: ColourTracker(
         ColourParameters(rate=_MEMORY), exemplars=exemplars, seed=seed
     ),
-    AS_PRINTED: lambda exemplars, seed: MixedStateTracker(
+    AS_PRINTED: lambda exemplars, seed: MixedStateTracker(MixedStateParameters.of_the_paper(), seed=seed),
+    OUR_EXEMPLARS: lambda exemplars, seed: MixedStateTracker(
         MixedStateParameters.of_the_paper(), exemplars=exemplars, seed=seed
     ),
     JOINT: lambda exemplars, seed: MixedStateTracker(exemplars=exemplars, seed=seed),
 }
-"""Same frames, first box, number of particles, motion of boxes and exemplars for all. The memory of colours
-is that of the mixed-state tracker; as in the paper: `MixedStateParameters.of_the_paper`."""
+"""Same frames, first box, number of particles and motion of boxes for all. The memory of colours is that of
+the mixed-state tracker; as in the paper: `MixedStateParameters.of_the_paper`, with plain exemplars or with
+those of the others."""
 
 PAN_LIMIT = float(np.pi / 2.0)
 """Ba & Odobez (2003) know heads that face the camera by 90° at most; in its experiment all methods do."""

@@ -25,6 +25,7 @@ _COLOURS = {
     "motion·colour·shape": "#5F6672",
     "sigma-pi": "#0072B2",
     "motion not adaptive": "#56B4E9",
+    "as in the paper": "#66C7A3",
     "local features": "#E69F00",
     "motion alone": "#9AA1AB",
 }

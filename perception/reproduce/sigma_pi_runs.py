@@ -18,14 +18,16 @@ from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTrack
 from perception.trackers.tracker import Box, BoxEstimate
 
 OURS, FIXED, MOTION = "sigma-pi", "motion not adaptive", "motion alone"
-LOCAL = "local features"
+PRINTED, LOCAL = "as in the paper", "local features"
 METHODS: Mapping[str, SigmaPiParameters] = {
     OURS: SigmaPiParameters(),
     FIXED: SigmaPiParameters(fixed=("motion",)),
+    PRINTED: SigmaPiParameters.of_the_paper(),
     MOTION: SigmaPiParameters(cues=("motion",)),
 }
-"""The tracker; the same with a reliability of motion that is not adaptive, as Yan et al. (2011) have it; and
-the same with the motion cue only, Yan et al.'s comparison."""
+"""The tracker; the same with a reliability of motion that is not adaptive, as Yan et al. (2011) have it;
+the form as printed in full (`SigmaPiParameters.of_the_paper`); and the same with the motion cue
+only, Yan et al.'s comparison."""
 
 FROM_BOXES: Mapping[str, SigmaPiParameters] = {
     OURS: METHODS[OURS],

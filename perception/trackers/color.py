@@ -12,7 +12,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.particles import generator, normalise
 from perception.images.pixels import Image, enlarged, grey
 from perception.pose.classes import PoseClasses
-from perception.pose.features.gabor import SIDE, gabor_features
+from perception.pose.features.gabor import SIDE
 from perception.trackers.colours import BoxColours, bhattacharyya
 from perception.trackers.dynamics import BoxDynamics, moved, resampled
 from perception.trackers.mixed_state.exemplars import HeadExemplars
@@ -151,7 +151,7 @@ class ColourTracker:
         if self.exemplars is None:
             return None, None
         patch = equalised(cut(grey(image), enlarged(np.array([box]), PATCH_MARGIN), SIDE))
-        poses = self.exemplars.pose_log_likelihood(self.exemplars.log_ratio(gabor_features(patch)))
+        poses = self.exemplars.pose_log_likelihood(self.exemplars.log_ratio(self.exemplars.features(patch)))
         of_classes = np.exp(poses[0] - poses[0].max())
         of_classes /= of_classes.sum()
         pans = of_classes.reshape(self.exemplars.classes.n_tilt, -1).sum(axis=0)

@@ -57,6 +57,7 @@ def train_head_exemplars(
     exemplars: int = 8,
     background: int = 64,
     seed: int = 0,
+    as_published: bool = False,
     advance: Callable[[int], None] = lambda count: None,
 ) -> HeadExemplars:
     """Learn exemplars, the table of shared people and the weights of the filters.
@@ -68,14 +69,16 @@ def train_head_exemplars(
         the weights and the figures of the card
     exemplars : K for each pose class
     background : exemplars of what is no head
+    as_published : Ba & Odobez 2003 as printed (`Exemplars.as_published`): filters have no weights
     advance : is told how many more heads are rendered
     """
     rng = np.random.default_rng(seed)
     classes = PoseClasses.circle(16, 3)
-    features, labels, who = _heads(classes, people, rng, advance)
-    model = Exemplars(classes, seed=seed, exemplars=exemplars)
+    mean = not as_published
+    features, labels, who = _heads(classes, people, rng, advance, mean)
+    model = Exemplars(classes, seed=seed, exemplars=exemplars, plain=as_published)
     model.fit_features(np.asarray(features, float), labels, rng)
-    found = _of_scenes(make_pedestrians(scenes, rng, _SCENES), classes, rng)
+    found = _of_scenes(make_pedestrians(scenes, rng, _SCENES), classes, rng, mean)
     half, rest = scenes // 2, scenes // 2 + scenes // 4
     centre, deviation, log_weight = _background(
         found.features[:half][found.off[:half] > _BESIDE], background, rng
@@ -90,8 +93,9 @@ def train_head_exemplars(
         background_log_weight=log_weight,
         exponent=np.ones(4),
         shared=np.zeros((0, 0), np.float32),
+        plain=as_published,
     )
-    trained = _weighed(bare, found, slice(half, rest))
+    trained = bare if as_published else _weighed(bare, found, slice(half, rest))
     trained = replace(trained, shared=_shared(trained, features, labels, who, people))
     figures = _figures(trained, found, slice(rest, scenes))
     card = ModelCard(
@@ -99,14 +103,18 @@ def train_head_exemplars(
         f"{people} rendered people at all of {len(classes)} poses, {scenes} others with surroundings",
         _FAILS,
         len(labels),
-        {"exemplars": exemplars, "background": background, "seed": seed},
+        {"exemplars": exemplars, "background": background, "seed": seed, "plain": as_published},
         figures,
     )
     return replace(trained, card=card)
 
 
 def _heads(
-    classes: PoseClasses, people: int, rng: np.random.Generator, advance: Callable[[int], None]
+    classes: PoseClasses,
+    people: int,
+    rng: np.random.Generator,
+    advance: Callable[[int], None],
+    subtract_mean: bool,
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
     """Responses, labels and people of heads: every person at every pose, and mirrored."""
     looks = [random_appearance(rng) for _ in range(people)]
@@ -118,11 +126,14 @@ def _heads(
     tilt = np.where(level == 0, middle, level * rng.uniform(TILT_EDGE, TILT_EDGE + 0.33, n))
     heads = make_heads(n, rng, _HEADS, pan=pan, tilt=tilt, people=[looks[i] for i in who], advance=advance)
     images = [*heads.images, *(np.ascontiguousarray(image[:, ::-1]) for image in heads.images)]
-    features = gabor_features(grey_stack(images, SIDE, SIDE, equalise=True)).astype(np.float32)
+    stack = grey_stack(images, SIDE, SIDE, equalise=True)
+    features = gabor_features(stack, subtract_mean=subtract_mean).astype(np.float32)
     return features, np.concatenate([labels, classes.reflected(labels)]), np.tile(who, 2)
 
 
-def _of_scenes(people: PedestrianSet, classes: PoseClasses, rng: np.random.Generator) -> _Scenes:
+def _of_scenes(
+    people: PedestrianSet, classes: PoseClasses, rng: np.random.Generator, subtract_mean: bool
+) -> _Scenes:
     features, off = [], []
     for image, box in zip(people.images, people.head_box, strict=True):
         height, width = image.shape[:2]
@@ -132,7 +143,8 @@ def _of_scenes(people: PedestrianSet, classes: PoseClasses, rng: np.random.Gener
         size[0], middle[0] = box[2:], box[:2] + box[2:] / 2.0
         boxes = np.hstack([middle - size / 2.0, size])
         patches = cut(grey(image), enlarged(boxes, PATCH_MARGIN), SIDE)
-        features.append(gabor_features(equalised(patches)).astype(np.float32))
+        found = gabor_features(equalised(patches), subtract_mean=subtract_mean)
+        features.append(found.astype(np.float32))
         moved = (middle - middle[0]) / box[2:], np.log(size / box[2:])
         off.append(np.abs(np.hstack(moved)).max(axis=1))
     return _Scenes(np.array(features), np.array(off), classes.index(people.head, people.tilt), people.head)
@@ -168,8 +180,11 @@ def _shared(
     belongs = np.zeros((people, model.labels), np.float32)
     for start in range(0, len(labels), 512):
         part = slice(start, start + 512)
-        ratio = model.log_ratio(features[part]).reshape(-1, len(model.classes), k)
-        own = ratio[np.arange(len(ratio)), labels[part]]
+        if model.plain:  # the class of an exemplar is its cluster
+            own = -np.square(features[part, None] - model.centre[labels[part]]).sum(axis=2)
+        else:
+            ratio = model.log_ratio(features[part]).reshape(-1, len(model.classes), k)
+            own = ratio[np.arange(len(ratio)), labels[part]]
         belongs[who[part], labels[part] * k + own.argmax(axis=1)] = 1.0
     return belongs.T @ belongs
 

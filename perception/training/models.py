@@ -46,6 +46,8 @@ COUNTS = {
 
 PUBLISHED = (BodyPose.kind, Templates.kind, HeadLocaliser.kind)
 """Models of Chen et al. 2011, which are there as it has printed them, too."""
+AS_PUBLISHED = (*PUBLISHED, Exemplars.kind, HeadExemplars.kind)
+"""The same, and those of Ba & Odobez 2003."""
 
 FOUND = HeadVariation(size=(10, 32), offset=0.07, scale=0.12, tilt_deviation=0.45)
 """Heads as the localiser boxes them (its errors were measured), small ones too."""
@@ -96,7 +98,7 @@ def train_on_rendered(
     Parameters
     ----------
     images : how many to train on; by default as many as for the package's model
-    as_published : the form that Chen et al. (2011) have printed, of the models of `PUBLISHED`
+    as_published : the form that their papers have printed, of the models of `AS_PUBLISHED`
     advance : is told how many more images to train on are rendered
 
     Raises
@@ -113,7 +115,7 @@ def train_on_rendered(
     rng, other = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
     if name == HeadLocaliser.kind:
         people, judged = make_pedestrians(count, rng, advance=advance), make_pedestrians(test_images, other)
-        return _localiser(people, judged, HeadLocaliser(seed=seed, plain=as_published))
+        return _localiser(people, judged, _head_localiser(seed, as_published))
     if name == BodyPose.kind:
         people = make_pedestrians(count - count // 3, rng, advance=advance)
         people += make_pedestrians(count // 3, rng, FAR, advance=advance)
@@ -123,7 +125,10 @@ def train_on_rendered(
         return train_keypoints(count, test_skeletons=20 * test_images, seed=seed, advance=advance)
     if name not in CLASSIFIERS:
         return train_head_exemplars(
-            people=max(2, count // len(PoseClasses.circle(16, 3))), seed=seed, advance=advance
+            people=max(2, count // len(PoseClasses.circle(16, 3))),
+            seed=seed,
+            as_published=as_published,
+            advance=advance,
         )
     # The two that are means and exemplars are best at what they were trained on; the network holds both.
     found = count // 2 if name == DeepBelief.kind else 0
@@ -138,33 +143,44 @@ def train_on_rendered(
 
 
 def check_published(name: str, as_published: bool) -> None:
-    """Refuse Chen et al.'s form of a model that is not Chen et al.'s.
+    """Refuse the form as published of a model that is of neither paper.
 
     Raises
     ------
     InputError
         As said.
     """
-    if as_published and name not in PUBLISHED:
-        raise InputError(f"{name} as published", f"one of {', '.join(PUBLISHED)}")
+    if as_published and name not in AS_PUBLISHED:
+        raise InputError(f"{name} as published", f"one of {', '.join(AS_PUBLISHED)}")
 
 
 def _head_pose(name: str, heads: HeadSet, seed: int, as_published: bool) -> FeatureClassifier:
     model: FeatureClassifier
     if name == Templates.kind:
-        skin = SkinColours.fit(heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES])
+        seen, masks = heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES]
+        skin = SkinColours.fit(seen, masks, as_published=as_published)
         model = _templates(seed, skin, as_published)
     elif name == Exemplars.kind:
-        model = Exemplars(seed=seed, exemplars=40, weigh_filters=True)
+        model = _exemplars(seed, as_published)
     else:
         model = DeepBelief(seed=seed)
     return model.fit(heads.images, model.classes.index(heads.pan, heads.tilt))
+
+
+def _head_localiser(seed: int, as_published: bool) -> HeadLocaliser:
+    return HeadLocaliser.as_published(seed=seed) if as_published else HeadLocaliser(seed=seed)
 
 
 def _templates(seed: int, skin: SkinColours | None, as_published: bool) -> Templates:
     if as_published:
         return Templates.as_published(seed=seed, skin=skin)
     return Templates(seed=seed, skin=skin, metric="fisher")
+
+
+def _exemplars(seed: int, as_published: bool) -> Exemplars:
+    if as_published:
+        return Exemplars.as_published(seed=seed)
+    return Exemplars(seed=seed, exemplars=40, weigh_filters=True)
 
 
 def calibrate_for_use(model: FeatureClassifier, seed: int) -> None:
@@ -209,7 +225,7 @@ def train_on_files(
     model: FeatureClassifier | HeadLocaliser
     if name == HeadLocaliser.kind:
         given = read_labelled(folder, labels, ("left", "top", "width", "height"))
-        model = HeadLocaliser(seed=seed, plain=as_published).fit(given.images, given.values)
+        model = _head_localiser(seed, as_published).fit(given.images, given.values)
     elif name == BodyPose.kind:
         given = read_labelled(folder, labels, ("body_deg",))
         model = BodyPose.as_published(seed=seed) if as_published else BodyPose(seed=seed)
@@ -217,6 +233,8 @@ def train_on_files(
     else:
         given = read_labelled(folder, labels, ("pan_deg", "tilt_deg"))
         model = DeepBelief(seed=seed) if name == DeepBelief.kind else Exemplars(seed=seed)
+        if as_published and name == Exemplars.kind:
+            model = Exemplars.as_published(seed=seed)
         if name == Templates.kind:
             # Skin is a matter of masks, which these labels lack: the colours of the package's model serve.
             shipped = Templates.load(model_path(Templates.kind))

@@ -53,13 +53,13 @@ def corner_sums(integral: NDArray[np.float32], windows: FloatArray) -> NDArray[n
     return integral[rows[:, :, None], columns[:, None, :], :BINS]
 
 
-def block_histograms(corners: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Histograms (n, 441, 9) of all blocks, each divided by its sum, from `corner_sums`."""
+def block_histograms(corners: NDArray[np.float32], *, normalised: bool = True) -> NDArray[np.float32]:
+    """Histograms (n, 441, 9) of all blocks from `corner_sums`, each divided by its sum if ``normalised``."""
     top, bottom, left, right = block_corners().T
     sums = (
         corners[:, bottom, right] - corners[:, top, right] - corners[:, bottom, left] + corners[:, top, left]
     )
-    return np.asarray(sums / (sums.sum(axis=2, keepdims=True) + 1.0), np.float32)
+    return np.asarray(sums / (sums.sum(axis=2, keepdims=True) + 1.0) if normalised else sums, np.float32)
 
 
 @njit(cache=True)

@@ -58,13 +58,20 @@ def filter_bank() -> NDArray[np.float32]:
     return np.asarray(bank, np.float32)
 
 
-def gabor_features(images: NDArray[np.uint8]) -> FloatArray:
+def gabor_features(images: NDArray[np.uint8], *, subtract_mean: bool = True) -> FloatArray:
     """Features (n, 764) of equalised grey images (n, 64, 64), each filter normalised (Ba & Odobez 2003, eq.
-    1)."""
+    1).
+
+    Parameters
+    ----------
+    subtract_mean : whether an image loses its mean first. Filters end at the border, where an image without
+        its mean loses nothing but detail. Ba & Odobez (2003) do not subtract it.
+    """
     n = len(images)
     values = np.asarray(images, np.float32).reshape(n, -1)
-    # Filters end at the border: without its mean an image has nothing to lose there but detail.
-    responses = (values - values.mean(axis=1, keepdims=True)) @ filter_bank().T
+    if subtract_mean:
+        values = values - values.mean(axis=1, keepdims=True)
+    responses = values @ filter_bank().T
     by_filter = responses.reshape(n, 1 + len(SCALES), -1).astype(float)
     centred = by_filter - by_filter.mean(axis=2, keepdims=True)
     spread = np.sqrt(np.mean(centred**2, axis=2, keepdims=True))

@@ -22,16 +22,15 @@ def gradients(images: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[n
     return across, down
 
 
-def cell_histograms(images: NDArray[np.uint8], rows: int, columns: int) -> FloatArray:
+def cell_histograms(
+    images: NDArray[np.uint8], rows: int, columns: int, *, interpolated: bool = True
+) -> FloatArray:
     """Histograms (n, rows, columns, 9) of unsigned gradient orientation, weighted by magnitude.
 
     Parameters
     ----------
     images : (n, h, w) grey, h and w divisible by ``rows`` and ``columns``
-
-    Notes
-    -----
-    A pixel votes for the two nearest bins, by linear interpolation.
+    interpolated : whether a pixel votes for the two nearest bins, by linear interpolation, or for its own
     """
     n, h, w = images.shape
     across, down = gradients(images)
@@ -39,6 +38,8 @@ def cell_histograms(images: NDArray[np.uint8], rows: int, columns: int) -> Float
     place = np.mod(np.arctan2(down, across), np.pi) * (BINS / np.pi) - 0.5
     lower = np.floor(place)
     upper_share = place - lower
+    if not interpolated:
+        upper_share = (upper_share >= 0.5).astype(np.float32)
     first = np.mod(lower.astype(np.int64), BINS)
     row = np.arange(h) // (h // rows)
     column = np.arange(w) // (w // columns)
@@ -50,13 +51,16 @@ def cell_histograms(images: NDArray[np.uint8], rows: int, columns: int) -> Float
     return np.asarray(votes.reshape(n, rows, columns, BINS), float)
 
 
-def multi_level_hog(images: NDArray[np.uint8], levels: Sequence[tuple[int, int]]) -> FloatArray:
+def multi_level_hog(
+    images: NDArray[np.uint8], levels: Sequence[tuple[int, int]], *, interpolated: bool = True
+) -> FloatArray:
     """Concatenated block descriptors (n, d) at several levels (Chen et al. 2011, §2.3).
 
     Parameters
     ----------
     images : (n, h, w) grey
     levels : rows and columns of non-overlapping blocks; the last is the finest, and a multiple of the others
+    interpolated : see `cell_histograms`
 
     Notes
     -----
@@ -64,7 +68,7 @@ def multi_level_hog(images: NDArray[np.uint8], levels: Sequence[tuple[int, int]]
     blocks give 20 · 36 = 720 values.
     """
     rows, columns = (2 * count for count in levels[-1])
-    finest = cell_histograms(images, rows, columns)
+    finest = cell_histograms(images, rows, columns, interpolated=interpolated)
     n = len(images)
     parts = []
     for block_rows, block_columns in levels:

@@ -13,6 +13,7 @@ from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image
 
 BINS = 16
+RGB_BINS = 32
 MASK_SIDE = 20
 
 
@@ -22,7 +23,8 @@ class SkinColours:
 
     Attributes
     ----------
-    probability : (16, 16, 16) of skin for bins of relative brightness, log red/green and log green/blue
+    probability : of skin; (16, 16, 16) for bins of relative brightness, log red/green and log green/blue, or
+        (32, 32, 32) for bins of blue, green and red, as Jones & Rehg (2002) have them
     threshold : from which probability a pixel counts as skin
     """
 
@@ -30,16 +32,29 @@ class SkinColours:
     threshold: float = 0.5
 
     @classmethod
-    def fit(cls, images: Sequence[Image], masks: Sequence[NDArray[np.bool_]]) -> SkinColours:
+    def fit(
+        cls, images: Sequence[Image], masks: Sequence[NDArray[np.bool_]], *, as_published: bool = False
+    ) -> SkinColours:
         """Learn from images (h, w, 3) and masks (h, w) of their skin; both kinds weigh the same.
 
         The counts are smoothed a little over neighbouring colours.
+
+        Parameters
+        ----------
+        as_published : the detector of Jones & Rehg (2002), which Chen et al. (2011) use: counts of 32³ bins
+            of blue, green and red, not smoothed. A colour that was never seen is not skin.
         """
-        skin, other = np.zeros(BINS**3), np.zeros(BINS**3)
+        bins = RGB_BINS if as_published else BINS
+        skin, other = np.zeros(bins**3), np.zeros(bins**3)
         for image, mask in zip(images, masks, strict=True):
-            index = _bins(image).ravel()
-            skin += np.bincount(index[mask.ravel()], minlength=BINS**3)
-            other += np.bincount(index[~mask.ravel()], minlength=BINS**3)
+            index = (_rgb_bins if as_published else _bins)(image).ravel()
+            skin += np.bincount(index[mask.ravel()], minlength=bins**3)
+            other += np.bincount(index[~mask.ravel()], minlength=bins**3)
+        if as_published:
+            skin, other = skin / max(skin.sum(), 1.0), other / max(other.sum(), 1.0)
+            both = skin + other
+            share = np.where(both > 0.0, skin / np.where(both > 0.0, both, 1.0), 0.0)
+            return cls(share.reshape((bins,) * 3))
         shares = []
         for count in (skin, other):
             smooth = count.reshape((BINS,) * 3)
@@ -55,7 +70,8 @@ class SkinColours:
         """Where (h, w) an image is skin; nowhere in a grey one."""
         if image.ndim == 2:
             return np.zeros(image.shape, bool)
-        return self.probability.ravel()[_bins(image)] >= self.threshold
+        index = _rgb_bins(image) if len(self.probability) == RGB_BINS else _bins(image)
+        return self.probability.ravel()[index] >= self.threshold
 
     def features(self, images: Sequence[Image]) -> FloatArray:
         """Binary masks (n, 400) of 20 × 20 pixels."""
@@ -65,6 +81,12 @@ class SkinColours:
             small = cv2.resize(mask, (MASK_SIDE, MASK_SIDE), interpolation=cv2.INTER_LINEAR)
             found[k] = small.ravel() >= 0.5
         return found
+
+
+def _rgb_bins(image: Image) -> NDArray[np.int64]:
+    """Index (h, w) of each pixel's blue, green and red, in 32 bins each."""
+    b, g, r = np.moveaxis(image.astype(np.int64) // (256 // RGB_BINS), -1, 0)
+    return np.asarray((b * RGB_BINS + g) * RGB_BINS + r, np.int64)
 
 
 def _bins(image: Image) -> NDArray[np.int64]:

@@ -7,7 +7,7 @@ eq. 3–5 as they are, 26° with a weight for each filter. Both are here.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numba import njit
@@ -28,8 +28,11 @@ SATURATION = -3.0
 """log T of eq. 5."""
 
 SMALLEST_DEVIATION = 0.2
+"""Floor of the deviations, except in the form as published."""
+ALMOST_ZERO = 0.01
+"""Deviation in place of 0 in the form as published: eq. 4 divides by it, and a cluster of one image has 0."""
 _FEW = 3
-"""Exemplars of so few images take the deviations of their whole class."""
+"""Exemplars of so few images take the deviations of their whole class, except in the form as published."""
 
 _FILTERS = 1 + len(SCALES)
 _WEIGHED_ON = 1200
@@ -52,6 +55,10 @@ class Exemplars(FeatureClassifier):
     exemplars : k-means centres for each class
     density : "saturated" (T = e⁻³) or "gaussian" (T = 0)
     weigh_filters : whether filters have weights; without, λ = 1 as in the paper
+    plain : Ba & Odobez 2003, §2 as printed: deviations are those of each cluster, however small the
+        cluster or the deviation, and images keep their means. By default deviations are at least 0.2,
+        clusters of up to three images take those of their class, and images lose their means.
+    calibrated : as in `FeatureClassifier`
     """
 
     kind: ClassVar[str] = "exemplars"
@@ -64,28 +71,46 @@ class Exemplars(FeatureClassifier):
         exemplars: int = 4,
         density: Density = "saturated",
         weigh_filters: bool = False,
+        plain: bool = False,
+        calibrated: bool = True,
     ) -> None:
-        super().__init__(classes or PoseClasses.circle(16, 3), seed=seed)
+        super().__init__(classes or PoseClasses.circle(16, 3), seed=seed, calibrated=calibrated)
         if exemplars < 1:
             raise InputError(f"{exemplars} exemplars", "at least 1")
         if density not in ("gaussian", "saturated"):
             raise InputError(f"density {density!r}", "'gaussian' or 'saturated'")
         self.exemplars, self.density, self.weigh_filters = exemplars, density, weigh_filters
+        self.plain = plain
         self.centre = self.deviation = np.empty((0, 0, 0), np.float32)
         self.log_weight = np.empty((0, 0), np.float32)
         self._exponent = np.ones(_FILTERS)
 
+    @classmethod
+    def as_published(
+        cls,
+        classes: PoseClasses | None = None,
+        *,
+        seed: int = 0,
+        exemplars: int = 4,
+        density: Density = "saturated",
+    ) -> Self:
+        """Ba & Odobez 2003, §2 as printed: plain exemplars, λ = 1, uncalibrated."""
+        return cls(classes, seed=seed, exemplars=exemplars, density=density, plain=True, calibrated=False)
+
     def settings(self) -> dict[str, Any]:
-        """Number of exemplars, kind of density and whether filters have weights."""
+        """Arguments of the constructor."""
         return {
             "exemplars": self.exemplars,
             "density": self.density,
             "weigh_filters": self.weigh_filters,
+            "plain": self.plain,
+            "calibrated": self.calibrated,
         }
 
     def features(self, images: Sequence[Image]) -> FloatArray:
         """Normalised responses (n, 764)."""
-        return gabor_features(grey_stack(images, SIDE, SIDE, equalise=True))
+        stack = grey_stack(images, SIDE, SIDE, equalise=True)
+        return gabor_features(stack, subtract_mean=not self.plain)
 
     def fit_features(self, features: FloatArray, labels: NDArray[np.int64], rng: np.random.Generator) -> None:
         """Exemplars, deviations and weights of every class, and the weights of the filters."""
@@ -104,6 +129,7 @@ class Exemplars(FeatureClassifier):
         from sklearn.cluster import KMeans
 
         k, d = self.exemplars, features.shape[1]
+        few, least = (0, ALMOST_ZERO) if self.plain else (_FEW, SMALLEST_DEVIATION)
         centre = np.zeros((len(self.classes), k, d), np.float32)
         deviation = np.ones_like(centre)
         weight = np.zeros((len(self.classes), k))
@@ -115,10 +141,12 @@ class Exemplars(FeatureClassifier):
             centre[m, :count] = means.cluster_centers_
             for j in range(count):
                 cluster = members[means.labels_ == j]
-                spread = cluster.std(axis=0) if len(cluster) > _FEW else pooled
-                deviation[m, j] = np.maximum(spread, SMALLEST_DEVIATION)
+                spread = cluster.std(axis=0) if len(cluster) > few else pooled
+                deviation[m, j] = np.maximum(spread, least)
                 weight[m, j] = len(cluster) / len(members)
-        self.centre, self.deviation = from_steps(*in_steps(centre, deviation))
+        self.centre, self.deviation = centre, deviation
+        if not self.plain:
+            self.centre, self.deviation = from_steps(*in_steps(centre, deviation))
         with np.errstate(divide="ignore"):
             self.log_weight = np.log(weight).astype(np.float32)
 
@@ -132,8 +160,9 @@ class Exemplars(FeatureClassifier):
         return _mixed(self._by_filter(features), self.log_weight, self._exponent)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Centres and deviations in whole steps, weights of exemplars and filters."""
-        centre, deviation = in_steps(self.centre, self.deviation)
+        """Centres and deviations (in whole steps unless plain), weights of exemplars and filters."""
+        kept = (self.centre, self.deviation) if self.plain else in_steps(self.centre, self.deviation)
+        centre, deviation = kept
         return {
             "centre": centre,
             "deviation": deviation,
@@ -143,7 +172,9 @@ class Exemplars(FeatureClassifier):
 
     def set_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Take over what `arrays` gave."""
-        self.centre, self.deviation = from_steps(arrays["centre"], arrays["deviation"])
+        self.centre, self.deviation = arrays["centre"], arrays["deviation"]
+        if not self.plain:
+            self.centre, self.deviation = from_steps(self.centre, self.deviation)
         self.log_weight = arrays["log_weight"]
         self._exponent = arrays["exponent"].astype(float)
 

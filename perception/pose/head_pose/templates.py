@@ -46,6 +46,8 @@ class Templates(FeatureClassifier):
     skin : colours of skin; without them only texture counts
     metric : "euclidean" (the paper's distances) or "fisher"
     calibrated : as in `FeatureClassifier`
+    interpolated : whether a pixel's gradient votes for the two nearest of the nine orientations; in the paper
+        orientations are quantised
     """
 
     kind: ClassVar[str] = "templates"
@@ -58,23 +60,29 @@ class Templates(FeatureClassifier):
         skin: SkinColours | None = None,
         metric: Metric = "euclidean",
         calibrated: bool = True,
+        interpolated: bool = True,
     ) -> None:
         super().__init__(classes or PoseClasses.circle(12, 3), seed=seed, calibrated=calibrated)
         if metric not in ("euclidean", "fisher"):
             raise InputError(f"metric {metric!r}", "'euclidean' or 'fisher'")
-        self.skin, self.metric = skin, metric
+        self.skin, self.metric, self.interpolated = skin, metric, interpolated
         self._texture = self._colour = np.empty((0, 0))
         self._projection = np.empty((_TEXTURE + MASK_SIDE**2, 0))
         self._weights = np.zeros(2)
 
     @classmethod
     def as_published(cls, *, seed: int = 0, skin: SkinColours | None = None) -> Self:
-        """Chen et al. 2011, §2.3 as printed: eq. 3–4 with L2 and L1 distances, uncalibrated."""
-        return cls(seed=seed, skin=skin, metric="euclidean", calibrated=False)
+        """Chen et al. 2011, §2.3 as printed: eq. 3–4 with L2 and L1 distances, uncalibrated, of quantised
+        orientations; ``skin`` should be that of `SkinColours.fit` as published."""
+        return cls(seed=seed, skin=skin, metric="euclidean", calibrated=False, interpolated=False)
 
     def settings(self) -> dict[str, Any]:
-        """The metric, and whether there is a calibration."""
-        return {"metric": self.metric, "calibrated": self.calibrated}
+        """Arguments of the constructor."""
+        return {
+            "metric": self.metric,
+            "calibrated": self.calibrated,
+            "interpolated": self.interpolated,
+        }
 
     @property
     def weights(self) -> FloatArray:
@@ -83,7 +91,8 @@ class Templates(FeatureClassifier):
 
     def features(self, images: Sequence[Image]) -> FloatArray:
         """HoG and skin mask (n, 1120)."""
-        texture = multi_level_hog(grey_stack(images, _SIDE, _SIDE), _LEVELS)
+        stack = grey_stack(images, _SIDE, _SIDE)
+        texture = multi_level_hog(stack, _LEVELS, interpolated=self.interpolated)
         if self.skin is None:
             return np.hstack([texture, np.zeros((len(images), MASK_SIDE**2))])
         return np.hstack([texture, self.skin.features(images)])

@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 
 from graphtrack.geometry.angles import FloatArray, difference
 from perception.pose.classes import TILT_EDGE, PoseClasses
+from perception.pose.features.gabor import gabor_features
 from perception.pose.head_pose.exemplars import (
     SATURATION,
     filter_log_densities,
@@ -44,6 +45,8 @@ class HeadExemplars(Stored):
     exponent : (4,) weight of each filter's log density
     shared : (n_classes·K, n_classes·K) training people whose images belong to both labels
     slope, intercept : of the log likelihood ratio of a head, from what `log_ratio` sums up to
+    plain : whether the exemplars are those of Ba & Odobez 2003 as printed (`Exemplars.as_published`), and the
+        transitions between them the shares of common people with nothing added
     card : how it came about
     """
 
@@ -60,12 +63,17 @@ class HeadExemplars(Stored):
     shared: NDArray[np.float32]
     slope: float = 1.0
     intercept: float = 0.0
+    plain: bool = False
     card: ModelCard = field(default_factory=lambda: ModelCard(HeadExemplars.kind))
 
     @property
     def labels(self) -> int:
         """Number of labels k."""
         return self.log_weight.size
+
+    def features(self, patches: NDArray[np.uint8]) -> FloatArray:
+        """Responses (n, 764) of equalised grey patches (n, 64, 64)."""
+        return gabor_features(patches, subtract_mean=not self.plain)
 
     def log_ratio(self, features: NDArray[np.floating]) -> FloatArray:
         """log p_T(z|k) − log p_T(z|no head) (n, labels) of responses (n, 764), calibrated."""
@@ -133,7 +141,8 @@ class HeadExemplars(Stored):
         n, k = self.log_weight.shape
         pose = _pose_transitions(self.classes, pan_std, tilt_share)
         # One person in common everywhere, so that no change is impossible.
-        exemplar = (self.shared.astype(float) + 1.0).reshape(n * k, n, k)
+        exemplar = (self.shared.astype(float) + (0.0 if self.plain else 1.0)).reshape(n * k, n, k)
+        exemplar[exemplar.sum(axis=2) == 0.0] = 1.0  # without anybody in common all are equally likely
         exemplar /= exemplar.sum(axis=2, keepdims=True)
         same = np.full((k, k), (1.0 - stay) / max(k - 1, 1)) if k > 1 else np.ones((1, 1))
         if k > 1:
@@ -142,16 +151,24 @@ class HeadExemplars(Stored):
             exemplar[m * k : (m + 1) * k, m] = same
         both = (np.repeat(pose, k, axis=0)[:, :, None] * exemplar).reshape(n * k, n * k)
         possible = both * np.isfinite(self.log_weight).ravel()
-        return np.asarray(possible / possible.sum(axis=1, keepdims=True), float)
+        total = possible.sum(axis=1, keepdims=True)
+        # A label whose exemplar has nobody in common with any possible one is left for any of them.
+        return np.where(total > 0.0, possible / np.where(total > 0.0, total, 1.0), self.prior())
 
     def parameters(self) -> dict[str, Any]:
         """Classes and calibration."""
-        return {"classes": asdict(self.classes), "slope": self.slope, "intercept": self.intercept}
+        return {
+            "classes": asdict(self.classes),
+            "slope": self.slope,
+            "intercept": self.intercept,
+            "plain": self.plain,
+        }
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Exemplars in whole steps, weights, and shared people."""
-        centre, deviation = in_steps(self.centre, self.deviation)
-        background_centre, background_deviation = in_steps(self.background_centre, self.background_deviation)
+        """Exemplars (in whole steps, plain ones with 11 bits), weights, and shared people."""
+        keep = _in_half_precision if self.plain else in_steps
+        centre, deviation = keep(self.centre, self.deviation)
+        background_centre, background_deviation = keep(self.background_centre, self.background_deviation)
         return {
             "centre": centre,
             "deviation": deviation,
@@ -166,8 +183,10 @@ class HeadExemplars(Stored):
     @classmethod
     def restored(cls, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Self:
         """The exemplars of a file."""
-        centre, deviation = from_steps(arrays["centre"], arrays["deviation"])
-        of_background = from_steps(arrays["background_centre"], arrays["background_deviation"])
+        plain = bool(card.parameters.get("plain", False))
+        kept = _from_half_precision if plain else from_steps
+        centre, deviation = kept(arrays["centre"], arrays["deviation"])
+        of_background = kept(arrays["background_centre"], arrays["background_deviation"])
         return cls(
             PoseClasses(**card.parameters["classes"]),
             centre,
@@ -179,8 +198,21 @@ class HeadExemplars(Stored):
             arrays["shared"].astype(np.float32),
             slope=float(card.parameters["slope"]),
             intercept=float(card.parameters["intercept"]),
+            plain=plain,
             card=card,
         )
+
+
+def _in_half_precision(
+    centre: NDArray[np.float32], deviation: NDArray[np.float32]
+) -> tuple[NDArray[np.float16], NDArray[np.float16]]:
+    return centre.astype(np.float16), deviation.astype(np.float16)
+
+
+def _from_half_precision(
+    centre: NDArray[Any], deviation: NDArray[Any]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    return centre.astype(np.float32), deviation.astype(np.float32)
 
 
 def combined(

@@ -15,7 +15,7 @@ from graphtrack.particles import generator
 from perception.images.pixels import Image, enlarged, grey
 from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
-from perception.pose.features.gabor import SIDE, gabor_features
+from perception.pose.features.gabor import SIDE
 from perception.trackers.colours import BoxColours, bhattacharyya
 from perception.trackers.dynamics import BoxDynamics, moved, resampled
 from perception.trackers.mixed_state.exemplars import HeadExemplars
@@ -75,6 +75,7 @@ class MixedStateParameters:
     start_std : 1-σ of the first boxes about the given one, as a share of its size
     vanish, appear : probabilities a frame that a seen head is hidden, and that a hidden one is seen
     resample_below : share of the particles; resampling is systematic, below this effective sample size
+    plain_exemplars : whether the package's exemplars are those of the form as printed (`HeadExemplars.plain`)
     """
 
     particles: int = 200
@@ -90,6 +91,7 @@ class MixedStateParameters:
     vanish: float = 0.02
     appear: float = 0.05
     resample_below: float = 0.5
+    plain_exemplars: bool = False
 
     def __post_init__(self) -> None:
         if self.particles < 2:
@@ -106,8 +108,9 @@ class MixedStateParameters:
         """Ba & Odobez 2003 as it is printed, and nothing else.
 
         Likelihoods of eq. 5, labels that are sampled, resampling in every step (§3.1), pans from −90° to 90°
-        (§2.1); no colours. The head is never hidden. The motion of boxes, of which the paper says its kind
-        but no numbers, is ours.
+        (§2.1); no colours; exemplars with the deviations of their own clusters (§2.1) and transitions by
+        common people alone (§3.3). The head is never hidden. The motion of boxes, of which the paper says
+        its kind but no numbers, is ours.
         """
         return cls(
             particles,
@@ -116,6 +119,7 @@ class MixedStateParameters:
             colour=None,
             pan_limit=float(np.pi / 2.0),
             resample_below=1.0,
+            plain_exemplars=True,
         )
 
 
@@ -130,7 +134,7 @@ class MixedStateTracker:
 
     Parameters
     ----------
-    exemplars : the appearance model; by default that of the package
+    exemplars : the appearance model; by default that of the package, see ``plain_exemplars``
     particles : in place of the parameters' number
     """
 
@@ -145,7 +149,8 @@ class MixedStateTracker:
         seed: int | np.random.Generator = 0,
     ) -> None:
         self.parameters = parameters if particles is None else replace(parameters, particles=particles)
-        loaded = load_head_exemplars() if exemplars is None else exemplars
+        plain = self.parameters.plain_exemplars
+        loaded = load_head_exemplars(plain=plain) if exemplars is None else exemplars
         self.exemplars = loaded.within(self.parameters.pan_limit)
         classes = self.exemplars.classes
         self.pan_classes: PoseClasses | None = classes.pans
@@ -205,7 +210,7 @@ class MixedStateTracker:
         """Weigh the particles by the frame; ``visible`` is the probability before it."""
         before = self._cloud.weights
         patches = cut(grey(image), enlarged(self._cloud.boxes, PATCH_MARGIN), SIDE)
-        features = gabor_features(equalised(patches))
+        features = self.exemplars.features(equalised(patches))
         of_colour, pixels = self._by_colour(image)
         if self.parameters.likelihood == "ratio":
             by_label = self.exemplars.log_ratio(features)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from graphtrack.errors import InputError
 from perception.trackers.dynamics import BoxDynamics
 from perception.trackers.sigma_pi.network import CUES
+
+Estimate = Literal["cluster", "mean"]
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,11 @@ class SigmaPiParameters:
         learn from it; later two have to
     stale : frames in a row with motion alone after which what was learned is taken to be of no more use
     patience : frames without or with support until that is believed
+    estimate : "cluster": the mean of the heaviest cluster of particles; "mean": of all, as in the paper
+    weigh_before_move : whether eq. 4 judges the particles where the last frame left them, before they move,
+        as in the paper; by default they move first
+    teach_always : whether colour and shape learn from every frame in which the person is found, as in the
+        paper, and not only from estimates that other cues support
     views : whether a person whose box is given is told by the view in it (`views.ViewCue`) instead of by
         local features
     sharpness : power of eq. 4 that weighs the particles of a person who is told by views; 1 in the paper
@@ -118,6 +126,9 @@ class SigmaPiParameters:
     found: float = 0.5
     lost: float = 0.3
     patience: int = 3
+    estimate: Estimate = "cluster"
+    weigh_before_move: bool = False
+    teach_always: bool = False
     views: bool = True
     sharpness: float = 4.0
     view_range: tuple[float, float] = (0.3, 3.0)
@@ -131,9 +142,25 @@ class SigmaPiParameters:
             raise InputError(f"the cues {', '.join(self.cues) or 'none'}", f"some of {', '.join(CUES)}")
         if set(self.fixed) - set(CUES):
             raise InputError(f"the fixed cues {', '.join(self.fixed)}", f"some of {', '.join(CUES)}, or none")
+        if self.estimate not in ("cluster", "mean"):
+            raise InputError(f"estimate {self.estimate!r}", "'cluster' or 'mean'")
 
     @classmethod
     def of_the_paper(cls, particles: int = 50) -> SigmaPiParameters:
-        """What can be switched to Yan et al. 2011: motion's reliability is not adaptive (§2.2), particles
-        that were drawn anew weigh as much as any (§2.1), shape is local features and weights are eq. 4."""
-        return cls(particles, random_weight=1.0, fixed=("motion",), views=False)
+        """Yan et al. 2011 as printed, as far as it says.
+
+        Eq. 4 weighs the particles at s_{t−1}, which move then (§2.1, §2.2); the estimate is the mean of all;
+        5 % go anywhere in each step and weigh as much as any; motion's reliability is not adaptive (§2.2);
+        colour and shape learn in every frame (§4.1), shape from local features.
+        """
+        share = cls().random_share
+        return cls(
+            particles,
+            random_weight=1.0,
+            lost_share=share,
+            fixed=("motion",),
+            estimate="mean",
+            weigh_before_move=True,
+            teach_always=True,
+            views=False,
+        )

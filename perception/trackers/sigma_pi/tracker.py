@@ -140,22 +140,33 @@ class SigmaPiTracker:
         if self._size is None or image.shape != self._size:
             expected = "a start first" if self._size is None else f"{self._size[1]} × {self._size[0]} pixels"
             raise InputError(f"a frame of {image.shape[1]} × {image.shape[0]} pixels", expected)
-        p = self.parameters
         self._look(self._reduced(image))
-        again = self._move(proposal)
-        activities = self._activities(self._cloud.boxes)
-        weights = output(activities, self.reliabilities) ** self._sharpness
-        if self._found:
-            weights[again] *= p.random_weight
-        total = weights.sum()
-        n = p.particles
-        weights = weights / total if total > 0.0 else np.full(n, 1.0 / n)
-        self._cloud = replace(self._cloud, weights=weights)
+        again = np.zeros(self.parameters.particles, bool)
+        if self.parameters.weigh_before_move:
+            self._weigh(again)
+            self._move(proposal)
+        else:
+            ancestors = self._resample()
+            self._move(proposal)
+            again = self._draw_again(ancestors)
+            self._weigh(again)
         best = self._last = self._best()
         estimate = self._estimate(best)
         self._learn(best)
         self._form.focus(boxes_of(best[None])[0] if self._found else None)
+        if self.parameters.weigh_before_move:
+            self._draw_again(self._resample())
         return estimate
+
+    def _weigh(self, again: NDArray[np.bool_]) -> None:
+        """Weigh the particles by eq. 4 where they are; ``again`` (n,) are those that were drawn anew."""
+        p = self.parameters
+        weights = output(self._activities(self._cloud.boxes), self.reliabilities) ** self._sharpness
+        if self._found:
+            weights[again] *= p.random_weight
+        total = weights.sum()
+        weights = weights / total if total > 0.0 else np.full(p.particles, 1.0 / p.particles)
+        self._cloud = replace(self._cloud, weights=weights)
 
     def _reduced(self, image: Image) -> Image:
         if self._scale == 1.0:
@@ -174,28 +185,38 @@ class SigmaPiTracker:
             found[:, column] = cue.activity(windows)
         return found
 
-    def _move(self, proposal: Proposal | None) -> NDArray[np.bool_]:
-        """Resample, predict, and draw some particles anew; says which (n,)."""
-        p, rng = self.parameters, self._rng
-        ancestors = resample(self._cloud.weights, rng)
-        cloud = self._cloud.chosen(ancestors)
+    def _resample(self) -> NDArray[np.int64]:
+        """Resample the particles by their weights; return their ancestors (n,)."""
+        ancestors = resample(self._cloud.weights, self._rng)
+        self._cloud = self._cloud.chosen(ancestors)
+        return ancestors
+
+    def _move(self, proposal: Proposal | None) -> None:
+        """Draw the next states of all particles; they keep their weights."""
         if proposal is not None:
             scale = self._scale
             proposal = Proposal(proposal.centre * scale, proposal.covariance * scale**2)
-        cloud = predict(cloud, self._reference, p.dynamics, rng, proposal)
+        moved = predict(self._cloud, self._reference, self.parameters.dynamics, self._rng, proposal)
+        self._cloud = replace(moved, now=self._limited(moved.now))
+
+    def _draw_again(self, ancestors: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Assign some particles to random places; return a mask (n,) of them."""
+        p = self.parameters
         share = np.full(p.particles, p.random_share)
         if not self._found:
             share[self._support[ancestors] < p.support] = p.lost_share
-        again = rng.random(p.particles) < share
+        again = self._rng.random(p.particles) < share
         drawn = self._anywhere(p.particles)
         if self._small and self._found:
             drawn[:, :2] = self._near(drawn[:, :2])
-        now = np.where(again[:, None], drawn, cloud.now)
-        before = np.where(again[:, None], drawn, cloud.before)
-        now[:, :2] = np.clip(now[:, :2], 0.0, self._shape)
-        now[:, 2:] = np.clip(now[:, 2:], *self._limits)
-        self._cloud = Cloud(now, before, cloud.weights)
+        now = np.where(again[:, None], self._limited(drawn), self._cloud.now)
+        before = np.where(again[:, None], drawn, self._cloud.before)
+        self._cloud = replace(self._cloud, now=now, before=before)
         return again
+
+    def _limited(self, states: FloatArray) -> FloatArray:
+        """States (n, 4) with centres in the frame and sizes within their limits."""
+        return np.hstack([np.clip(states[:, :2], 0.0, self._shape), np.clip(states[:, 2:], *self._limits)])
 
     def _anywhere(self, count: int) -> FloatArray:
         """States (count, 4) anywhere in the frame, about as large as the person is expected to be."""
@@ -209,8 +230,10 @@ class SigmaPiTracker:
         return np.asarray(self._last[:2] + 2.0 * np.exp(self._last[2:]) * away)
 
     def _best(self) -> FloatArray:
-        """The state (4,) in the middle of the heaviest cluster of particles."""
+        """Return the mean state (4,) of all particles, or of their heaviest cluster."""
         now, weights = self._cloud.now, self._cloud.weights
+        if self.parameters.estimate == "mean":
+            return np.asarray(weights @ now)
         apart = (now[:, None, :2] - now[None, :, :2]) / np.exp(self._reference)
         near = (apart**2).sum(axis=2) < 0.5
         chosen = weights * near[np.argmax(near @ weights)]
@@ -271,10 +294,15 @@ class SigmaPiTracker:
         # Shape is the cue that tells a person from furniture on the move, so colour waits for it.
         self._alone = self._alone + 1 if moving and active.sum() == 1 else 0
         anew = self._alone > p.stale
+        always = p.teach_always
         trusted = enough and (formed or not self._used[2])
-        if self._used[1] and (trusted or anew or (self._colour.frames < p.young and (moving or formed))):
+        if self._used[1] and (
+            always or trusted or anew or (self._colour.frames < p.young and (moving or formed))
+        ):
             self._colour.adapt(kernel(self._motion.saliency.shape, window))
-        if self._used[2] and (enough or anew or (self._form.frames < p.young and (moving or coloured))):
+        if self._used[2] and (
+            always or enough or anew or (self._form.frames < p.young and (moving or coloured))
+        ):
             self._form.adapt(window)
         self._surroundings(window)
         if self._active.max() >= p.support:
