@@ -160,5 +160,5 @@ def test_the_forms_as_printed_stand_beside_ours() -> None:
 
 
 def test_only_models_of_the_paper_are_trained_as_published(tmp_path: Path) -> None:
-    done = run("train", "exemplars", "--as-published", "-o", tmp_path / "m.npz")
+    done = run("train", "deep_belief", "--as-published", "-o", tmp_path / "m.npz")
     assert done.returncode == 2 and "as published" in done.stderr and not list(tmp_path.iterdir())
