@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.evaluation.calibration import CONFIDENCES, DEGREES, squared_errors, track_calibration
+from graphtrack.evaluation.calibration import DEGREES, TrackCalibration, pooled, track_calibration
 from graphtrack.evaluation.metrics import consistency, true_velocity
 from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.io.given import tracks_of
@@ -22,8 +22,6 @@ UNITS = {"position": "m", "velocity": "m/s", "body": "°", "head": "°"}
 
 SAME_TIME = 0.1
 """Share of the truth's median step by which the times of an estimate and of the truth may differ."""
-
-LEVEL = 0.95
 
 
 @dataclass(frozen=True)
@@ -51,11 +49,10 @@ class StateScore:
 
 @dataclass(frozen=True)
 class TrackErrors:
-    """One person's errors: quantity → errors (n,) in the units of `UNITS`, coverage, and NEES (n,)."""
+    """One person's errors, by quantity: errors (n,) in the units of `UNITS`, and how their intervals hold."""
 
     errors: dict[str, FloatArray]
-    coverage: dict[str, float]
-    nees: dict[str, FloatArray]
+    calibration: dict[str, TrackCalibration]
 
 
 def score_states(estimates: Given, truth: Given) -> StateScore:
@@ -101,13 +98,13 @@ def summary(parts: Iterable[TrackErrors]) -> StateScore:
             "mae": float(np.mean(np.abs(every))),
             "median": float(np.median(np.abs(every))),
         }
-        coverage = [track.coverage[quantity] for track in tracks if quantity in track.coverage]
-        held = consistency([track.nees[quantity] for track in tracks if quantity in track.nees], degrees)
-        row["coverage_95"] = float(np.mean(coverage)) if coverage else None
-        row["nees"] = None if held is None else held.nees / degrees
-        row["nees_low"] = None if held is None else held.low / degrees
-        row["nees_high"] = None if held is None else held.high / degrees
-        if held is None:
+        stated = [track.calibration[quantity] for track in tracks if quantity in track.calibration]
+        band = consistency([degrees * one.nees for one in stated], degrees)
+        row["coverage_95"] = pooled(stated)["coverage_95"] if stated else None
+        row["nees"] = None if band is None else band.nees / degrees
+        row["nees_low"] = None if band is None else band.low / degrees
+        row["nees_high"] = None if band is None else band.high / degrees
+        if band is None:
             notes.append(f"{quantity}: the estimates state no uncertainty, so that only errors are scored")
         rows.append(row)
     return StateScore(tuple(rows), tuple(notes))
@@ -131,12 +128,9 @@ def _errors(estimate: Track, truth: Track) -> TrackErrors | None:
         if angle is not None and known is not None:
             errors[name] = np.degrees(difference(angle, known))
     errors = {name: values[np.isfinite(values)] for name, values in errors.items()}
-    held = track_calibration(estimate, truth, velocity=velocity)
-    place = CONFIDENCES.index(LEVEL)
     return TrackErrors(
         {name: values for name, values in errors.items() if len(values)},
-        {name: one.coverage[place] for name, one in held.items()},
-        {n: v for n, v in squared_errors(estimate, truth, velocity).items() if np.isfinite(v).any()},
+        track_calibration(estimate, truth, velocity=velocity),
     )
 
 
