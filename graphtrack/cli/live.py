@@ -34,11 +34,11 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.online_engines import OnlineEngine, online_engine
-from graphtrack.inference.warm import ONLINE, online_rehearsal
+from graphtrack.inference.warm import ONLINE, graph_rehearsal, online_rehearsal
 from graphtrack.io.json_lines import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
-from graphtrack.readiness import is_cold, make_ready
+from graphtrack.readiness import Rehearsal, is_cold, make_ready
 
 Restore = Callable[[Any, Any], Any]
 """A member of those who answer, from its key and its state."""
@@ -356,7 +356,7 @@ def give(answer: dict[str, Any]) -> None:
 
 
 def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False, forecasts: bool = False) -> None:
-    """Load what the chain's window runs, beside GTSAM too; what was never compiled here is compiled first.
+    """Load what an engine runs; what was never compiled here is compiled first.
 
     Compiling is left to a process of its own: code as it is compiled and the same code from the cache round
     differently, and a run that is gone on with must round as the run before.
@@ -366,22 +366,29 @@ def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False, fore
     behaviour : whether groups and attention are to be told, or the model asks for groups
     forecasts : whether forecasts are to be told
     """
-    window = engine == "chain" or model.has_modes
-    rehearsals = [online_rehearsal(model)] if window else []
+    compiled = engine == "chain" or model.has_modes
+    rehearsals = [_rehearsal(model, engine)] if compiled else []
     rehearsals += [warm.online_rehearsal()] if behaviour else []
     rehearsals += [warm.forecast_rehearsal()] if forecasts else []
     if any(is_cold(kernel) for one in rehearsals for kernel in one.called):
         preset = "full" if model.has_modes else "joint"
-        what = f"{(preset if window else None)!r}, {behaviour}, {forecasts}"
+        what = f"{(preset if compiled else None)!r}, {engine!r}, {behaviour}, {forecasts}"
         code = f"from {__name__} import load; load({what})"
         subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
-    load(model if window else None, behaviour, forecasts)
+    load(model if compiled else None, engine, behaviour, forecasts)
 
 
-def load(model: Model | str | None, behaviour: bool = False, forecasts: bool = False) -> None:
-    """Have the compiled window's code in this process, and that of what else is told; or compile it."""
+def _rehearsal(model: Model, engine: OnlineEngine) -> Rehearsal:
+    """What a compiled window calls, or what guides GTSAM's engines."""
+    return online_rehearsal(model) if engine == "chain" else graph_rehearsal(model)
+
+
+def load(
+    model: Model | str | None, engine: OnlineEngine, behaviour: bool = False, forecasts: bool = False
+) -> None:
+    """Have an engine's compiled code in this process, and that of what else is told; or compile it."""
     if model is not None:
-        make_ready(ONLINE, online_rehearsal(Model.named(model)))
+        make_ready(ONLINE, _rehearsal(Model.named(model), engine))
     if behaviour:
         make_ready(warm.ONLINE, warm.online_rehearsal())
     if forecasts:

@@ -183,7 +183,7 @@ def _may_be_linear(model: Model) -> bool:
 
 
 def graph_rehearsal(model: Model) -> Rehearsal:
-    """What GTSAM's batch engine calls: where it starts, and the search for basins where the chain has one."""
+    """What GTSAM's engines call beside GTSAM: starts, the search for basins, and the modes of couplings."""
     model = model.compiled
     if not (model.has_body or model.has_head):
         return start_rehearsal()
