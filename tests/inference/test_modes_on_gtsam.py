@@ -130,6 +130,18 @@ def test_late_observations_and_saved_states_keep_the_modes(engine: Any, lag: Any
     assert found.aligned_p == pytest.approx(whole[-1].aligned_p, abs=1e-3)
 
 
+def test_what_comes_late_is_worked_into_a_full_history_however_long() -> None:
+    """Modes are inferred in its newest seconds; a step that is inserted before them has couplings, too."""
+    seen = list(observations(side_stepping(8.0)))
+    late = replace(seen[20], t=0.5 * (seen[20].t + seen[21].t))
+    smoother = OnlineSmoother("full", engine="isam2", lag=None)
+    for observation in seen:
+        smoother.update(observation)
+    assert smoother.update(late).status == "late"
+    assert len(smoother.history()) == len(seen) + 1
+    assert smoother.update(replace(seen[-1], t=seen[-1].t + 0.1)).status == "new"
+
+
 @pytest.mark.parametrize("engine", ["fixed-lag", "isam2"])
 def test_couplings_of_what_has_left_the_window_are_forgotten(engine: Any) -> None:
     smoother = OnlineSmoother("full", engine=engine, lag=0.5)

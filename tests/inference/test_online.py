@@ -405,6 +405,20 @@ def test_a_failed_update_is_reported_and_leaves_no_trace(
 
 
 @GTSAM_ENGINES
+@pytest.mark.parametrize("way", [90, 91, 92, 93], ids=["no factors", "raises", "wrong shape", "not finite"])
+def test_a_failure_after_a_gap_longer_than_the_lag_loses_nobody(engine: Any, way: int) -> None:
+    """All steps would leave the window with that observation."""
+    model, seen = Model("joint", terms=[Failing]), list(observations(walk(30, seed=14)))
+    smoother, plain = (OnlineSmoother(model, engine=engine, lag=1.0) for _ in range(2))
+    run(smoother, seen[:20])
+    run(plain, seen[:20])
+    later = seen[19].t + 5.0
+    assert smoother.update(Observation(t=later, frame=way, position=seen[19].position)).status == "failed"
+    for observation in seen[20:]:
+        assert_same(smoother.update(observation), plain.update(observation), REBUILT[engine])
+
+
+@GTSAM_ENGINES
 def test_a_first_observation_that_fails_leaves_an_empty_smoother(engine: Any) -> None:
     model = Model("joint", terms=[Failing])
     smoother, plain = (OnlineSmoother(model, engine=engine) for _ in range(2))

@@ -39,10 +39,13 @@ class _View:
         self._model, self._program = model, program_of(model)
         self.couplings: dict[int, Sequence[float]] = {}
 
+        self._before = np.zeros((2, ROW))
+
     def _start(self, problem: Problem, n: int) -> None:
+        """Take a problem of n frames, of whose modes nothing is known yet."""
         self._problem = problem
         self.modes, self._spread = np.full((n, 2), np.nan), np.zeros((n, 2))
-        self._before, self._n_filtered = np.zeros((2, ROW)), 0
+        self._filtered = np.empty((2, 0, ROW))
 
     def other(self, states: FloatArray, near: float) -> FloatArray | None:
         """States (n, 6) in a better basin by the grid, with the same motion; None where there is none.
@@ -61,7 +64,7 @@ class _View:
     def renew(self, states: FloatArray) -> None:
         """Set the couplings by the modes that the states (n, 6) imply."""
         gait = gait_of(self._model.parameters.gait)
-        here, filtered = self._here(states), np.empty((2, self._n_filtered, ROW))
+        here, filtered = self._here(states), np.empty((2, len(states), ROW))
         renew_tracks(self._problem, here, gait, self._before, self.modes, self._spread, filtered)
         self._filtered = filtered
         self._note()
@@ -126,7 +129,7 @@ class WindowView(_View):
             self.couplings = couplings
         self._frames = FrameRows(model)
         self._steps: list[Step] = []
-        self._before, self._filtered = np.zeros((2, ROW)), np.empty((2, 0, ROW))
+        self._filtered = np.empty((2, 0, ROW))
         self._room = 0
 
     @property
@@ -176,9 +179,7 @@ class WindowView(_View):
             problem.shared[:] = old.shared
         problem.offsets[1] = n
         self._steps = list(steps)
-        self._problem = problem
-        self.modes, self._spread = np.full((n, 2), np.nan), np.zeros((n, 2))
-        self._filtered, self._n_filtered = np.empty((2, 0, ROW)), n
+        self._start(problem, n)
 
     def _note(self) -> None:
         rows = couplings_of(self._problem.records[: len(self._steps)])

@@ -66,7 +66,7 @@ class Guided:
     ) -> None:
         self._graph, self._whole, self._couplings = graph, model, couplings
         self._model = model.compiled
-        self._lag = min(lag, _LAG) if lag == math.inf else lag
+        self._lag = _LAG if lag == math.inf else lag
         self._outliers = model.parameters.likelihood.outlier_probability > 0.0
         self._view: WindowView | None = None
         self._searches, self._search_from = False, -math.inf
@@ -113,11 +113,18 @@ class Guided:
         if self._view is None:
             return self._graph.rework(window)
         if self._couplings is not None:
-            recent = self._recent_of(window.steps)
-            states = np.array([window.values[step.index] for step in recent])
-            self._view.follow(recent, states, window.prior if len(recent) == len(window.steps) else None)
-            self._view.renew(states)
+            self._couple(window)
         return self._guided(self._graph.rework(window))
+
+    def _couple(self, window: Window) -> None:
+        """Infer the modes of a window's recent steps, and of all since the first without couplings."""
+        assert self._view is not None and self._couplings is not None
+        steps, couplings = window.steps, self._couplings
+        first = len(steps) - len(self._recent_of(steps))
+        first = next((k for k, step in enumerate(steps[:first]) if step.index not in couplings), first)
+        states = np.array([window.values[step.index] for step in steps[first:]])
+        self._view.follow(steps[first:], states, None if first else window.prior)
+        self._view.renew(states)
 
     def _notice(self, steps: Sequence[Step]) -> None:
         """Search from the first step on that may speak for several directions."""
@@ -126,10 +133,9 @@ class Guided:
             if self._view is None:
                 self._begin()
 
-    def _begin(self) -> WindowView:
+    def _begin(self) -> None:
         make_ready(ONLINE, graph_rehearsal(self._model))
         self._view = WindowView(self._model, self._couplings)
-        return self._view
 
     def _recent(self) -> Sequence[Step]:
         return self._recent_of(self.steps)
@@ -169,7 +175,7 @@ class Guided:
                 if changed:
                     newest = self._graph.recoupled(changed)
                     states = np.array([self.state(step) for step in recent])
-            if self._searches and (found := self._found(recent, states)) is not None:
+            if self._searches and (found := self._moved(recent, states)) is not None:
                 newest, states = found
         except FAILURES:
             # It is where the observation itself has led to.
@@ -180,8 +186,11 @@ class Guided:
         view.widen(states, covariance)
         return newest[0], newest[1] + covariance[-1]
 
-    def _found(self, recent: Sequence[Step], states: FloatArray) -> tuple[Newest, FloatArray] | None:
-        """What is known about the newest step in another basin, and the recent states there; or None."""
+    def _moved(self, recent: Sequence[Step], states: FloatArray) -> tuple[Newest, FloatArray] | None:
+        """Begin anew where the window costs less: what is known about the newest step then, and the states.
+
+        None where no such place was found, and nothing has changed.
+        """
         assert self._view is not None
         t = recent[-1].observation.t
         other = None if t < self._search_from else self._view.other(states, AT_END)
@@ -190,21 +199,28 @@ class Guided:
         window = self._graph.window()
         turn = other[0] - states[0]
         prior = None if window.prior is None else _turned(window.prior, recent[0], turn)
-        ordering = gtsam.Ordering([key for step in recent for key in variable_keys(step, self._whole)])
-        ends = []
+        here = replace(window, steps=tuple(recent))
+        there = replace(here, prior=prior)
         # From here, too: one or two Gauss–Newton steps an observation may be far from their end.
-        for held, begun in ((window.prior, states), (prior, other)):
-            graph = self._problem(replace(window, steps=tuple(recent), prior=held))
-            values, costs, _ = optimize(graph, _values(recent, begun, self._whole), ordering, _SEARCH)
-            ends.append((costs[-1], values, held, costs[0]))
-        if not min(ends[0][0], ends[1][0]) < ends[0][3] - _SEARCH.relative_tolerance * (1.0 + ends[0][3]):
+        values, costs = self._descent(here, states)
+        values_there, costs_there = self._descent(there, other)
+        if costs_there[-1] < costs[-1]:
+            window, values = replace(window, prior=prior), values_there
+        least = min(costs[-1], costs_there[-1])
+        if not least < costs[0] - _SEARCH.relative_tolerance * (1.0 + costs[0]):
             self._search_from = t + _REST
             return None
-        _, values, prior, _ = min(ends, key=lambda end: end[0])
         known = {step.index: self.state(step) for step in window.steps}
         known |= {step.index: read_step(values, step, self._whole) for step in recent}
-        newest = self._graph.rework(replace(window, values=known, prior=prior))
+        newest = self._graph.rework(replace(window, values=known))
         return newest, np.array([self.state(step) for step in recent])
+
+    def _descent(self, window: Window, states: FloatArray) -> tuple[gtsam.Values, list[float]]:
+        """The window's variables where a descent from some states (n, 6) ends, and the cost at each step."""
+        keys = [key for step in window.steps for key in variable_keys(step, self._whole)]
+        begun = _values(window.steps, states, self._whole)
+        values, costs, _ = optimize(self._problem(window), begun, gtsam.Ordering(keys), _SEARCH)
+        return values, costs
 
     def _problem(self, window: Window) -> gtsam.NonlinearFactorGraph:
         """The factors of a window's steps and what is known of the first; what came before is as it is."""
@@ -234,10 +250,7 @@ class Guided:
         """Take over a window as it stands."""
         self._take(window)
         if self._view is not None and self._couplings is not None and window.steps:
-            recent = self._recent_of(window.steps)
-            states = np.array([window.values[step.index] for step in recent])
-            self._view.follow(recent, states, None)
-            self._view.renew(states)
+            self._couple(window)
         self._graph.restore(window)
 
     def arrays(self) -> dict[str, FloatArray]:
@@ -267,6 +280,8 @@ class Guided:
             self._view.follow(recent, np.array([self.state(step) for step in recent]), None)
 
     def _take(self, window: Window) -> None:
+        if self._couplings is not None:
+            self._couplings.clear()
         self._view, self._searches, self._search_from = None, False, -math.inf
         self._notice(window.steps)
         if self._view is None and self._model.has_modes:

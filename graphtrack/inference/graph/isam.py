@@ -10,7 +10,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.graph.batch import anchors, joint_covariance, variable_keys
 from graphtrack.inference.graph.chain_view import is_ambiguous
-from graphtrack.inference.prior import MarginalPrior
+from graphtrack.inference.prior import MarginalPrior, marginal_prior
 from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, present, read_step
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
@@ -121,7 +121,7 @@ class Isam2:
             if self._steps and self._steps[-1] is step:
                 self._steps.pop()
             self._anchor = before
-            self._waiting = self._built()
+            self._waiting = self.window()
             raise
 
     def recoupled(self, steps: Sequence[Step]) -> Newest:
@@ -136,7 +136,7 @@ class Isam2:
                 self._custom[step.index] = dict(next(places) for _ in self._custom[step.index])
             return self._settled()
         except BaseException:
-            self._waiting = self._built()
+            self._waiting = self.window()
             raise
 
     def rework(self, window: Window) -> Newest:
@@ -193,18 +193,18 @@ class Isam2:
     def _settled(self) -> Newest:
         """What is known about the newest step, once none is too far from where it was linearised."""
         for _ in range(self._max_iterations - 1):
-            if not self._far().max(initial=0.0) * self._threshold > self._tolerance:
+            if not self._farthest() * self._threshold > self._tolerance:
                 break
             self._update()
         newest = self._steps[-1]
         state, keys = finite(self.state(newest)), self._keys[newest.index]
         return state, joint_covariance(self._isam.jointMarginalCovariance(keys), keys, self._model)
 
-    def _far(self) -> FloatArray:
-        """How far the newest steps are from where they were linearised, in thresholds.
+    def _farthest(self) -> float:
+        """Greatest distance of the newest steps from their linearisation points, in thresholds.
 
-        Not the first one of a window: what has left it holds its linearisation point. Without a lag no more
-        than `_WATCHED`.
+        The first step of a window does not count: what has left it holds its linearisation point. Without a
+        lag `_WATCHED` steps count.
         """
         begin = 1 if self._marginals else 0
         if self._lag == math.inf:
@@ -214,7 +214,7 @@ class Isam2:
         far = np.abs(self._isam.getDelta().vector(keys)).reshape(len(steps), len(self._limits)) / self._limits
         if not np.isfinite(far).all():
             raise ArithmeticError("a step of the solver is not finite")
-        return far
+        return float(far.max(initial=0.0))
 
     def _n_leaving(self) -> int:
         """How many steps leave the window now that the newest one is there."""
@@ -230,10 +230,11 @@ class Isam2:
             return
         keys = gtsam.KeyList()
         for step in gone:
-            del self._custom[step.index]
-            for key in self._keys.pop(step.index):
+            for key in self._keys[step.index]:
                 keys.push_back(key)
         made, absorbed = self._isam.marginalizeLeavesWithIndices(keys)
+        for step in gone:
+            del self._custom[step.index], self._keys[step.index]
         self._marginals = self._marginals - {*absorbed} | {*made}
         del self._steps[: len(gone)]
         # Its links to the step before are part of the marginals now.
@@ -277,35 +278,23 @@ class Isam2:
 
     def window(self) -> Window:
         """What another smoother needs to go on from here: the linearisation points are its values."""
-        return self._built() if self._waiting is None else self._waiting
-
-    def _built(self) -> Window:
+        if self._waiting is not None:
+            return self._waiting
         points = self._isam.getLinearizationPoint()
         values = {step.index: read_step(points, step, self._model) for step in self._steps}
-        return Window(tuple(self._steps), values, self._marginal(), self._anchor)
+        return Window(tuple(self._steps), values, self.prior(), self._anchor)
 
     def prior(self) -> MarginalPrior | None:
         """What has left the window says about its first step, about where that is linearised."""
         if self._waiting is not None:
             return self._waiting.prior
-        return self._marginal()
-
-    def _marginal(self) -> MarginalPrior | None:
         if not self._marginals:
             return None
         points, factors = self._isam.getLinearizationPoint(), self._isam.getFactorsUnsafe()
-        keys = self._keys[self._steps[0].index]
         graph = gtsam.GaussianFactorGraph()
-        for key in keys:
-            # So that each variable has its place, whether or not a marginal is about it.
-            n = variable_dimension(key)
-            graph.push_back(gtsam.HessianFactor(key, np.zeros((n, n)), np.zeros(n), 0.0))
-        for index in sorted(self._marginals):
+        for index in self._marginals:
             graph.push_back(factors.at(index).linearize(points))
-        information, linear = graph.hessian(gtsam.Ordering(keys))
-        state = read_step(points, self._steps[0], self._model)
-        point = [state[:2], state[2:4], *((angle,) for angle in state[4:] if angle == angle)]
-        return MarginalPrior(tuple(keys), tuple(point), information, np.ravel(linear), 0.0)
+        return marginal_prior(gtsam.LinearContainerFactor(gtsam.HessianFactor(graph), points), points)
 
     def arrays(self) -> dict[str, FloatArray]:
         """Nothing: GTSAM keeps its Bayes tree; what is built again is the same but for rounding."""
