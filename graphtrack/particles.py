@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import compiled
 
 
 def generator(seed: int | np.random.Generator) -> np.random.Generator:
@@ -73,7 +73,7 @@ def effective_sample_size(weights: FloatArray) -> float:
     return 1.0 / total
 
 
-@apart
+@compiled
 def systematic_ancestors(weights: FloatArray, offset: float, ancestors: NDArray[np.int64]) -> None:
     """Write for each of the new particles (m,) the number of its ancestor, by one comb of m teeth.
 

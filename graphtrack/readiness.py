@@ -1,188 +1,78 @@
-"""Machine code before it is needed: which compiled functions lack it, and what is said while they get it."""
+"""Machine code before it is needed, and what is logged while it is compiled."""
 
 from __future__ import annotations
 
-import gc
 import logging
-import sys
-import threading
+import os
 import time
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+from graphtrack.model.kernels.compiled import machine_code_folder
 
 logger = logging.getLogger("graphtrack")
 
-CompiledFunction = Any
-"""A function that `apart`, or numba, has made."""
-
-Costs = Mapping[CompiledFunction, float]
-"""Function → seconds that compiling takes on a core, about."""
-
-
-def is_loaded(kernel: CompiledFunction) -> bool:
-    """Whether a compiled function has machine code in this process."""
-    # Where numba is told not to compile, functions stay what they are.
-    return bool(getattr(kernel, "signatures", True))
-
-
-def is_cold(kernel: CompiledFunction) -> bool:
-    """Whether a compiled function has no machine code yet, neither in this process nor on disk."""
-    if is_loaded(kernel):
-        return False
-    folder, code = kernel.stats.cache_path, kernel.py_func.__code__
-    if folder is None:
-        return True
-    # What else the code depends on is in the folder's name.
-    version = f"py{sys.version_info.major}{sys.version_info.minor}"
-    return not any(Path(folder).glob(f"*.{code.co_name}-{code.co_firstlineno}.{version}*.nbc"))
-
-
 UNNOTICED = 3.0
-"""Seconds of compiling up to which nothing is said."""
+"""Seconds of compiling up to which nothing is logged."""
 
-
-@dataclass(frozen=True)
-class Part:
-    """A compiled function that can be compiled before what calls it.
-
-    Attributes
-    ----------
-    function : compiled
-    run : calls it
-    statement : has another process do so
-    """
-
-    function: CompiledFunction
-    run: Callable[[], object]
-    statement: str
-
-
-@dataclass(frozen=True)
-class Parts:
-    """What of something may be compiled before it is called.
-
-    Attributes
-    ----------
-    here, beside : in this process, and at the same time in another one
-    spare : what will be asked for later, compiled there as long as this process compiles the rest: nobody
-        waits for it
-    """
-
-    here: Sequence[Part] = ()
-    beside: Sequence[Part] = ()
-    spare: Sequence[Part] = ()
+_READY = set[str]()
+"""Names of the rehearsals that this process has run: machine code is the process's."""
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """Something made up that calls compiled functions, so that nobody waits for them later.
+    """A small job with made-up data that calls every compiled function of some kind of work.
 
     Attributes
     ----------
-    run : calls them
-    called : those that Python calls, and what only they call
-    inlined : what they share with others
-    parts : what of it may be compiled before
+    name : of the kind; of several rehearsals with one name the first is run
+    run : does the job
+    seconds : processor time that compiling takes, about
     """
 
+    name: str
     run: Callable[[], object]
-    called: Costs
-    inlined: Costs = field(default_factory=dict)
-    parts: Callable[[], Parts] = Parts
+    seconds: float
 
-    @property
-    def seconds(self) -> dict[CompiledFunction, float]:
-        """What is still to be compiled."""
-        if not any(map(is_cold, self.called)):
-            return {}
-        return {kernel: s for kernel, s in {**self.called, **self.inlined}.items() if is_cold(kernel)}
+    def mark(self) -> Path | None:
+        """The file that says that the machine code is on disk; None where it can be kept in no folder."""
+        home = machine_code_folder()
+        return None if home is None else home / f"{self.name.replace(' ', '-')}.compiled"
+
+    def is_cold(self) -> bool:
+        """Whether nothing is compiled yet, neither in this process nor on disk."""
+        mark = self.mark()
+        return self.name not in _READY and (mark is None or not mark.exists())
 
 
 def make_ready(what: str, *rehearsals: Rehearsal) -> None:
-    """Run those whose functions are not loaded; the log says so before and after if that takes long.
+    """Run the rehearsals that this process has not run; a long compilation is logged before and after.
 
     Parameters
     ----------
-    what : it is that is compiled, in words
+    what : is compiled, in words
     """
-    waiting = [one for one in rehearsals if not all(map(is_loaded, one.called))]
-    cold: dict[CompiledFunction, float] = {}
-    for one in waiting:
-        cold |= one.seconds
-    if sum(cold.values()) < UNNOTICED:
-        cold = {}
-    if cold:
-        kept = all(kernel.stats.cache_path is not None for kernel in cold)
+    waiting = [one for one in rehearsals if one.name not in _READY]
+    expected = sum(one.seconds for one in waiting if one.is_cold())
+    if expected >= UNNOTICED:
+        kept = machine_code_folder() is not None
         when = "once on this machine" if kept else "in every process: it can be kept in no folder"
-        about = 5 * max(1, round(sum(cold.values()) / 5))
-        logger.warning("compiling %s, %s: about %d s …", what, when, about)
+        logger.warning("compiling %s, %s: about %d s …", what, when, 5 * max(1, round(expected / 5)))
     start = time.perf_counter()
-    with collecting_rarely(), _parts_compiled(waiting) if cold else nullcontext():
-        for one in waiting:
-            one.run()
-    if cold:
+    for one in waiting:
+        one.run()
+        _READY.add(one.name)
+        mark = one.mark()
+        if mark is not None:
+            mark.touch()
+    if expected >= UNNOTICED:
         logger.warning("compiled in %.0f s", time.perf_counter() - start)
 
 
-class _Rarely:
-    """Few collections as long as somebody wants few, in whatever thread."""
-
-    def __init__(self) -> None:
-        self._mutex, self._wanted = threading.Lock(), 0
-        self._before = gc.get_threshold()
-
-    def __enter__(self) -> None:
-        with self._mutex:
-            if self._wanted == 0:
-                self._before = gc.get_threshold()
-                # Whoever wants fewer yet, or none, has them.
-                if 0 < self._before[0] < 100_000:
-                    gc.set_threshold(100_000, 20, 50)
-            self._wanted += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._mutex:
-            self._wanted -= 1
-            if self._wanted == 0:
-                gc.set_threshold(*self._before)
-
-
-_RARELY = _Rarely()  # the collector is the process's
-
-
-def collecting_rarely() -> AbstractContextManager[None]:
-    """Few collections of garbage meanwhile: importing, compiling and solving keep what they make.
-
-    Looking for what they do not keep would take a tenth of a short command's time, and of the time of many
-    short tracks, a sixth of compiling.
-    """
-    return _RARELY
-
-
-@contextmanager
-def _parts_compiled(waiting: Sequence[Rehearsal]) -> Iterator[None]:
-    """Before the block runs compile the parts that are cold, in two processes where that is possible."""
-    from graphtrack.model.kernels.beside import compiled_beside
-
-    parts = [one.parts() for one in waiting]
-    here = {part.function: part for one in parts for part in one.here if is_cold(part.function)}
-    beside = _statements(here, (part for one in parts for part in one.beside))
-    spare = _statements({**here, **beside}, (part for one in parts for part in one.spare))
-    with compiled_beside(list(beside.values()), list(spare.values())) as taken_over:
-        for part in here.values():
-            if is_cold(part.function):
-                part.run()
-        taken_over()
-        yield
-
-
-def _statements(known: Container[CompiledFunction], parts: Iterable[Part]) -> dict[CompiledFunction, str]:
-    """Those of the parts that are cold and not known, each once."""
-    return {
-        part.function: part.statement
-        for part in parts
-        if part.function not in known and is_cold(part.function)
-    }
+def processors() -> int:
+    """The number of processors that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on Linux
+        return os.cpu_count() or 1

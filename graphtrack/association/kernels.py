@@ -13,7 +13,7 @@ import numpy as np
 from graphtrack.association.chains import BODY, HEAD, STATE, Chains, IntArray, Row, Scene
 from graphtrack.association.resemblance import looks_ratio, see_angle, see_facing
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled, inlined
+from graphtrack.model.kernels.compiled import allocating, compiled
 
 NOTHING = -1e9
 """The gain of what cannot be."""
@@ -21,7 +21,7 @@ GATE = 6.0
 """Standard deviations beyond which a detection is nobody's."""
 
 
-@inlined
+@compiled
 def missed(frames: int, scene: Scene) -> float:
     """Log probability of so many frames between two detections: chance misses, or one occlusion."""
     if frames <= 0:
@@ -31,7 +31,7 @@ def missed(frames: int, scene: Scene) -> float:
     return np.logaddexp(chance, hidden)
 
 
-@inlined
+@compiled
 def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
     """The state after a later detection of somebody whose state was ``before`` at an earlier one.
 
@@ -70,7 +70,7 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: Floa
     return math.log(stays * (1.0 + odds) / (2.0 * math.pi * spread)) + beyond - square / spread
 
 
-@inlined
+@compiled
 def begin(first: Row, scene: Scene, state: FloatArray) -> float:
     """The state of somebody at the first detection of them; its evidence."""
     state[0], state[1] = first.x, first.y
@@ -82,7 +82,7 @@ def begin(first: Row, scene: Scene, state: FloatArray) -> float:
     return scene.log_birth + first.birth + first.gain
 
 
-@inlined
+@compiled
 def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, state: FloatArray) -> float:
     """The state after detection m of somebody whose state was ``before`` at detection k; its evidence."""
     earlier, later = chains.rows[k], chains.rows[m]
@@ -93,7 +93,7 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
     return density + later.gain + skipped + shown + trusted
 
 
-@inlined
+@compiled
 def is_within(
     off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, scene: Scene
 ) -> bool:
@@ -133,7 +133,7 @@ def near_ones(
     return count
 
 
-@compiled
+@allocating
 def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
     """Evidence of what follows detection k in its chain, whose state there is given; it is changed.
 
@@ -148,7 +148,7 @@ def run_on(chains: Chains, state: FloatArray, k: int, scene: Scene) -> float:
     return total + (chains.rows[m].rest if m >= 0 else ending(chains, k, scene))
 
 
-@apart
+@compiled
 def remember_rest(chains: Chains, scene: Scene) -> None:
     """Set ``rest``, which holds for a detection as long as nothing changes but what comes before it."""
     for m in range(len(chains.rows) - 1, -1, -1):
@@ -157,7 +157,7 @@ def remember_rest(chains: Chains, scene: Scene) -> None:
         chains.rows[m].rest = chains.rows[m].evidence + rest
 
 
-@inlined
+@compiled
 def ending(chains: Chains, k: int, scene: Scene) -> float:
     """Log probability that a track's last detection is k: it left, or is not seen until the very end."""
     left = chains.rows[-1].frame - chains.rows[k].frame
@@ -166,7 +166,7 @@ def ending(chains: Chains, k: int, scene: Scene) -> float:
     return max(min(scene.log_death + chains.rows[k].death, 0.0), missed(left, scene))
 
 
-@compiled
+@allocating
 def born(chains: Chains, k: int, scene: Scene) -> float:
     """Evidence of the track from detection k on, as of somebody new; 0 if false ones are more probable."""
     state = np.empty(STATE)
@@ -174,7 +174,7 @@ def born(chains: Chains, k: int, scene: Scene) -> float:
     return max(0.0, value + run_on(chains, state, k, scene))
 
 
-@apart
+@allocating
 def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scene) -> FloatArray:
     """How much evidence (heads, tails) each link of a track's head to a tail brings over none."""
     gains, state = np.full((len(heads), len(tails)), NOTHING), np.empty(STATE)
@@ -194,7 +194,7 @@ def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scen
     return gains
 
 
-@apart
+@allocating
 def gains_of_detections(
     chains: Chains, heads: IntArray, tails: IntArray, detections: IntArray, scene: Scene
 ) -> FloatArray:
@@ -240,14 +240,14 @@ def gains_of_detections(
     return gains
 
 
-@compiled
+@allocating
 def state_after(chains: Chains, k: int, scene: Scene) -> float:
     """Evidence of the whole track that detection k is in, from there on as it is linked; at least 0."""
     state = chains.state[k].copy()
     return max(0.0, chains.rows[k].total + run_on(chains, state, k, scene))
 
 
-@apart
+@compiled
 def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
     """Filter the detections from ``first`` up to ``end`` along their chains."""
     for m in range(first, end):
@@ -260,7 +260,7 @@ def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
             chains.rows[m].total = chains.rows[k].total + chains.rows[m].evidence
 
 
-@apart
+@allocating
 def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
     """What all linked detections say given those before, which are filtered again.
 
@@ -281,7 +281,7 @@ def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
     return places, angles, count
 
 
-@apart
+@compiled
 def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: FloatArray) -> None:
     """How probable the link of each head to its tail is among all that either could have, or none.
 
@@ -306,7 +306,7 @@ def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: Fl
         probability[j] = 1.0 / total
 
 
-@apart
+@compiled
 def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> None:
     """Where the track of each detection begins (n,), and for each beginning what the track is worth."""
     for k in range(len(root)):
@@ -318,7 +318,7 @@ def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> No
             value[root[k]] = chains.rows[k].total + ending(chains, k, scene)
 
 
-@apart
+@compiled
 def count_up(chains: Chains, times: IntArray) -> None:
     """How many detections the track of each has up to it (n,); of those that begin one it is given."""
     for k in range(len(times)):
@@ -327,7 +327,7 @@ def count_up(chains: Chains, times: IntArray) -> None:
             times[k] = times[before] + 1
 
 
-@apart
+@allocating
 def only_pairs(gains: FloatArray, rows: IntArray, columns: IntArray) -> int:
     """Put the rows and columns of gains above 0 that are the only ones of both into the arrays; their number.
 

@@ -7,10 +7,10 @@ import math
 from graphtrack.association.chains import BODY, HEAD, Row, Scene
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
-from graphtrack.model.kernels.compiled import compiled, inlined
+from graphtrack.model.kernels.compiled import compiled
 
 
-@inlined
+@compiled
 def looks_ratio(looks: FloatArray, k: int, m: int, scene: Scene) -> float:
     """Log likelihood ratio of how two detections look; see `AppearanceModel`."""
     if scene.looks_outliers >= 1.0:
@@ -53,7 +53,7 @@ def see_angle(
     return ratio
 
 
-@inlined
+@compiled
 def see_facing(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: FloatArray) -> float:
     """Take body and head of a later detection into the state; their log likelihood ratio.
 

@@ -25,7 +25,7 @@ from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.inference.state import Estimate, pack_observation, unpack_observation
 from graphtrack.model import Model, Observation
-from graphtrack.model.kernels.beside import processors
+from graphtrack.readiness import processors
 from graphtrack.saved import DAMAGES, damaged, whole
 from graphtrack.scene import GivenScene, SceneParameters, known_values
 

@@ -9,7 +9,7 @@ import numpy as np
 from graphtrack.behaviour.parameters import RINGS, GroupParameters
 from graphtrack.behaviour.people import IntArray
 from graphtrack.geometry.angles import FloatArray, unit
-from graphtrack.model.kernels.compiled import apart
+from graphtrack.model.kernels.compiled import allocating
 
 DIRECTIONS: FloatArray = 2.0 * np.pi * np.arange(36) / 36
 """Radians, of the bodies that are compared."""
@@ -19,7 +19,7 @@ _FARTHEST = 2.5
 """Metres from an o-space beyond which somebody tells nothing of it."""
 
 
-@apart
+@allocating
 def _add_scores(
     position: FloatArray,
     space: FloatArray,

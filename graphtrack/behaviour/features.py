@@ -8,7 +8,7 @@ import numpy as np
 
 from graphtrack.behaviour.people import IntArray, People
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 
 FEATURES = ("shared", "crowd", "far", "rank", "look")
 """The numbers, in order; `ConversationWeights` says what each is."""
@@ -28,7 +28,7 @@ _NOTHING = 0.05
 """Weight of looks at nobody, where that of a look straight at somebody near is 1."""
 
 
-@compiled
+@allocating
 def _of_frame(
     position: FloatArray,
     body: FloatArray,
@@ -91,7 +91,7 @@ def _of_frame(
     return at
 
 
-@apart
+@compiled
 def _near_pairs(position: FloatArray, first: IntArray) -> int:
     count = 0
     for k in range(len(first) - 1):
@@ -102,7 +102,7 @@ def _near_pairs(position: FloatArray, first: IntArray) -> int:
     return count
 
 
-@apart
+@compiled
 def of_frames(
     position: FloatArray,
     body: FloatArray,

@@ -8,7 +8,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 
 IntArray = np.ndarray
 
@@ -30,7 +30,7 @@ def turn(angle: float) -> float:
     return angle - 2.0 * math.pi * np.floor(angle / (2.0 * math.pi) + 0.5)
 
 
-@apart
+@allocating
 def half_angle(radius: float, far: FloatArray) -> FloatArray:
     """Half the angle, radians, under which a disc is seen from (n,) metres; π from inside it."""
     found = np.empty(len(far))
@@ -39,7 +39,7 @@ def half_angle(radius: float, far: FloatArray) -> FloatArray:
     return found
 
 
-@compiled
+@allocating
 def see(own: FloatArray, others: FloatArray, bearing: FloatArray, half: FloatArray, far: FloatArray) -> None:
     """Fill how somebody sees others from where they are.
 
@@ -65,7 +65,7 @@ def concentration_of(variance: float) -> float:
     return 1.0 / (r**3 - 4.0 * r**2 + 3.0 * r)
 
 
-@apart
+@allocating
 def concentration(variance: FloatArray) -> FloatArray:
     """`concentration_of` each of (n,) variances; NaN stays so."""
     found = np.empty(len(variance))
@@ -102,7 +102,7 @@ def _share_in_sight(bearing: float, half: float, far: float, around: FloatArray,
     return 1.0 - covered / (2.0 * half) if half > 0.0 else 1.0
 
 
-@compiled
+@allocating
 def _in_the_way(bearing: FloatArray, half: FloatArray, far: FloatArray) -> tuple[FloatArray, FloatArray]:
     """People as `_share_in_sight` looks through them."""
     near = np.flatnonzero(far < REACH)
@@ -122,7 +122,7 @@ def _in_the_way(bearing: FloatArray, half: FloatArray, far: FloatArray) -> tuple
     return around, wide[:, :size]
 
 
-@compiled
+@allocating
 def prior_of_looks(
     bearing: FloatArray,
     half: FloatArray,
@@ -161,7 +161,7 @@ def prior_of_looks(
         prior[-1] = 1.0
 
 
-@compiled
+@allocating
 def densities(
     bearing: FloatArray,
     half: FloatArray,
@@ -268,7 +268,7 @@ def go_on(
         found[j] = found[j] / total if total > 0.0 else prior[j]
 
 
-@apart
+@allocating
 def looks_over_time(
     own: FloatArray,
     others: FloatArray,
@@ -321,7 +321,7 @@ def noise_of(kappa: float) -> float:
     return min(1.0 / max(kappa, 1e-6), math.pi**2 / 3.0)
 
 
-@compiled
+@allocating
 def _look_back(
     prior: FloatArray, anew: FloatArray, held: FloatArray, stay: FloatArray, found: FloatArray
 ) -> None:

@@ -19,7 +19,7 @@ from graphtrack.behaviour.looking import (
     see,
 )
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 
 
 @compiled
@@ -28,7 +28,7 @@ def _near(position: FloatArray, i: int, j: int) -> bool:
     return i != j and x * x + y * y < REACH * REACH
 
 
-@apart
+@allocating
 def looks_of_frame(
     t: float,
     ids: IntArray,

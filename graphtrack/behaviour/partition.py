@@ -6,10 +6,10 @@ import numpy as np
 
 from graphtrack.behaviour.people import IntArray
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 
 
-@compiled
+@allocating
 def _climbed(weight: FloatArray, label: IntArray) -> None:
     """Better a partition by moving one person, joining two groups, until nothing helps."""
     people = len(weight)
@@ -42,7 +42,7 @@ def _climbed(weight: FloatArray, label: IntArray) -> None:
             return
 
 
-@compiled
+@allocating
 def _joined(weight: FloatArray, label: IntArray) -> bool:
     """Join the two groups that gain most by it, again and again; whether there were any."""
     people = len(weight)
@@ -85,7 +85,7 @@ def _inside(weight: FloatArray, label: IntArray) -> float:
     return total
 
 
-@compiled
+@allocating
 def _best(weight: FloatArray) -> IntArray:
     """The better of what is reached from everybody alone, and from all together."""
     alone = np.arange(len(weight))
@@ -98,7 +98,7 @@ def _best(weight: FloatArray) -> IntArray:
     return alone
 
 
-@compiled
+@allocating
 def _components(people: int, left: IntArray, right: IntArray, odds: FloatArray) -> IntArray:
     """The smallest member of each person's component, where positive log odds connect."""
     root = np.arange(people)
@@ -118,7 +118,7 @@ def _components(people: int, left: IntArray, right: IntArray, odds: FloatArray) 
     return root
 
 
-@compiled
+@allocating
 def partition(people: int, left: IntArray, right: IntArray, odds: FloatArray, far: float) -> IntArray:
     """Groups of one frame's people: a label for each, the place of the group's first member.
 
@@ -153,7 +153,7 @@ def partition(people: int, left: IntArray, right: IntArray, odds: FloatArray, fa
     return found
 
 
-@apart
+@allocating
 def partitions(
     first: IntArray, start: IntArray, left: IntArray, right: IntArray, odds: FloatArray, far: float
 ) -> IntArray:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from graphtrack.behaviour.people import IntArray
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 
 _BEGINNING = 0.5
 """Seconds that the first frame counts for where nobody knows when the next one will come."""
@@ -60,7 +60,7 @@ def since(gap: float, seconds: float) -> tuple[float, float]:
     return min(gap, seconds), math.exp(-gap / seconds)
 
 
-@apart
+@allocating
 def _averaged(
     pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, both: bool
 ) -> tuple[FloatArray, FloatArray]:
@@ -97,7 +97,7 @@ def _averaged(
     return found, whole
 
 
-@apart
+@allocating
 def merged(
     known: IntArray,
     last: FloatArray,

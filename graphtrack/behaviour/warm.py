@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphtrack.behaviour.features import of_frames
 from graphtrack.behaviour.forecast.forecaster import Forecaster
-from graphtrack.behaviour.forecast.near import kernel_means, kernel_sums
-from graphtrack.behaviour.looking import concentration, half_angle
-from graphtrack.behaviour.looking_on import looks_of_frame
 from graphtrack.behaviour.online_attention import OnlineAttention
 from graphtrack.behaviour.online_groups import OnlineGroups
-from graphtrack.behaviour.partition import partitions
 from graphtrack.behaviour.people import People
 from graphtrack.behaviour.places import Place
-from graphtrack.behaviour.smoothing import merged
 from graphtrack.readiness import Rehearsal, make_ready
 
 ONLINE, FORECASTS = "groups and looks", "forecasts"
@@ -23,9 +17,7 @@ ONLINE, FORECASTS = "groups and looks", "forecasts"
 
 def online_rehearsal() -> Rehearsal:
     """What online groups and attention call."""
-    # Seconds that compiling takes on a core, about.
-    called = {of_frames: 2.3, merged: 0.8, partitions: 3.0, concentration: 0.2, half_angle: 0.1}
-    return Rehearsal(_rehearse, {**called, looks_of_frame: 5.5})
+    return Rehearsal("groups and looks", _rehearse, 12.0)
 
 
 def make_behaviour_ready() -> None:
@@ -35,7 +27,7 @@ def make_behaviour_ready() -> None:
 
 def forecast_rehearsal() -> Rehearsal:
     """What forecasts call."""
-    return Rehearsal(_rehearse_forecast, {kernel_sums: 0.4, kernel_means: 0.3})
+    return Rehearsal("forecasts", _rehearse_forecast, 1.0)
 
 
 def _rehearse() -> None:

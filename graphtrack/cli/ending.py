@@ -12,7 +12,6 @@ import typer
 from graphtrack.cli.console import BAD_INPUT, fail, printed_log
 from graphtrack.errors import GraphtrackError
 from graphtrack.io.library_errors import ERRORS, described
-from graphtrack.readiness import collecting_rarely
 
 UsageError: Any = typer.BadParameter.__base__
 """Click's error of that name, which typer brings along or imports, depending on its version."""
@@ -43,8 +42,10 @@ def run_app(program: typer.Typer, name: str) -> None:
         At Ctrl-C, also where a library has replaced it by an error of its own.
     """
     atexit.register(leave_garbage)
+    # Importing and compiling keep what they make: looking for garbage took a tenth of a short command.
+    gc.set_threshold(100_000, 20, 50)
     try:
-        with printed_log(), collecting_rarely():
+        with printed_log():
             code = program(prog_name=name, standalone_mode=False)
         raise SystemExit(code or 0)
     except UsageError as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import io
 import os
-import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -38,7 +37,7 @@ from graphtrack.inference.warm import ONLINE, graph_rehearsal, online_rehearsal
 from graphtrack.io.json_lines import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
-from graphtrack.readiness import Rehearsal, is_cold, make_ready
+from graphtrack.readiness import Rehearsal, make_ready
 
 Restore = Callable[[Any, Any], Any]
 """A member of those who answer, from its key and its state."""
@@ -356,40 +355,21 @@ def give(answer: dict[str, Any]) -> None:
 
 
 def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False, forecasts: bool = False) -> None:
-    """Load what an engine runs; what was never compiled here is compiled first.
-
-    Compiling is left to a process of its own: code as it is compiled and the same code from the cache round
-    differently, and a run that is gone on with must round as the run before.
+    """Load, or compile, what an engine calls, so that no answer waits for it.
 
     Parameters
     ----------
     behaviour : whether groups and attention are to be told, or the model asks for groups
     forecasts : whether forecasts are to be told
     """
-    compiled = engine == "chain" or model.has_modes
-    rehearsals = [_rehearsal(model, engine)] if compiled else []
-    rehearsals += [warm.online_rehearsal()] if behaviour else []
-    rehearsals += [warm.forecast_rehearsal()] if forecasts else []
-    if any(is_cold(kernel) for one in rehearsals for kernel in one.called):
-        preset = "full" if model.has_modes else "joint"
-        what = f"{(preset if compiled else None)!r}, {engine!r}, {behaviour}, {forecasts}"
-        code = f"from {__name__} import load; load({what})"
-        subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL, check=False)
-    load(model if compiled else None, engine, behaviour, forecasts)
+    if engine == "chain" or model.has_modes:
+        make_ready(ONLINE, _rehearsal(model, engine))
+    if behaviour:
+        make_ready(warm.ONLINE, warm.online_rehearsal())
+    if forecasts:
+        make_ready(warm.FORECASTS, warm.forecast_rehearsal())
 
 
 def _rehearsal(model: Model, engine: OnlineEngine) -> Rehearsal:
     """What a compiled window calls, or what guides GTSAM's engines."""
     return online_rehearsal(model) if engine == "chain" else graph_rehearsal(model)
-
-
-def load(
-    model: Model | str | None, engine: OnlineEngine, behaviour: bool = False, forecasts: bool = False
-) -> None:
-    """Have an engine's compiled code in this process, and that of what else is told; or compile it."""
-    if model is not None:
-        make_ready(ONLINE, _rehearsal(Model.named(model), engine))
-    if behaviour:
-        make_ready(warm.ONLINE, warm.online_rehearsal())
-    if forecasts:
-        make_ready(warm.FORECASTS, warm.forecast_rehearsal())

@@ -36,9 +36,8 @@ from graphtrack.inference.solution import (
 from graphtrack.inference.warm import WHOLE, solver_rehearsal, solver_rehearsals
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
-from graphtrack.model.kernels.beside import processors
 from graphtrack.model.kernels.layout import LANES
-from graphtrack.readiness import collecting_rarely, make_ready
+from graphtrack.readiness import make_ready, processors
 from graphtrack.tracks import Track, TrackSet
 from graphtrack.trust import Trust, trusted
 
@@ -264,7 +263,7 @@ def _solve_batches(
     found: dict[int, Solution | Failure] = {}
     # The kernels do not hold the interpreter's lock: while they run, the next batch is packed.
     workers = processors() if jobs is None else jobs
-    with collecting_rarely(), ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         # Several turns for each thread, so that all end at about the same time.
         size = min(max(tracks.n_frames // (4 * workers), FEWEST), MOST)
         batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way, size)]

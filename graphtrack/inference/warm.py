@@ -9,42 +9,24 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.engine import finish, is_chain
-from graphtrack.inference.chain.linear import solve_linear_tracks
-from graphtrack.inference.chain.modes import renew_couplings, renew_tracks
-from graphtrack.inference.chain.programs import ChainProgram, program_of
+from graphtrack.inference.chain.engine import is_chain, solve_packed
 from graphtrack.inference.chain.side_by_side import has_lanes
-from graphtrack.inference.chain.start import initialise
+from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
-from graphtrack.inference.initial import initial_states, pack
-from graphtrack.inference.parts import STEP, TRACK, parts_of, solve, start
+from graphtrack.inference.initial import initial_states, pack, pack_to_solve
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.model import Model, Step
 from graphtrack.model.observation import observations, seconds_between
-from graphtrack.readiness import Costs, Part, Parts, Rehearsal, is_cold, make_ready
+from graphtrack.readiness import Rehearsal, make_ready
+from graphtrack.tracks import Track
 
 SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
 """What is compiled here, in words: both, or one of the two."""
 
-# Seconds that compiling takes on a core, about.
-_LINEAR: Costs = {solve_linear_tracks: 1.0}
-_START: Costs = {initialise: 1.5}
-_ENDS: Costs = {**_START, finish: 0.3}
-_MODES: Costs = {renew_tracks: 0.4}
-_COUPLINGS: Costs = {renew_couplings: 3.5}
-
-
-def _steps(program: ChainProgram) -> Costs:
-    return {program.solve_tracks: 6.0}
-
-
-def _descent(program: ChainProgram) -> Costs:
-    return {program.minimise: 6.0}
-
-
-def _window(program: ChainProgram, model: Model) -> Costs:
-    return {program.advance_with_modes: 7.0} if model.has_modes else {program.advance: 6.0}
+_STEP = 0.1
+TRACK = Track(0, np.arange(4), np.linspace(0.0, 3 * _STEP, 4), np.linspace(0.0, 1.0, 8).reshape(4, 2))
+"""A made-up person, for whom compiled functions are called the first time."""
 
 
 def warm_up(
@@ -112,65 +94,52 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
     """What the chain engine calls for whole tracks; Newton's ``steps`` even where the model is linear."""
     if not steps and _is_linear(model, camera):
         return linear_rehearsal()
-    program, linear = program_of(model), _may_be_linear(model)
-    called, inlined = {**_ENDS, **_steps(program), **(_LINEAR if linear else {})}, _descent(program)
-    if model.has_modes:
-        called, inlined = {**called, **_MODES, program.spread_tracks: 1.3}, {**inlined, **_COUPLINGS}
-        here, beside, spare = "start descent spread", "grid modes", "stating newest leaving"
-    else:
-        here, beside, spare = "start descent", "grid", "stating leaving"
+    like, linear = _like(model), _may_be_linear(model)
 
     def run() -> None:
-        solve(_like(model))
+        _solve(like)
         if linear:
-            solve(Model("position"))
+            _solve(Model("position"))
 
-    # Whoever smooths may track next.
-    return Rehearsal(
-        run,
-        called,
-        inlined,
-        lambda: Parts(_parts(model, here), _parts(model, beside), _parts(model, spare)),
-    )
+    return Rehearsal(f"offline {_kind(model)}{' linear' if linear else ''}", run, 15.0)
 
 
 def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsal:
     """What the chain engine calls for tracks side by side; see `side_by_side.those_beside`."""
-    # Small work does without.
-    from graphtrack.inference.lane_parts import (
-        DESCENT,
-        LINEAR,
-        MODES,
-        STATING,
-        STEPS,
-        lane_parts_of,
-        solve_beside,
-        solve_linear_beside,
-        state_beside,
-    )
-
-    if _is_linear(model, camera):
-        return Rehearsal(lambda: solve_linear_beside(Model("position")), LINEAR)
-    like, grid, linear = _like(model), program_of(model).find_other_basin, _may_be_linear(model)
+    like, linear = _like(model), _may_be_linear(model)
 
     def run() -> None:
-        start(like)
-        solve_beside(like)
-        state_beside(like)
+        if not _is_linear(model, camera):
+            _solve(like, side_by_side=True)
         if linear:
-            solve_linear_beside(Model("position"))
+            _solve(Model("position"), side_by_side=True)
 
-    called = {**_ENDS, **STATING, **STEPS, **(MODES if model.has_modes else {}), **(LINEAR if linear else {})}
-    modes = lane_parts_of(like.preset, "lane-modes") if model.has_modes else ()
-    return Rehearsal(
-        run,
-        called,
-        {**DESCENT, grid: 5.0},
-        lambda: Parts(
-            (*_parts(model, "start"), *lane_parts_of(like.preset, "lanes")),
-            (*_parts(model, "grid"), *modes),
-        ),
-    )
+    only = " only" if _is_linear(model, camera) else ""
+    return Rehearsal(f"lanes {_kind(model)}{' linear' if linear else ''}{only}", run, 2.0 if only else 20.0)
+
+
+def graph_rehearsal(model: Model) -> Rehearsal:
+    """What GTSAM's engines call beside GTSAM: starts, the search for basins, and the modes of couplings."""
+    model = model.compiled
+    if not (model.has_body or model.has_head):
+        return start_rehearsal()
+    return Rehearsal(f"graph {_kind(model)}", lambda: _search(_like(model)), 8.0)
+
+
+def linear_rehearsal() -> Rehearsal:
+    """The linear solution, where that is all there is to find."""
+    return Rehearsal("offline linear", lambda: _solve(Model("position")), 1.0)
+
+
+def start_rehearsal() -> Rehearsal:
+    """Where descents start, GTSAM's too."""
+    return Rehearsal("start", lambda: initial_states(TRACK, Model("position")), 1.5)
+
+
+def online_rehearsal(model: Model) -> Rehearsal:
+    """What the compiled window calls."""
+    like = _like(model)
+    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 1.5 * _STEP, 1e-8, 5)), 12.0)
 
 
 def _is_linear(model: Model, camera: GroundCamera | None) -> bool:
@@ -182,61 +151,22 @@ def _may_be_linear(model: Model) -> bool:
     return model.is_linear(pack([TRACK], model))
 
 
-def graph_rehearsal(model: Model) -> Rehearsal:
-    """What GTSAM's engines call beside GTSAM: starts, the search for basins, and the modes of couplings."""
-    model = model.compiled
-    if not (model.has_body or model.has_head):
-        return start_rehearsal()
-    called = {**_START, program_of(model).find_other_basin: 5.0}
-    if model.has_modes:
-        called |= {**_MODES, program_of(model).spread_tracks: 3.0}
-        return Rehearsal(lambda: _search(_like(model)), called, _COUPLINGS)
-    return Rehearsal(lambda: _search(_like(model)), called)
-
-
-def linear_rehearsal() -> Rehearsal:
-    """The linear solution, where that is all there is to find."""
-    return Rehearsal(lambda: solve(Model("position")), _LINEAR)
-
-
-def start_rehearsal() -> Rehearsal:
-    """Where descents start, GTSAM's too."""
-    return Rehearsal(lambda: initial_states(TRACK, Model("position")), _START)
-
-
-def online_rehearsal(model: Model) -> Rehearsal:
-    """What the compiled window calls."""
-    program = program_of(model)
-    called = _window(program, model)
-
-    def parts() -> Parts:
-        # The window calls the grid, and what leaves it calls what the descent does: none is compiled twice.
-        cold = is_cold(program.find_other_basin)
-        if model.has_modes and cold:
-            here, beside = "descent newest leaving memory adding", "couplings grid stating judging"
-        elif model.has_modes:
-            here, beside = "window memory", "couplings newest stating leaving concluding judging adding"
-        elif cold:
-            here, beside = "descent leaving stating", "grid"
-        else:
-            here, beside = "window", "stating leaving"
-        return Parts(_parts(model, here), _parts(model, beside))
-
-    return Rehearsal(
-        lambda: _slide(ChainWindow(_like(model), 1.5 * STEP, 1e-8, 5)), called, _descent(program), parts
-    )
-
-
-def _parts(model: Model, names: str) -> tuple[Part, ...]:
-    """Parts of an engine; none for one with kernels of your own, which other processes do not know."""
-    return () if has_own_kernels(model) else parts_of(_like(model), *names.split())
-
-
 def _like(model: Model) -> Model:
     """A model that calls the same functions, whatever its parameters."""
     if has_own_kernels(model):
         return Model(model.preset, terms=model.own_terms)
     return Model("full" if model.has_modes else "joint")
+
+
+def _kind(model: Model) -> str:
+    """What tells models apart that call different functions."""
+    own = [f" {kind.__module__}.{kind.__qualname__}" for kind in model.own_terms if "kernels" in vars(kind)]
+    return ("modes" if model.has_modes else "angles") + "".join(own)
+
+
+def _solve(model: Model, *, side_by_side: bool = False) -> None:
+    stating = stating_of(model.parameters) if side_by_side else None
+    solve_packed(pack_to_solve([TRACK], model), model, side_by_side=side_by_side, stating=stating)
 
 
 def _search(model: Model) -> None:

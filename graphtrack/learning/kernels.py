@@ -7,12 +7,12 @@ import math
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace
 from graphtrack.inference.chain.newton import as_variable, sweep_forward
-from graphtrack.model.kernels.compiled import apart
+from graphtrack.model.kernels.compiled import allocating
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
 
 
-@apart
+@allocating
 def log_determinants(
     problem: Problem, begin: int, end: int, states: FloatArray, workspace: Workspace, found: FloatArray
 ) -> None:

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from graphtrack.errors import GraphtrackError, InputError
-from graphtrack.model.kernels.beside import processors
+from graphtrack.readiness import processors
 from graphtrack.scale.batch import Batch, Shard, Work, smooth_batch
 
 AHEAD = 2

@@ -125,7 +125,7 @@ def cast(
         return found
 
     flat = np.ascontiguousarray(rays, float).reshape(-1, 3)
-    make_ready("the renderer", Rehearsal(lambda: follow(flat[:1]), {cast_rays: 7.0}))
+    make_ready("the renderer", Rehearsal("renderer", lambda: follow(flat[:1]), 7.0))
     colour, covered, skin, nearest, extent, covers, shows = follow(flat)
     return Cast(
         colour.reshape(h, w, 3),

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inner_calls import from_python
 from walks import walk
 
 from graphtrack.geometry.angles import FloatArray
@@ -91,9 +90,9 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
     problem = slot.problem._replace(offsets=np.array([begin, end + 1]), records=records)
     # The step that the newest frame asks for, and then the modes.
     go_on(records[end - 1], records[end], gait.head_rate_seen)
-    from_python(foresee)(problem, states[begin:], from_frame(memory, begin))
+    foresee(problem, states[begin:], from_frame(memory, begin))
     filtered = np.empty((2, n, ROW))
-    from_python(renew_couplings)(
+    renew_couplings(
         problem, 0, states[begin:], gait, False, before, filtered, np.empty((n, 2)), np.empty((n, 2))
     )
     np.testing.assert_allclose(window.modes_before, filtered[:, 0], rtol=1e-9, atol=1e-15)
@@ -111,9 +110,7 @@ def test_each_coupling_has_its_own_lead() -> None:
         states[:, 2:4] = np.gradient(track.true_position, track.t, axis=0)
         states[:, BODY], states[:, HEAD] = track.true_body, track.true_head
         before, filtered, modes = np.zeros((2, ROW)), np.empty((2, n, ROW)), np.empty((n, 2))
-        from_python(renew_couplings)(
-            problem, 0, states, gait_of(gait), False, before, filtered, modes, np.empty((n, 2))
-        )
+        renew_couplings(problem, 0, states, gait_of(gait), False, before, filtered, modes, np.empty((n, 2)))
         found[leads] = problem.records.copy()
     same, other = found[0.1, 0.1], found[0.1, 0.6]
     np.testing.assert_array_equal(same["motion_body_kappa"], other["motion_body_kappa"])

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gaits import FPS, people
-from inner_calls import from_python
 from scipy import special
 
 import graphtrack as gt
@@ -378,14 +377,14 @@ def test_modes_are_those_of_summing_over_all_courses() -> None:
     for k in range(n - 1, 0, -1):
         backward.insert(0, matrices[k - 1] @ (np.exp(logs[k]) * backward[0]))
     filtered, smoothed_p = np.empty((n, ROW)), np.empty((n, ROW))
-    from_python(infer_modes)(dt, logs.copy(), modes, np.zeros(ROW), filtered, smoothed_p)
+    infer_modes(dt, logs.copy(), modes, np.zeros(ROW), filtered, smoothed_p)
     for k in range(n):
         np.testing.assert_allclose(filtered[k], forward[k] / forward[k].sum(), rtol=1e-9)
         both = forward[k] * backward[k]
         np.testing.assert_allclose(smoothed_p[k], both / both.sum(), rtol=1e-9)
     # In two parts, the second from what the first has filtered.
     second, ignored = np.empty((3, ROW)), np.empty((3, ROW))
-    from_python(infer_modes)(dt[3:], logs[3:].copy(), modes, filtered[2], second, ignored)
+    infer_modes(dt[3:], logs[3:].copy(), modes, filtered[2], second, ignored)
     np.testing.assert_allclose(second, filtered[3:], rtol=1e-9)
 
 
@@ -419,7 +418,7 @@ def test_gradient_and_hessian_of_couplings_about_an_offset(seed: int) -> None:
         gradient, hessian, none = np.zeros(6), np.zeros((6, 6)), np.zeros((6, 6))
         memory = np.zeros((1, 4))
         start = state[0].copy()
-        cost = from_python(add_frame)(
+        cost = add_frame(
             problem, 0, 0, start, at, True, memory, np.zeros(6), gradient, none.copy(), hessian, none
         )
         lower = np.tril(hessian)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from costs import cost_around, free, hessian, moved, stated_blocks, states_of
-from inner_calls import from_python
 from random_tracks import random_parameters, random_track
 from walks import walk, without
 
@@ -114,7 +113,7 @@ def test_what_leaves_the_window_is_what_elimination_leaves(preset: str) -> None:
     states = np.column_stack(
         [here.position - packed.origin, here.velocity, np.nan_to_num(here.body), here.head]
     )
-    assert from_python(marginalise)(problem_of(packed)._replace(prior=np.zeros((8, 6))), states, True, memory)
+    assert marginalise(problem_of(packed)._replace(prior=np.zeros((8, 6))), states, True, memory)
 
     def cost(vector: np.ndarray) -> float:
         # Without what the couplings say about the second frame itself.

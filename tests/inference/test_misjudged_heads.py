@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gaits import people
-from inner_calls import from_python
 from scipy import special
 
 from graphtrack.geometry.angles import class_centres, class_kappa, difference, mean_absolute_error, unit
@@ -86,7 +85,7 @@ def test_the_classifiers_share_of_an_offset_is_bayes() -> None:
     both = gait_of(replace(still, head_class_bias=share, head_class_bias_kappa=kappa))
     row = rng.normal(0.0, 2.0, (5, ROW))
     filtered, smoothed = np.empty((5, ROW)), np.empty((5, ROW))
-    from_python(infer_modes)(
+    infer_modes(
         np.r_[0.0, np.full(4, 0.1)], row.copy(), both.classified_head, np.zeros(ROW), filtered, smoothed
     )
 

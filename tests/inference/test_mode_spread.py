@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from inner_calls import from_python
 from walks import walk
 
 from graphtrack.inference.chain.elimination import eliminate, invert_cholesky, workspace
@@ -28,7 +27,7 @@ def test_the_sweeps_solve_the_chain() -> None:
     memory, hessians = workspace(n + begin), [block.copy() for block in blocks]
     for k in range(n - 1):
         row = begin + k
-        assert from_python(eliminate)(
+        assert eliminate(
             hessians[k],
             np.zeros(6),
             links[k],

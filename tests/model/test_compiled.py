@@ -1,60 +1,53 @@
-"""Where compiled code is kept: what is inlined from other files must not outlive them."""
+"""How functions are declared and where their machine code is kept."""
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
-from graphtrack.model.kernels import fingerprint as module
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.fingerprint import fingerprint
+from graphtrack.errors import InputError
+from graphtrack.model.kernels.compiled import allocating, compiled, machine_code_folder
 
-SOURCES = {
-    "__init__": "",
-    "leaf": "from math import sin\n",
-    "middle": "from kept.leaf import sin\n",
-    "top": "from kept.middle import (\n    sin,\n)\nfrom kept.top import sin\n",
-    "relative": "from .leaf import sin\n",
-    "other": "import math\n",
-}
+module = sys.modules["graphtrack.model.kernels.compiled"]  # the package has the function under that name
+PACKAGES = [Path(__file__).parents[2] / name for name in ("graphtrack", "perception")]
 
 
-def forget() -> None:
-    for cached in (fingerprint, module._source, module.source_file):
-        cached.cache_clear()
+def test_what_makes_arrays_has_to_say_so() -> None:
+    def total(n: int) -> float:
+        return float(np.ones(n).sum())
+
+    with pytest.raises(numba.core.errors.NumbaError, match="NRT required"):
+        compiled(total)(3)
 
 
-@pytest.fixture
-def digests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Writes a package, its sources changed as told, and gives the digest of each of its modules."""
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "kept").mkdir()
+def test_an_allocating_function_may_be_called_by_one_that_is_not() -> None:
+    @allocating
+    def total(n: int) -> float:
+        return float(np.ones(n).sum())
 
-    def of(**changed: str) -> dict[str, str]:
-        for name, source in (SOURCES | changed).items():
-            (tmp_path / "kept" / f"{name}.py").write_text(source)
-        forget()
-        return {name: fingerprint(f"kept.{name}") for name in SOURCES if name != "__init__"}
+    @compiled
+    def twice(n: int) -> float:
+        return 2.0 * total(n)
 
-    yield of
-    forget()
-    sys.modules.pop("kept", None)
+    assert twice(3) == 6.0
 
 
-def test_a_change_reaches_all_that_import_it_and_nothing_else(digests):
-    before = digests()
-    assert len(set(before.values())) == len(before)
-    after = digests(leaf="from math import cos\n")
-    changed = [name for name in before if before[name] != after[name]]
-    assert changed == ["leaf", "middle", "top", "relative"]
-    assert digests() == before
+def test_what_hands_arrays_back_has_to_say_so() -> None:
+    def rest(values: np.ndarray) -> np.ndarray:
+        return values[1:]
+
+    np.testing.assert_array_equal(allocating(rest)(np.arange(3.0)), [1.0, 2.0])
+    with pytest.raises(TypeError, match=r"rest returns np\.ndarray"):
+        compiled(rest)
 
 
-def test_the_folder_of_other_compiled_code_stays_as_it_was(monkeypatch, tmp_path):
+def test_numba_s_own_setting_stays_as_it_was(monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
 
     @compiled
@@ -63,70 +56,54 @@ def test_the_folder_of_other_compiled_code_stays_as_it_was(monkeypatch, tmp_path
 
     assert str(tmp_path) == numba.config.CACHE_DIR
     assert twice(3.0) == 6.0
-    assert list(tmp_path.glob(f"{fingerprint(__name__)}/*/*.nbc"))
+    assert list(tmp_path.glob(f"{module._digest()}/*/*.nbc"))
 
 
-LEAF = (
-    "from graphtrack.model.kernels.compiled import compiled\n@compiled\ndef {name}(x):\n    return {value}\n"
-)
-PROGRAM = (
-    "from leaf import times\n"
-    + LEAF.format(name="more", value="times(x) + 1.0")
-    + "\nprint(more(2.0), more.stats.cache_path is not None, sum(more.stats.cache_hits.values()))\n"
-)
-
-
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Runs Python in a folder with a program and the module beside it that it inlines; gives what it says."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[2]))
-
-    def ended(*arguments: str, leaf: str = "2.0 * x", stdin: str | None = None) -> str:
-        (tmp_path / "program.py").write_text(PROGRAM)
-        (tmp_path / "leaf.py").write_text(LEAF.format(name="times", value=leaf))
-        done = subprocess.run(
-            [sys.executable, *arguments],
-            input=stdin,
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=100,
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout.strip()
-
-    return ended
-
-
-@pytest.mark.slow
-def test_a_script_keeps_its_machine_code_until_what_it_inlines_changes(run):
-    assert run("program.py") == "5.0 True 0"
-    assert run("-m", "program") == "5.0 True 1"
-    assert run("program.py", leaf="3.0 * x") == "7.0 True 0"
-
-
-def test_at_the_prompt_it_compiles_and_keeps_nothing(run):
-    assert run("-", stdin=PROGRAM) == "5.0 False 0"
-
-
-def twice_in(file: str) -> object:
-    names = {"__name__": __name__}
-    exec(compile(LEAF.format(name="twice", value="2.0 * x"), file, "exec"), names)
-    return names["twice"]
-
-
-def test_a_cell_is_not_taken_for_the_file_of_its_module(monkeypatch, tmp_path):
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    another = tmp_path / "another.py"
-    another.write_text("")
-    for file in ("<stdin>", str(another)):
-        function = twice_in(file)
-        assert (function(3.0), function.stats.cache_path) == (6.0, None)
-
-
-def test_without_a_folder_to_write_to_it_compiles_all_the_same(monkeypatch, tmp_path):
+def test_without_a_folder_to_write_to_it_compiles_all_the_same(monkeypatch, tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "taken"))
-    function = twice_in(__file__)
-    assert (function(3.0), function.stats.cache_path) == (6.0, None)
+    assert machine_code_folder() is None
+    assert compiled(lambda x: 2.0 * x)(3.0) == 6.0
+
+
+def test_a_numba_that_does_not_compile_is_an_error(monkeypatch) -> None:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", True)
+    with pytest.raises(InputError, match="NUMBA_DISABLE_JIT"):
+        compiled(lambda x: x)
+
+
+PROMPT = """
+from graphtrack.model.kernels.compiled import compiled
+@compiled
+def twice(x):
+    return 2.0 * x
+print(twice(2.0))
+"""
+
+
+def test_at_the_prompt_it_compiles() -> None:
+    done = subprocess.run([sys.executable, "-"], input=PROMPT, capture_output=True, text=True, check=True)
+    assert done.stdout == "4.0\n"
+
+
+def test_the_folder_changes_with_every_source_of_compiled_functions(monkeypatch, tmp_path: Path) -> None:
+    sources = tmp_path / "package" / "model" / "kernels"
+    sources.mkdir(parents=True)
+    monkeypatch.setattr(module, "__file__", str(sources / "compiled.py"))
+    digests = []
+    for text in ("a = 1", "from graphtrack.model.kernels.compiled import compiled\na = 1"):
+        for path in (sources / "one.py", tmp_path / "package" / "two.py"):
+            path.write_text(text)
+            digests.append(module._digest.__wrapped__())
+    assert digests[0] == digests[1] and len(set(digests[1:])) == 3
+
+
+def test_nothing_stands_on_undocumented_parts_of_numba() -> None:
+    """Public: decorators, `numba.extending`, and what its extension guide uses of `numba.core`."""
+    private = re.compile(
+        r"numba\.core\.(caching|compiler|dispatcher|registry|runtime|cpu|typed_passes)|llvmlite\.binding"
+        r"|from numba\.core import .*\b(caching|compiler|dispatcher|registry|runtime|cpu)\b"
+    )
+    sources = [path for package in PACKAGES for path in package.rglob("*.py")]
+    assert len(sources) > 100
+    assert [path.name for path in sources if private.search(path.read_text(encoding="utf-8"))] == []

@@ -13,7 +13,6 @@ import pytest
 from gtsam.symbol_shorthand import B, H, V, X
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inner_calls import from_python
 from kernels import called, evaluate, packed_alone, rows_of
 from scipy import stats
 from scipy.linalg import expm
@@ -454,11 +453,11 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
         local[:, :2] -= packed.origin[0]
         found = {name: np.zeros((n, bins)) for name in ("body", "head")}
         nodes = np.arange(n)
-        from_python(program.add_over)(
+        program.add_over(
             problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"]
         )
         rows_of_quarters = np.empty((n, 12))
-        from_python(program.set_quarters)(problem, 0, local, rows_of_quarters)
+        program.set_quarters(problem, 0, local, rows_of_quarters)
         for k in range(n):
             quarters = {"body": rows_of_quarters[k, :4], "head": rows_of_quarters[k, 4:8]}
             for name, place in (("body", BODY), ("head", HEAD)):
@@ -549,7 +548,7 @@ def test_the_engine_adds_up_the_terms_of_a_model(preset: str) -> None:
         out = (gradients[0], gradients[1], hessians[0], hessians[1], hessians[2])
         start = local[0].copy()
         program.note_turns(0, local, turns)
-        cost = from_python(program.add_frame)(problem, 0, 1, start, local, True, turns, *out)
+        cost = program.add_frame(problem, 0, 1, start, local, True, turns, *out)
         expected = [0.0, np.zeros(12), np.zeros((12, 12))]
         for term in model.terms:
             if term.kernels:

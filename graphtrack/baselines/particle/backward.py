@@ -10,11 +10,11 @@ from graphtrack.baselines.particle.data import PackedMotion
 from graphtrack.baselines.particle.kernels import carry, motion_pull
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.particles import normalise
 
 
-@apart
+@allocating
 def backward(
     rng: np.random.Generator,
     start: int,
@@ -89,7 +89,7 @@ def _product_log_density(angle: float, before: float, kappa: float, toward: floa
     return agreement - resultant - math.log(2.0 * math.pi) - log_i0e(resultant)
 
 
-@compiled
+@allocating
 def _draw(rng: np.random.Generator, log_weights: FloatArray, scratch: FloatArray, weights: FloatArray) -> int:
     """A number drawn with these log-weights."""
     scratch[:] = log_weights

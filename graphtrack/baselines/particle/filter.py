@@ -118,7 +118,7 @@ def particle_filter(
         needs.
     """
     model, options = Model.named(model), ParticleOptions() if options is None else options
-    make_ready("the particle filter", Rehearsal(_rehearse, {run: 8.0}))
+    make_ready("the particle filter", _REHEARSAL)
     found = _filter(track, model, camera, options, generator(seed), keep=False)
     return _estimate(track, model, found, found.mean, found.covariance)
 
@@ -138,7 +138,7 @@ def particle_smoother(
     are NaN. Errors are those of `particle_filter`.
     """
     model, options = Model.named(model), ParticleOptions() if options is None else options
-    make_ready("the particle smoother", Rehearsal(_rehearse, {run: 8.0, backward: 1.6, summarise: 0.9}))
+    make_ready("the particle smoother", _REHEARSAL)
     rng = generator(seed)
     found = _filter(track, model, camera, options, rng, keep=True)
     return _estimate(track, model, found, *_backwards(found, options.paths, rng))
@@ -149,6 +149,9 @@ def _rehearse() -> None:
     options, rng = ParticleOptions(particles=2), generator(0)
     found = _filter(TRACK, Model("joint"), None, options, rng, keep=True)
     _backwards(found, 1, rng)
+
+
+_REHEARSAL = Rehearsal("particles", _rehearse, 10.0)
 
 
 def _backwards(found: _FilterOutput, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

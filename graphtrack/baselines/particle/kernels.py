@@ -18,7 +18,7 @@ from graphtrack.baselines.particle.densities import (
     wrapped,
 )
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.terms.intentional_motion import STANDSTILL
 from graphtrack.particles import (
     effective_sample_size,
@@ -157,7 +157,7 @@ def summarise_motion(
     covariance[2, 3] = covariance[3, 2] = uv - u1 * v1
 
 
-@compiled
+@allocating
 def summarise_angle(
     particles: FloatArray, weights: FloatArray, place: int, mean: FloatArray, covariance: FloatArray
 ) -> None:
@@ -181,7 +181,7 @@ def summarise_angle(
         covariance[place, j] = covariance[j, place] = sums[j]
 
 
-@apart
+@compiled
 def summarise(
     particles: FloatArray, weights: FloatArray, motion: PackedMotion, mean: FloatArray, covariance: FloatArray
 ) -> None:
@@ -195,7 +195,7 @@ def summarise(
             covariance[4, 5] = covariance[5, 4] = math.nan
 
 
-@apart
+@allocating
 def run(
     rng: np.random.Generator,
     start: int,

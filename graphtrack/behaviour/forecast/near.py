@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart
+from graphtrack.model.kernels.compiled import allocating
 
 _LEAST = -25.0
 """Logarithm of the least weight: all that is further counts for less than rounding, beside a few people."""
 
 
-@apart
+@allocating
 def kernel_sums(
     here: NDArray[np.float32], there: NDArray[np.float32], values: NDArray[np.float32], count: int
 ) -> FloatArray:
@@ -44,7 +44,7 @@ def kernel_sums(
     return found
 
 
-@apart
+@allocating
 def kernel_means(
     position: FloatArray,
     velocity: FloatArray,

@@ -31,14 +31,14 @@ from graphtrack.inference.chain.windows import (
     Rules,
     Windows,
 )
-from graphtrack.model.kernels.compiled import apart, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import ROW, Gait
 from graphtrack.model.terms.intentional_motion import steer
 
 
-@compiled
+@allocating
 def memory_for(size: int) -> Workspace:
     """What only lasts for a call, for windows of ``size`` frames; factorisations are the windows' own."""
     return Workspace(
@@ -55,7 +55,7 @@ def memory_for(size: int) -> Workspace:
     )
 
 
-@compiled
+@allocating
 def problem_in(windows: Windows, slot: int) -> Problem:
     """One window as the kernels see it."""
     return Problem(
@@ -71,7 +71,7 @@ def problem_in(windows: Windows, slot: int) -> Problem:
     )
 
 
-@compiled
+@allocating
 def memory_in(windows: Windows, slot: int, memory: Workspace) -> Workspace:
     """The memory of one window: its factorisation, and what lasts for a call."""
     return Workspace(
@@ -101,7 +101,7 @@ def foretell(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None
     state[HEAD] = before[HEAD] if math.isnan(guess[1]) else guess[1]
 
 
-@inner
+@compiled
 def tell(
     windows: Windows, slot: int, rules: Rules, covariance: FloatArray, p: int, advanced: Advanced
 ) -> None:
@@ -128,7 +128,7 @@ def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
         covariance[i, place] = covariance[place, i] = math.nan
 
 
-@apart
+@allocating
 def advance(
     windows: Windows, people: NDArray[np.int64], guesses: FloatArray, rules: Rules, advanced: Advanced
 ) -> None:
@@ -174,7 +174,7 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
     return int(end - begin)
 
 
-@inner
+@compiled
 def solve_or_restore(
     problem: Problem,
     states: FloatArray,
@@ -220,7 +220,7 @@ def go_on(before: Any, after: Any, rate_seen: float) -> None:
     steer(after, min(rate, after.steer_rate))
 
 
-@apart
+@allocating
 def advance_with_modes(
     windows: Windows,
     people: NDArray[np.int64],
@@ -264,7 +264,7 @@ def advance_with_modes(
         windows.classified[slot, 0] = classified
 
 
-@inner
+@compiled
 def judge_modes(
     windows: Windows,
     slot: int,
@@ -283,7 +283,7 @@ def judge_modes(
     return classified
 
 
-@inner
+@compiled
 def tell_modes(problem: Problem, modes: FloatArray, p: int, advanced: Advanced) -> None:
     """Write down the modes of a window's newest frame, and its records with their couplings if wanted."""
     begin, last = problem.offsets[0], len(modes) - 1
@@ -292,7 +292,7 @@ def tell_modes(problem: Problem, modes: FloatArray, p: int, advanced: Advanced) 
         advanced.coupled[k] = problem.records[begin + k]
 
 
-@inner
+@compiled
 def conclude(
     windows: Windows,
     person: NDArray[np.int64],

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled, inlined, inner
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import N
 
 
@@ -191,7 +191,7 @@ def eliminated(
     return definite
 
 
-@inner
+@compiled
 def eliminate(
     hessian: FloatArray,
     right: FloatArray,
@@ -224,7 +224,7 @@ def assign(target: FloatArray, source: FloatArray) -> None:
             target[k, i] = source[k, i]
 
 
-@inlined
+@compiled
 def first_open(workspace: Workspace) -> int:
     """The first frame that may move: the last of those that are kept, or the first of all."""
     return max(workspace.kept[0] - 1, 0)
@@ -244,7 +244,7 @@ def sweep_back(n: int, workspace: Workspace) -> float:
     return decrement
 
 
-@inlined
+@compiled
 def take_step(k: int, linked: bool, workspace: Workspace) -> None:
     """A frame's step from its part of the solution and the step of the frame after it, if ``linked``."""
     inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step

@@ -18,7 +18,7 @@ from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.inference.chain.stating import Stating
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
-from graphtrack.model.kernels.compiled import apart
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VY, N, X, Y
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
@@ -175,7 +175,7 @@ def _says_more(track: Track) -> BoolArray:
     return known
 
 
-@apart
+@compiled
 def finish(
     origin: FloatArray, offsets: NDArray[np.int64], has_body: bool, has_head: bool, result: Result
 ) -> None:

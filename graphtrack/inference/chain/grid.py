@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_over, set_quarters
@@ -26,7 +26,7 @@ SURE = 4.0
 """Greatest concentration that the past of a window has in the search for another basin."""
 
 
-@compiled
+@allocating
 def greatest_gain(problem: Problem, track: int, states: FloatArray) -> float:
     """The most that a stretch of frames gains by turning body, head or both by one, two or three quarters.
 
@@ -86,7 +86,7 @@ def hops(variance: float, cos: FloatArray, cost: Single) -> None:
         cost[shift] = kappa * (1.0 - cos[shift])
 
 
-@compiled
+@allocating
 def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> None:
     """Least cost of arriving at each pair of directions: ``now`` from ``before``, both (bins, bins).
 
@@ -114,7 +114,7 @@ def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> Non
                 row[h] = candidate if candidate < row[h] else row[h]
 
 
-@compiled
+@allocating
 def add_past(prior: FloatArray, state: FloatArray, angles: FloatArray, cost: Single) -> None:
     """Add what the past says of body and head in the first frame of a window, (bins, bins).
 
@@ -152,7 +152,7 @@ def least_of(cost: Single) -> tuple[int, int]:
     return b, h
 
 
-@inner
+@allocating
 def best_course(
     problem: Problem, track: int, states: FloatArray, bins: int, spread: float, course: FloatArray
 ) -> None:

@@ -11,14 +11,14 @@ from graphtrack.inference.chain.lane_modes import renew_lanes
 from graphtrack.inference.chain.lane_newton import LaneMemory
 from graphtrack.inference.chain.lane_solver import settle, take_group
 from graphtrack.inference.chain.result import Result
-from graphtrack.model.kernels.compiled import apart, inner
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lanes import LANES
 from graphtrack.model.kernels.layout import BODY
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import Gait
 
 
-@inner
+@compiled
 def put_back(problem: Problem, first: FloatArray, guessed: BoolArray, memory: LaneMemory) -> None:
     """Have the angles that were ``guessed`` as they were at ``first``, both (N, 2) or without rows."""
     for lane in range(LANES):
@@ -31,7 +31,7 @@ def put_back(problem: Problem, first: FloatArray, guessed: BoolArray, memory: La
                     memory.states[k, BODY + i, lane] = first[begin + k, i]
 
 
-@apart
+@compiled
 def alternate_lanes(
     problem: Problem,
     numbers: FloatArray,

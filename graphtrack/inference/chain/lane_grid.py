@@ -10,7 +10,7 @@ from graphtrack.inference.chain.lane_newton import LaneMemory, place_of
 from graphtrack.inference.chain.restart import WORTHWHILE, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.branches import choose
-from graphtrack.model.kernels.compiled import inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.lane_program import set_lane_quarters
 from graphtrack.model.kernels.lanes import LANES, load, matrix_of, row_of, store
 from graphtrack.model.kernels.layout import N
@@ -21,7 +21,7 @@ ALMOST = 0.99 * WORTHWHILE
 """From which gain a track is looked at by itself: the search asks once more."""
 
 
-@inner
+@compiled
 def greatest_gains(problem: Problem, n: int, memory: LaneMemory) -> Any:
     """`grid.greatest_gain` of all lanes, at the states in the memory."""
     frames, turns, quarters = memory.frames, memory.turns, memory.gradients
@@ -60,7 +60,7 @@ def greatest_gains(problem: Problem, n: int, memory: LaneMemory) -> Any:
     return greatest
 
 
-@inner
+@allocating
 def visit(problem: Problem, near: float, memory: LaneMemory, result: Result) -> bool:
     """Put a better basin's states in place of those of the ``wanted`` lanes where there is one."""
     some, found = False, memory.elsewhere
@@ -78,7 +78,7 @@ def visit(problem: Problem, near: float, memory: LaneMemory, result: Result) -> 
     return some
 
 
-@inner
+@compiled
 def find_elsewhere(problem: Problem, n: int, near: float, memory: LaneMemory, result: Result) -> bool:
     """Put a better basin's states in place of those of lanes that have one: of these ``memory.elsewhere``.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.lane_newton import LaneMemory, place_of
-from graphtrack.model.kernels.compiled import inner
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lanes import LANES
 from graphtrack.model.kernels.layout import BODY, VX, VY
 from graphtrack.model.terms.gait import ROW
@@ -63,7 +63,7 @@ def mode_memory(n: int) -> ModeMemory:
     )
 
 
-@inner
+@compiled
 def look_ahead(n: int, lead: float, of_motion: bool, memory: LaneMemory, found: FloatArray) -> None:
     """`modes.leading_angles` of all lanes, of motion as a vector; ``found`` is (n, AHEAD, LANES)."""
     frames, states = memory.frames, memory.states

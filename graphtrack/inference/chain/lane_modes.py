@@ -33,7 +33,7 @@ from graphtrack.inference.chain.lane_newton import LaneMemory
 from graphtrack.inference.chain.lane_recursions import begin_back, filter_lanes, smooth_lanes
 from graphtrack.inference.chain.result import Result
 from graphtrack.model.kernels.branches import any_of, choose
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.elementary import LOG2E, log
 from graphtrack.model.kernels.lane_singles import softness
 from graphtrack.model.kernels.lanes import LANES, load, row_of, store
@@ -45,7 +45,7 @@ from graphtrack.model.terms.gait import BINS, ROW, Gait, Modes
 from graphtrack.model.terms.intentional_motion import SMALL_TURN
 
 
-@inner
+@compiled
 def judge(
     frames: FloatArray, at: int, row: FloatArray, first: int, modes: Modes, weight: Any, cos: Any, sin: Any
 ) -> None:
@@ -83,7 +83,7 @@ def judge(
         store(row, first + j, load(row, first + j) + weight * says)
 
 
-@inner
+@compiled
 def judge_body(
     n: int, gait: Gait, threshold: float, frames: FloatArray, states: FloatArray, memory: ModeMemory
 ) -> None:
@@ -108,7 +108,7 @@ def judge_body(
         judge(frames, at + SEEN_HEAD, row, k * ROW, gait.body, choose(active, head_share, 0.0), cos, sin)
 
 
-@inner
+@compiled
 def judge_head(
     n: int, gait: Gait, threshold: float, frames: FloatArray, states: FloatArray, memory: ModeMemory
 ) -> None:
@@ -144,7 +144,7 @@ def pulls_apart(modes: Modes, share: Any, cos: Any, sin: Any, weights: FloatArra
     return math.sqrt(share * (free_strength * free_strength * free + strength * strength * near))
 
 
-@inner
+@compiled
 def couple(
     frames: FloatArray,
     at: int,
@@ -185,7 +185,7 @@ def couple(
     return spread
 
 
-@inner
+@compiled
 def steer_lanes(frames: FloatArray, at: int, rate: Any) -> None:
     """`intentional_motion.steer` of all lanes: of the record that begins at ``at``."""
     dt, information = load(frames, at + DT), load(frames, at + MOTION)
@@ -207,7 +207,7 @@ def steer_lanes(frames: FloatArray, at: int, rate: Any) -> None:
     store(frames, at + STEER + 4, place * scale)
 
 
-@inner
+@compiled
 def renew_body(
     n: int, gait: Gait, threshold: float, diffusion: float, last: bool, group: LaneMemory, memory: ModeMemory
 ) -> None:
@@ -250,7 +250,7 @@ def renew_body(
         left += load(frames, at + DT)
 
 
-@inner
+@compiled
 def renew_head(
     n: int, gait: Gait, threshold: float, diffusion: float, last: bool, group: LaneMemory, memory: ModeMemory
 ) -> None:
@@ -303,7 +303,7 @@ def put_modes(problem: Problem, group: LaneMemory, memory: ModeMemory, modes: Fl
                 modes[begin + k, 1] = math.atan2(memory.held[k, 1, lane], memory.held[k, 0, lane])
 
 
-@inner
+@compiled
 def renew_lanes(
     problem: Problem, n: int, gait: Gait, last: bool, group: LaneMemory, memory: ModeMemory, result: Result
 ) -> None:

@@ -17,7 +17,7 @@ from graphtrack.inference.chain.elimination import clear, eliminated, invert_cho
 from graphtrack.inference.chain.newton import as_variable
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
 from graphtrack.model.kernels.branches import any_of, choose
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lane_program import add_lanes
 from graphtrack.model.kernels.lanes import (
     LANES,
@@ -92,7 +92,7 @@ def lane_memory(n: int, fields: int) -> LaneMemory:
     )
 
 
-@inner
+@compiled
 def gather(problem: Problem, numbers: FloatArray, states: FloatArray, memory: LaneMemory) -> int:
     """Put the group's records, ``numbers`` (N, fields), and its states side by side; returns its length."""
     tracks, lengths, frames, longest = memory.tracks, memory.lengths, memory.frames, 0
@@ -116,7 +116,7 @@ def gather(problem: Problem, numbers: FloatArray, states: FloatArray, memory: La
     return longest
 
 
-@inner
+@compiled
 def gather_states(problem: Problem, n: int, states: FloatArray, memory: LaneMemory) -> None:
     """Put the group's states, of n frames, side by side."""
     for lane in range(LANES):
@@ -136,7 +136,7 @@ def scatter(problem: Problem, lane: int, memory: LaneMemory, states: FloatArray)
             states[offset + k, i] = memory.states[k, i, lane]
 
 
-@inner
+@compiled
 def sweep(problem: Problem, n: int, states: FloatArray, exact: bool, memory: LaneMemory) -> Any:
     """Costs of the states of all lanes, and whether their Hessians are positive definite, factored."""
     gradients, hessians, inverse, link = memory.gradients, memory.hessians, memory.inverse, memory.link
@@ -181,7 +181,7 @@ def sweep(problem: Problem, n: int, states: FloatArray, exact: bool, memory: Lan
     return cost, definite
 
 
-@inner
+@compiled
 def sweep_back(n: int, memory: LaneMemory) -> Any:
     """The Newton steps from a factorisation; returns the decreases of cost that they promise."""
     decrement = 0.0 * load(memory.lengths, 0)
@@ -226,7 +226,7 @@ def copy(n: int, source: FloatArray, target: FloatArray) -> None:
         store(target, k, load(source, k))
 
 
-@inner
+@compiled
 def minimise_lanes(
     problem: Problem, n: int, max_iterations: int, tolerance: float, last: bool, memory: LaneMemory
 ) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.lane_mode_memory import DT, TURN, ModeMemory
 from graphtrack.model.kernels.branches import any_of, choose
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.elementary import exp
 from graphtrack.model.kernels.lanes import load, store
 from graphtrack.model.kernels.vector_math import exp2
@@ -30,7 +30,7 @@ def drift_of(drift: float, dt: Any) -> tuple[Any, Any]:
     return passes, choose(side < 1.0 / 3.0, side, 1.0 / 3.0)
 
 
-@inner
+@compiled
 def drift_further(rows: FloatArray, at: int, passes: Any, side: Any) -> None:
     """All passes of a drift but one, of the free offsets from a place in the rows on."""
     turn = 1.0
@@ -46,7 +46,7 @@ def drift_further(rows: FloatArray, at: int, passes: Any, side: Any) -> None:
         turn += 1.0
 
 
-@inner
+@compiled
 def filter_lanes(n: int, modes: Modes, frames: FloatArray, memory: ModeMemory) -> None:
     """Forward: each frame's probabilities given those before; log likelihoods become likelihoods."""
     row, filtered, fields = memory.row, memory.filtered, frames.shape[1]
@@ -104,7 +104,7 @@ def filter_lanes(n: int, modes: Modes, frames: FloatArray, memory: ModeMemory) -
         share = 1.0 / total
 
 
-@inner
+@compiled
 def begin_back(frames: FloatArray, memory: ModeMemory) -> None:
     """Nothing follows the last frame."""
     zero = load(frames, DT) * 0.0
@@ -115,7 +115,7 @@ def begin_back(frames: FloatArray, memory: ModeMemory) -> None:
     store(memory.step, 2, zero)
 
 
-@inner
+@compiled
 def smooth_lanes(k: int, modes: Modes, frames: FloatArray, memory: ModeMemory) -> tuple[Any, ...]:
     """One frame backward; its probabilities are left in the memory.
 

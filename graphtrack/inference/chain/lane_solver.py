@@ -22,13 +22,13 @@ from graphtrack.inference.chain.newton import as_variable
 from graphtrack.inference.chain.restart import AT_END, AT_START
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.branches import choose
-from graphtrack.model.kernels.compiled import apart, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.lanes import LANES, load, matrix_of, row_of, store
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
 
 
-@inner
+@compiled
 def covariances(
     problem: Problem, n: int, spread: FloatArray, wanted: FloatArray, memory: LaneMemory, result: Result
 ) -> None:
@@ -68,7 +68,7 @@ def covariances(
                         found[i, j] = blocks[here, i, j, lane]
 
 
-@inner
+@compiled
 def sweep_pulls(
     problem: Problem, n: int, coupling: int, spread: FloatArray, memory: LaneMemory, solutions: FloatArray
 ) -> None:
@@ -93,7 +93,7 @@ def sweep_pulls(
             solution[i] = total
 
 
-@inner
+@compiled
 def pull_back(k: int, linked: bool, memory: LaneMemory, solutions: FloatArray, steps: FloatArray) -> None:
     """`mode_spread.back_from` of all lanes."""
     inverse, solution, step = matrix_of(memory.inverse, k), row_of(solutions, k), row_of(steps, k)
@@ -111,7 +111,7 @@ def pull_back(k: int, linked: bool, memory: LaneMemory, solutions: FloatArray, s
         step[i] = total
 
 
-@inner
+@compiled
 def state_uncertainty(
     problem: Problem, n: int, factored: bool, spread: FloatArray, memory: LaneMemory, result: Result
 ) -> None:
@@ -145,7 +145,7 @@ def note(memory: LaneMemory, lane: int, result: Result) -> None:
     result.status[track] = int(memory.ended[3, lane])
 
 
-@inner
+@compiled
 def take_group(
     problem: Problem,
     numbers: FloatArray,
@@ -162,7 +162,7 @@ def take_group(
     return gather(problem, numbers, result.states, memory)
 
 
-@inner
+@compiled
 def settle(
     problem: Problem,
     n: int,
@@ -224,7 +224,7 @@ def settle(
         state_uncertainty(problem, n, factored, spread, memory, result)
 
 
-@apart
+@allocating
 def solve_lanes(
     problem: Problem,
     numbers: FloatArray,

@@ -9,12 +9,12 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.linear import Linear, solve_linear_track
 from graphtrack.inference.chain.result import Result
 from graphtrack.inference.chain.stating import Added, Stating, across, added, state
-from graphtrack.model.kernels.compiled import apart, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.lanes import LANES, load, store
 from graphtrack.model.kernels.layout import BODY, HEAD
 
 
-@apart
+@allocating
 def state_tracks(
     covariance: FloatArray, states: FloatArray, offsets: NDArray[np.int64], t: FloatArray, stating: Stating
 ) -> None:
@@ -24,7 +24,7 @@ def state_tracks(
         state_track(covariance, states, offsets[track], offsets[track + 1] - 1, t, stating, known)
 
 
-@apart
+@allocating
 def solve_and_state(linear: Linear, longest: int, t: FloatArray, stating: Stating, result: Result) -> None:
     """`solve_linear_tracks` and `state_tracks` in one pass, while a track's covariances are at hand."""
     known, spread, memory = np.empty((8, LANES)), np.empty((longest, 3)), np.empty((longest, 7))
@@ -35,7 +35,7 @@ def solve_and_state(linear: Linear, longest: int, t: FloatArray, stating: Statin
         state_track(result.covariance, result.states, first, last, t, stating, known)
 
 
-@inner
+@compiled
 def state_track(
     covariance: FloatArray,
     states: FloatArray,

@@ -15,7 +15,7 @@ from graphtrack.inference.chain.elimination import Workspace
 from graphtrack.inference.chain.modes import BODY_MODE, HEAD_MODE
 from graphtrack.inference.chain.newton import as_variable, sweep_forward
 from graphtrack.model.kernels.branches import choose
-from graphtrack.model.kernels.compiled import apart, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.body_follows_motion import squared_excess
@@ -90,7 +90,7 @@ def widen(covariance: FloatArray, deviation: FloatArray) -> None:
             covariance[i, j] += deviation[i] * deviation[j]
 
 
-@apart
+@allocating
 def spread_tracks(
     problem: Problem, states: FloatArray, spread: FloatArray, workspace: Workspace, covariance: FloatArray
 ) -> None:
@@ -116,7 +116,7 @@ def spread_tracks(
                 widen(covariance[a + k], workspace.step[k])
 
 
-@inner
+@compiled
 def spread_newest(
     problem: Problem, states: FloatArray, spread: FloatArray, workspace: Workspace, covariance: FloatArray
 ) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import apart, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, VX, VY
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.body_follows_motion import squared_excess
@@ -192,7 +192,7 @@ def couple(
     return kappa * size, cos * ahead_cos - sin * ahead_sin, sin * ahead_cos + cos * ahead_sin, spread
 
 
-@inner
+@allocating
 def renew_couplings(
     problem: Problem,
     track: int,
@@ -256,7 +256,7 @@ def renew_couplings(
             steer(after, after.steer_rate * share * max(ahead, 0.0))
 
 
-@apart
+@allocating
 def renew_tracks(
     problem: Problem,
     states: FloatArray,

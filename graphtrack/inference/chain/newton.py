@@ -19,7 +19,7 @@ from graphtrack.inference.chain.elimination import (
     sweep_back,
 )
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame, note_turns
@@ -65,7 +65,7 @@ def recall(
     return cost
 
 
-@inner
+@compiled
 def sweep_forward(
     problem: Problem, track: int, start: FloatArray, states: FloatArray, exact: bool, workspace: Workspace
 ) -> tuple[float, bool]:
@@ -129,7 +129,7 @@ def sweep_forward(
 _SMALLEST_SCALE = 1e-9
 
 
-@inner
+@allocating
 def minimise(
     problem: Problem,
     track: int,

@@ -22,8 +22,7 @@ from graphtrack.errors import InputError
 from graphtrack.inference.chain import advance, grid, mode_spread, newton, restart, window_kernels
 from graphtrack.model import Model, Term
 from graphtrack.model.kernels import program
-from graphtrack.model.kernels.compiled import UNKEPT, cache_home
-from graphtrack.model.kernels.fingerprint import fingerprint, source_file
+from graphtrack.model.kernels.compiled import machine_code_folder
 from graphtrack.model.kernels.generator import Program
 from graphtrack.model.kernels.kernel import Function
 from graphtrack.model.kernels.packing import RecordTypes
@@ -93,13 +92,12 @@ def _program_of(kinds: tuple[type[Term], ...]) -> ChainProgram:
     _check(functions)
     source = Program(kinds, title, every_term()).source
     mark = _mark(source, functions)
-    package = f"graphtrack_own_{mark}" if mark else f"{UNKEPT}{uuid.uuid4().hex[:16]}"
+    package = f"graphtrack_own_{mark}" if mark else f"graphtrack_unkept_{uuid.uuid4().hex[:16]}"
     texts = {"__init__": f'"""The chain engine of {title}."""\n', "program": source}
     for caller in _CALLERS:
-        path = source_file(caller)
-        assert path is not None  # a module of this package
+        path = Path(sys.modules[caller].__file__ or "")
         texts[caller.rpartition(".")[2]] = _redirected(path.read_text(encoding="utf-8"), package)
-    _load(_written((cache_home() if mark else None) or _passing(), package, texts), package)
+    _load(_written((machine_code_folder() if mark else None) or _passing(), package, texts), package)
     return ChainProgram.of([importlib.import_module(f"{package}.{name}") for name in _PUBLIC])
 
 
@@ -134,12 +132,12 @@ def _check(functions: Iterable[Function]) -> None:
 
 def _mark(source: str, functions: Iterable[Function]) -> str:
     """A digest of all that the machine code will depend on; "" where a kernel's source is in no file."""
-    digest = hashlib.sha256((source + fingerprint(_PROGRAM) + fingerprint(newton.__name__)).encode())
+    digest = hashlib.sha256(source.encode())
     for function in functions:
         written = Path(getattr(function, "py_func", function).__code__.co_filename)
         if not written.is_file():
             return ""
-        digest.update(f"{function.__module__} {fingerprint(function.__module__)}".encode())
+        digest.update(function.__module__.encode() + written.read_bytes())
     return digest.hexdigest()[:16]
 
 

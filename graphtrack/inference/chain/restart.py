@@ -11,7 +11,7 @@ from graphtrack.inference.chain.elimination import Workspace, assign, marginals
 from graphtrack.inference.chain.grid import best_course, greatest_gain
 from graphtrack.inference.chain.newton import as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.result import NOT_FINITE, Result
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
 
@@ -38,7 +38,7 @@ def lies_elsewhere(states: FloatArray, course: FloatArray, near: float) -> bool:
     return False
 
 
-@apart
+@allocating
 def find_other_basin(
     problem: Problem, track: int, states: FloatArray, near: float, found: FloatArray
 ) -> bool:
@@ -59,7 +59,7 @@ def find_other_basin(
     return True
 
 
-@apart
+@allocating
 def solve_tracks(
     problem: Problem,
     max_iterations: int,

@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.linear import Linear, solve_linear
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, TIME_TOLERANCE, VX, VY
 
 OPPOSITE = math.cos(math.pi - 1e-5)
@@ -92,7 +92,7 @@ def fill(t: FloatArray, angle: FloatArray, fallback: FloatArray) -> None:
         angle[gap] = angle[last] if last >= 0 else 0.0
 
 
-@apart
+@allocating
 def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArray) -> None:
     """Fill in the states (N, 6) of all tracks; ``angles`` (3, n) is memory, for the longest of them."""
     longest = angles.shape[1]

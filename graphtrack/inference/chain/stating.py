@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
 from graphtrack.inference.solution import SHARES, SHRINK
 from graphtrack.model.kernels.branches import choose
-from graphtrack.model.kernels.compiled import apart, compiled
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY
 from graphtrack.model.parameters import Parameters
 from graphtrack.model.sway import kept_shares, sway_variances
@@ -106,8 +106,8 @@ def added(
     head: Any,
     end: Any,
     stating: Stating,
-) -> Added:
-    """What is added for lags.
+) -> Any:
+    """What is added for lags, as `Added`.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def state(covariances: FloatArray, k: int, more: Added, stating: Stating) -> Non
     covariances[k, HEAD, HEAD] = limited(covariances[k, HEAD, HEAD] * head * head + more.head)
 
 
-@apart
+@compiled
 def state_uncertainty(
     covariances: FloatArray, states: FloatArray, k: int, end: float, stating: Stating
 ) -> None:

@@ -20,7 +20,7 @@ from graphtrack.inference.chain.elimination import (
 from graphtrack.inference.chain.newton import add_prior, as_variable, minimise, sweep_forward
 from graphtrack.inference.chain.restart import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame, add_links, add_own, cut, note_turns
@@ -41,7 +41,7 @@ _LEAP = 1.5
 """By how much the other place has to cost less, in k²: people do not leap. It is four positions at k."""
 
 
-@inner
+@allocating
 def solve_window(
     problem: Problem,
     states: FloatArray,
@@ -112,7 +112,7 @@ def solve_window(
     return finite
 
 
-@inner
+@allocating
 def move_if_less(
     problem: Problem,
     states: FloatArray,
@@ -138,7 +138,7 @@ def move_if_less(
     return cost, sweep_forward(problem, track, states[0].copy(), states, as_variable(True), memory)[1]
 
 
-@inner
+@compiled
 def have_strayed(problem: Problem, track: int, states: FloatArray) -> bool:
     """Whether some of the newest positions that were seen are all farther from the states than k.
 
@@ -166,7 +166,7 @@ def have_strayed(problem: Problem, track: int, states: FloatArray) -> bool:
     return _RUN <= count <= _LONGEST_RUN
 
 
-@inner
+@compiled
 def find_by_squares(
     problem: Problem,
     track: int,
@@ -236,7 +236,7 @@ def the_only(problem: Problem) -> int:
     return len(problem.offsets) - 2
 
 
-@compiled
+@allocating
 def from_frame(workspace: Workspace, begin: int) -> Workspace:
     """The memory of the frames from ``begin`` on."""
     return Workspace(
@@ -253,7 +253,7 @@ def from_frame(workspace: Workspace, begin: int) -> Workspace:
     )
 
 
-@inner
+@compiled
 def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     """A Newton step of the window for the price of its newest frame, as a better start.
 
@@ -305,7 +305,7 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
             states[k, i] += memory.step[k, i]
 
 
-@inner
+@compiled
 def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     """Eliminate the oldest frame of the window for good: what it says about the next becomes the prior.
 
@@ -328,7 +328,7 @@ def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     problem.offsets[0] = begin + 1
 
 
-@inner
+@compiled
 def marginalise(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
     """Schur complement and gradient on the second of two frames, without its own terms, in the scratch.
 

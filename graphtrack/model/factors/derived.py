@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray, class_centres, unit
 from graphtrack.later import gtsam
 from graphtrack.model.factors.custom import unit_noise
-from graphtrack.model.kernels.compiled import apart
+from graphtrack.model.kernels.compiled import allocating
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import BODY, HEAD, PLACES, N
 from graphtrack.model.kernels.packing import PackedTracks
@@ -201,7 +201,7 @@ class _Evaluation:
         return residual, jacobian
 
 
-@apart
+@allocating
 def factorise(
     cost: float,
     gradients: FloatArray,

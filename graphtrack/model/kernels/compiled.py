@@ -1,113 +1,103 @@
-"""How everything is compiled: cached on disk, without the interpreter's lock."""
+"""How functions are compiled: by numba's public decorator, cached on disk, without the interpreter's lock.
+
+A function is declared by `compiled`, or by `allocating` where it makes arrays.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import re
+import threading
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
-from types import FunctionType
-from typing import Literal, TypeVar, cast
+from typing import TypeVar, cast
 
 import numba
 
 from graphtrack.errors import InputError
-from graphtrack.model.kernels.dispatch import Apart, Inner, Linked
-from graphtrack.model.kernels.fingerprint import fingerprint, source_file
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-# Sums may be reordered and fused; NaN and infinity keep their meaning ("nnan" would break isnan).
-_FAST = {"contract", "reassoc", "nsz", "arcp"}
+_OPTIONS = {
+    "nogil": True,
+    "error_model": "numpy",
+    # Sums may be reordered and fused; NaN and infinity keep their meaning ("nnan" would break isnan).
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+    "no_cfunc_wrapper": True,  # nobody calls them from C
+}
+_NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
+"""Annotations of numbers; "Any": floats or `lanes`."""
 
-
-UNKEPT = "graphtrack_unkept_"
-"""Begins the names of packages whose machine code is of use to one process alone."""
+_CACHE_DIR = threading.Lock()
+"""Held while numba's setting of the cache folder is another."""
 
 
 def compiled(function: Function) -> Function:
-    """The function as machine code; calls between such functions are inlined where that seems to pay.
+    """Compile a function that makes no arrays and hands none back.
 
-    The code is kept under ``NUMBA_CACHE_DIR``, or else in the user's cache folder. Numba alone would only
-    look whether the function's own file has changed, and run what is inlined from others as it once was.
-    A function without a file, from a notebook's cell or the prompt, and any where no folder can be written
-    to, is compiled anew in every process.
+    Numba then leaves out the counting of references to arrays, which at every call and every view of a row
+    took as long as a term of the model. A function that does make arrays fails to compile ("NRT required but
+    not enabled"): it is to be `allocating`.
+
+    Raises
+    ------
+    TypeError
+        If the annotation says that anything but numbers is returned: numba would not find that out, and
+        would free an array that is still in use.
     """
-    return _dispatched(function, Linked)
+    annotation = getattr(function, "__annotations__", {}).get("return")
+    returned = str(getattr(annotation, "__name__", annotation))
+    if not _NUMBERS.fullmatch(returned):
+        raise TypeError(f"{function.__name__} returns {returned}, expected numbers, or @allocating")
+    return _declared(function, _nrt=False)
 
 
-def apart(function: Function) -> Function:
-    """As `compiled`, for what is large, or called from Python: its callers have a call, not its code.
-
-    So it is compiled once, and where several are needed two processes can share them.
-    """
-    return _dispatched(function, Apart)
+def allocating(function: Function) -> Function:
+    """Compile a function that makes arrays, or hands some back."""
+    return _declared(function, _nrt=True)  # else it would be as its first caller is
 
 
-def inner(function: Function) -> Function:
-    """As `apart`, for what Python never calls: what lets it do so takes a sixth of the time to compile."""
-    return _dispatched(function, Inner)
-
-
-def inlined(function: Function) -> Function:
-    """As `compiled`, for a part that is written into its callers.
-
-    With as many arrays as the frame program hands on, each call would cost as much as a term, even where the
-    machine code is inlined.
-    """
-    return _dispatched(function, Linked, inline="always")
-
-
-def _dispatched(
-    function: Function, kind: type[Apart | Linked], inline: Literal["never", "always"] = "never"
-) -> Function:
+def _declared(function: Function, **options: bool) -> Function:
     if numba.config.DISABLE_JIT:
         expected = "the environment variable NUMBA_DISABLE_JIT unset: the engines are compiled"
         raise InputError("a numba that is told not to compile", expected)
-    options = {
-        "nopython": True,
-        "nogil": True,
-        "boundscheck": None,
-        "error_model": "numpy",
-        "fastmath": _FAST,
-        "inline": inline,
-        "no_cfunc_wrapper": True,  # nobody calls it from C
-    }
-    dispatched = kind(function, targetoptions=options)
-    folder = _folder(cast(FunctionType, function))
-    if folder:
-        dispatched.keep_in(folder)
-    return cast(Function, dispatched)
+    home = machine_code_folder()
+    if home is not None:
+        # Numba reads the folder when a function is declared.
+        with _CACHE_DIR:
+            given, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(home)
+            try:
+                return cast(Function, numba.njit(cache=True, **_OPTIONS, **options)(function))
+            except RuntimeError:  # of a function without a file: from the prompt, or `exec`
+                pass
+            finally:
+                numba.config.CACHE_DIR = given
+    return cast(Function, numba.njit(**_OPTIONS, **options)(function))
 
 
-def _folder(function: FunctionType) -> str:
-    """Where the machine code of a function is kept; "" if nowhere."""
-    # `exec` may leave no module at all, and what was written for a cell's kernel goes with the process.
-    if function.__module__ is None or function.__module__.startswith(UNKEPT):
-        return ""
-    source, written = source_file(function.__module__), Path(function.__code__.co_filename)
-    # A module may also run what was not written in its file: cells, `exec`.
-    if source is None or not written.is_file() or not written.samefile(source):
-        return ""
-    home = cache_home()
-    if home is None:
-        return ""
-    folder = home / fingerprint(function.__module__)
-    return str(folder) if _is_writable(folder) else ""
+def machine_code_folder() -> Path | None:
+    """The folder in which machine code is kept; None where there is none that can be written to.
 
-
-def cache_home() -> Path | None:
-    """The folder in which machine code is kept; None where there is none that can be written to."""
+    It lies in ``NUMBA_CACHE_DIR``, or else in the user's cache folder, and is another one for other sources:
+    numba alone would look whether the function's own file has changed, but not those of what it calls.
+    """
     try:
         user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphtrack"
-    except RuntimeError:  # a user without a home
-        return None
-    home = Path(numba.config.CACHE_DIR or user)
-    return home if _is_writable(home) else None
-
-
-def _is_writable(folder: Path) -> bool:
-    try:
+        folder = Path(numba.config.CACHE_DIR or user) / _digest()
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return False
-    return os.access(folder, os.W_OK)
+    except (OSError, RuntimeError):  # RuntimeError: a user without a home
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+@cache
+def _digest() -> str:
+    """A digest of numba's version and of the sources in this package that declare compiled functions."""
+    digest, package = hashlib.sha256(numba.__version__.encode()), Path(__file__).parents[2]
+    for path in sorted(package.rglob("*.py")):
+        source = path.read_bytes()
+        if b"kernels.compiled import" in source:
+            digest.update(source)
+    return digest.hexdigest()[:16]

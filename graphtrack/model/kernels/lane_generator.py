@@ -22,7 +22,7 @@ from typing import Any
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.branches import any_of, choose
-from graphtrack.model.kernels.compiled import inner
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lanes import load, masked, matrix_of, negate, row_of, store
 from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.vector_math import cos_sin
@@ -31,7 +31,7 @@ from graphtrack.model.kernels.vector_math import cos_sin
 '''
 
 OPEN_LANES = '''
-@inner
+@compiled
 def add_lanes(
     shared: Any,
     frames: FloatArray,
@@ -71,7 +71,7 @@ def add_lanes(
 
 OPEN_LANE_QUARTERS = '''
 
-@inner
+@compiled
 def set_lane_quarters(
     shared: Any, frames: FloatArray, k: int, states: FloatArray, turns: FloatArray, quarters: FloatArray
 ) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled, inlined, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.anchor import add_anchor
@@ -409,14 +409,14 @@ def add_links(
     return cost
 
 
-@inlined
+@compiled
 def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
     """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
     turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
     turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])
 
 
-@inner
+@compiled
 def add_frame(
     problem: Problem,
     track: int,
@@ -705,7 +705,7 @@ def cut(frame: Any) -> None:
     frame.group_hold = 0.0
 
 
-@inner
+@allocating
 def add_over(
     problem: Problem,
     track: int,
@@ -799,7 +799,7 @@ def add_over(
                 )
 
 
-@inner
+@allocating
 def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: FloatArray) -> None:
     """What each frame costs with body or head as they are, and one, two and three quarters on.
 

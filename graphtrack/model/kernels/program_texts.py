@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled, inlined, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import {layout}
 from graphtrack.model.kernels.problem import Problem
 {imports}
@@ -61,7 +61,7 @@ def add_links(
     cost = 0.0'''
 
 NOTE_TURNS = '''
-@inlined
+@compiled
 def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
     """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
     turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
@@ -69,7 +69,7 @@ def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
 '''
 
 OPEN_FRAME = '''
-@inner
+@compiled
 def add_frame(
     problem: Problem,
     track: int,
@@ -101,7 +101,7 @@ def cut(frame: Any) -> None:
     """Take a frame's links to the one before out of its record."""'''
 
 OPEN_OVER = '''
-@inner
+@allocating
 def add_over(
     problem: Problem,
     track: int,
@@ -123,7 +123,7 @@ OVER_FRAMES = """\
         frame = problem.records[place]"""
 
 OPEN_QUARTERS = '''
-@inner
+@allocating
 def set_quarters(problem: Problem, track: int, states: FloatArray, quarters: FloatArray) -> None:
     """What each frame costs with body or head as they are, and one, two and three quarters on.
 

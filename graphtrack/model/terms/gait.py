@@ -18,7 +18,7 @@ from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.later import gtsam, special
 from graphtrack.model.kernels.bessel import of_alike
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import States, Step
@@ -166,7 +166,7 @@ def switch_back(ahead: FloatArray, modes: Modes, dt: float, memory: FloatArray) 
     drift(ahead, modes.drift * dt, memory)
 
 
-@inner
+@allocating
 def infer_modes(
     dt: FloatArray,
     log_likelihood: FloatArray,

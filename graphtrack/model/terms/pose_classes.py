@@ -8,7 +8,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 
 
 @compiled
@@ -61,7 +61,7 @@ def add_classes(
     return 2.0 * kappa - math.log(density)
 
 
-@compiled
+@allocating
 def class_densities(cos: FloatArray, sin: FloatArray, directions: FloatArray) -> FloatArray:
     """Densities (n, k) of the classes at many directions, over those at their centres."""
     found = np.empty((len(cos), len(directions)))
