@@ -22,7 +22,7 @@ def test_what_makes_arrays_has_to_say_so() -> None:
     def total(n: int) -> float:
         return float(np.ones(n).sum())
 
-    with pytest.raises(numba.core.errors.NumbaError, match="NRT required|Only accept returning"):
+    with pytest.raises(numba.core.errors.NumbaError, match=r"NRT required|Only accept returning"):
         compiled(total)(3)
 
 
