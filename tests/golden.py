@@ -70,17 +70,17 @@ def numbers_of(track: Track) -> dict[str, np.ndarray]:
 
 def answers() -> Iterator[tuple[str, np.ndarray]]:
     """Every estimated channel of every case, by name."""
-    from graphtrack.inference.chain import side_by_side
+    from graphtrack.inference.chain import engine
 
-    large = side_by_side.LARGE
+    large = engine.LARGE
     for name, tracks, model in cases():
         for way, least in (("offline", large), ("side by side", 0)):
-            side_by_side.LARGE = least
+            engine.LARGE = least
             for k, found in enumerate(solve(tracks, model, engine="chain", jobs=1)):
                 assert isinstance(found, Solution), (name, found)
                 for channel, values in numbers_of(found.track).items():
                     yield f"{way}/{name}/{k}/{channel}", values
-        side_by_side.LARGE = large
+        engine.LARGE = large
         for k, track in enumerate(tracks):
             online = track_online(track, model, camera=tracks.camera, engine="chain", lag=1.0)
             for channel, values in numbers_of(online).items():

@@ -61,7 +61,7 @@ def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) 
 
 def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
     """Smooth a data set, and print what became of it; ends with status 2 if a track failed."""
-    from graphtrack.inference.chain.side_by_side import is_large
+    from graphtrack.inference.chain.engine import is_large
     from graphtrack.inference.warm import WHOLE, solver_rehearsals
     from graphtrack.readiness import make_ready
     from graphtrack.scale import open_dataset, smooth_dataset

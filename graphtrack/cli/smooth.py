@@ -89,7 +89,7 @@ def smooth(
 ) -> None:
     """Smooth tracks offline: positions, velocities, body and head, with their uncertainties."""
     from graphtrack.gaps import at_times, with_times_at
-    from graphtrack.inference.chain.side_by_side import those_beside
+    from graphtrack.inference.chain.engine import fit_lanes
     from graphtrack.inference.offline import engine_of, solve_tracks
     from graphtrack.inference.solution import Failure, Solution
     from graphtrack.inference.warm import WHOLE, solver_rehearsals
@@ -136,7 +136,7 @@ def smooth(
     observed, chosen, said = trusted(tracks, chosen, trust or "check")
     for line in said:
         console.print(f"  note: {line}", markup=False)
-    beside = those_beside(observed.tracks, chosen)
+    beside = fit_lanes(observed.tracks, chosen)
     make_ready(WHOLE, *solver_rehearsals(chosen, solver, tracks.camera, beside))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:

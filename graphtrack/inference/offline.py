@@ -16,10 +16,9 @@ from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
 from graphtrack.gaps import at_times, filled, with_times_at
 from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.engine import is_chain, solve_packed
+from graphtrack.inference.chain.calibration import calibration_of
+from graphtrack.inference.chain.engine import fit_lanes, is_chain, solve_packed
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE
-from graphtrack.inference.chain.side_by_side import those_beside
-from graphtrack.inference.chain.stating import stating_of
 from graphtrack.inference.extremes import not_finite
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack_to_solve
@@ -30,8 +29,6 @@ from graphtrack.inference.solution import (
     Solution,
     SolverOptions,
     estimated_tracks,
-    seconds_to_ends,
-    stated,
 )
 from graphtrack.inference.warm import WHOLE, solver_rehearsal, solver_rehearsals
 from graphtrack.io.given import tracks_of
@@ -134,7 +131,7 @@ def solve_tracks(
             solve_tracks, model=model, engine=engine, jobs=jobs, options=options, progress=progress
         )
         return solve_in_turn(tracks, again, model.parameters.social.correlation_time)
-    beside = those_beside(tracks.tracks, model, n_frames)
+    beside = fit_lanes(tracks.tracks, model, n_frames)
     make_ready(WHOLE, *solver_rehearsals(model, engine, tracks.camera, beside))
     if engine == "chain":
         return _solve_batches(tracks, beside, model, jobs, options, progress)
@@ -270,7 +267,7 @@ def _solve_batches(
 
         def run(batch: tuple[list[int], bool]) -> list[Solution | Failure]:
             given = [tracks.tracks[m] for m in batch[0]]
-            return _solve_chains(given, model, tracks.camera, options, side_by_side=batch[1])
+            return _solve_chains(given, model, tracks.camera, options, in_lanes=batch[1])
 
         for solved, (which, _) in zip(pool.map(run, batches), batches, strict=True):
             found |= zip(which, solved, strict=True)
@@ -304,7 +301,7 @@ def _solve_chains(
     model: Model,
     camera: GroundCamera | None,
     options: SolverOptions,
-    side_by_side: bool = False,
+    in_lanes: bool = False,
 ) -> list[Solution | Failure]:
     packed = pack_to_solve(tracks, model, camera)
     found = solve_packed(
@@ -313,16 +310,12 @@ def _solve_chains(
         max_iterations=options.max_iterations,
         tolerance=1e-3 * options.relative_tolerance,
         restart=options.restart,
-        side_by_side=side_by_side,
-        # To state them compiled is quicker, but for small work, which would wait for the compiler.
-        stating=stating_of(model.parameters) if side_by_side else None,
+        in_lanes=in_lanes,
+        calibration=calibration_of(model.parameters),
     )
     positioned = np.logical_or.reduceat(packed.has_position, packed.offsets[:-1])
     if model.has_body or model.has_head:
         found.states[:, 4:] = wrap(found.states[:, 4:])
-    if not side_by_side:
-        ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-        stated(found.covariance, found.states[:, 2:4], model.parameters, ends)
     answers: list[Solution | Failure] = []
     first_cost, cost, iterations, status = (
         numbers.tolist() for numbers in (found.first_cost, found.cost, found.iterations, found.status)

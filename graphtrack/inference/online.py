@@ -20,6 +20,7 @@ from graphtrack.display import html_pairs
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrapped
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.calibration import calibrate, calibration_of
 from graphtrack.inference.chain.window import ChainWindow, extend_together
 from graphtrack.inference.extremes import with_extreme_of
 from graphtrack.inference.graph.fixed_lag import FixedLag
@@ -28,7 +29,6 @@ from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.late import merged, worked_in
 from graphtrack.inference.observed import checked
 from graphtrack.inference.online_engines import OnlineEngine, check_lag, online_engine
-from graphtrack.inference.solution import stated
 from graphtrack.inference.state import (
     FAILURES,
     Estimate,
@@ -348,7 +348,9 @@ class OnlineSmoother:
         state, covariance = newest
         smoother = self._smoother
         if not isinstance(smoother, ChainWindow):
-            covariance = stated(covariance.copy(), state[2:4], self.model.parameters)
+            covariance = covariance.copy()
+            calibration = calibration_of(self.model.parameters)
+            calibrate(covariance[None], state[None], np.zeros(1), calibration)
         body, head = map(wrapped, state[4:].tolist())
         aligned, offset = getattr(smoother, "modes", (math.nan, math.nan))
         self._last = Estimate(

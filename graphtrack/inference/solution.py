@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from graphtrack.bounds import check_count
 from graphtrack.display import counted, html_pairs, line_of_track
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
-from graphtrack.model.parameters import Parameters
-from graphtrack.model.sway import kept_shares, lagging, seconds_behind, swaying, turn_lags
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import Track
 
 OfflineEngine = Literal["chain", "gtsam"]
@@ -92,57 +90,9 @@ class Failure:
     reason: str
 
 
-def stated(
-    covariance: FloatArray, velocity: FloatArray, parameters: Parameters, ends: FloatArray | float = 0.0
-) -> FloatArray:
-    """Covariances (..., 6, 6) as estimates state them, from the inverse curvature of the cost; in place.
-
-    Of angles, an inverse curvature P is that of a von Mises density with concentration 1/P, whose root mean
-    square is stated: the wider it is the more it differs from √P, and it ends at that of the uniform density,
-    `UNIFORM_STD`. Beside, what estimates do not follow: the sway of steps, accelerations and turns that last
-    (`graphtrack.model.sway`).
-
-    Parameters
-    ----------
-    covariance : NaN where the model has no such state
-    velocity : (..., 2) that was estimated, m/s: who turns, turns that too
-    ends : seconds from each frame (...) to the nearer end of its track, 0 of the newest online
-    """
-    behind = seconds_behind(covariance, velocity, parameters)
-    lagging(covariance, parameters.motion, ends)
-    swaying(covariance, parameters.motion)
-    variance = np.einsum("...ii->...i", covariance)[..., 4:]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        widest = UNIFORM_STD / np.sqrt(variance)
-        shrink = np.minimum(np.interp(variance / (1.0 + variance), SHARES, SHRINK), widest)
-    shrink *= np.sqrt(kept_shares(parameters.orientation))
-    covariance[..., 4:, :] *= shrink[..., :, None]
-    covariance[..., :, 4:] *= shrink[..., None, :]
-    for place, lag in enumerate(turn_lags(behind, parameters.orientation, ends)):
-        variance[..., place] += lag
-    np.minimum(variance, UNIFORM_STD**2, out=variance)
-    return covariance
-
-
 def seconds_to_ends(t: FloatArray) -> FloatArray:
     """Seconds (n,) from the frames of a track at the times (n,) to its nearer end."""
     return np.asarray(np.minimum(t - t[0], t[-1] - t))
-
-
-def _von_mises_shrink(variance: FloatArray) -> FloatArray:
-    """Root mean square of von Mises densities of concentration 1/``variance``, over √``variance``."""
-    # In units of the standard deviation, so that narrow ones are resolved too.
-    reach = np.minimum(np.pi, 12.0 * np.sqrt(variance))
-    angle = reach[:, None] * (np.arange(1000) + 0.5) / 1000.0
-    density = np.exp((np.cos(angle) - 1.0) / variance[:, None])
-    return np.asarray(np.sqrt((density * angle**2).sum(axis=1) / density.sum(axis=1) / variance))
-
-
-_WIDEST = 1e3
-SHARES = np.linspace(0.0, _WIDEST / (1.0 + _WIDEST), 400)
-"""P/(1 + P) of the table of what √P is to be multiplied with."""
-SHRINK = np.append(1.0, _von_mises_shrink(SHARES[1:] / (1.0 - SHARES[1:])))
-"""The same of it."""
 
 
 def estimated_tracks(

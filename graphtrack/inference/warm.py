@@ -9,9 +9,8 @@ from typing import Literal
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.engine import is_chain, solve_packed
-from graphtrack.inference.chain.side_by_side import has_lanes
-from graphtrack.inference.chain.stating import stating_of
+from graphtrack.inference.chain.calibration import calibration_of
+from graphtrack.inference.chain.engine import has_lanes, is_chain, solve_packed
 from graphtrack.inference.chain.window import ChainWindow
 from graphtrack.inference.graph.chain_view import ChainView
 from graphtrack.inference.initial import initial_states, pack, pack_to_solve
@@ -47,7 +46,7 @@ def warm_up(
     model, engine : as in `solve` and `OnlineSmoother`
     behaviour : whether what groups, attention and forecasts call is wanted, too
     large : whether what solves many tracks side by side is wanted, too, where the model has it: work of
-        `side_by_side.LARGE` person-frames and more calls that
+        `engine.LARGE` person-frames and more calls that
     """
     if behaviour:
         from graphtrack.behaviour import warm as told  # most do not need it
@@ -105,14 +104,14 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
 
 
 def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsal:
-    """What the chain engine calls for tracks side by side; see `side_by_side.those_beside`."""
+    """What the chain engine calls for tracks in lanes; see `engine.fit_lanes`."""
     like, linear = _like(model), _may_be_linear(model)
 
     def run() -> None:
         if not _is_linear(model, camera):
-            _solve(like, side_by_side=True)
+            _solve(like, in_lanes=True)
         if linear:
-            _solve(Model("position"), side_by_side=True)
+            _solve(Model("position"), in_lanes=True)
 
     only = " only" if _is_linear(model, camera) else ""
     return Rehearsal(f"lanes {_kind(model)}{' linear' if linear else ''}{only}", run, 2.0 if only else 20.0)
@@ -164,9 +163,9 @@ def _kind(model: Model) -> str:
     return ("modes" if model.has_modes else "angles") + "".join(own)
 
 
-def _solve(model: Model, *, side_by_side: bool = False) -> None:
-    stating = stating_of(model.parameters) if side_by_side else None
-    solve_packed(pack_to_solve([TRACK], model), model, side_by_side=side_by_side, stating=stating)
+def _solve(model: Model, *, in_lanes: bool = False) -> None:
+    calibration = calibration_of(model.parameters)
+    solve_packed(pack_to_solve([TRACK], model), model, in_lanes=in_lanes, calibration=calibration)
 
 
 def _search(model: Model) -> None:

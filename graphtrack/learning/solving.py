@@ -10,8 +10,9 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.elimination import Workspace, workspace
-from graphtrack.inference.chain.engine import solve_packed, solve_terms
+from graphtrack.inference.chain.engine import ON_THE_WAY, PASSES, solve_packed, solve_terms
 from graphtrack.inference.chain.result import NOT_FINITE, Result
+from graphtrack.inference.chain.solver import Options
 from graphtrack.inference.initial import empty_result, pack, problem_of
 from graphtrack.inference.warm import WHOLE, offline_rehearsal
 from graphtrack.model import Model
@@ -79,5 +80,6 @@ class Solver:
         problem, result = problem_of(packed), empty_result(packed)
         result.states[:] = self._start
         memory = workspace(self._longest)
-        solve_terms(model, problem, MAX_ITERATIONS, TOLERANCE, False, memory, result)
+        options = Options(MAX_ITERATIONS, TOLERANCE, ON_THE_WAY, PASSES, search=False)
+        solve_terms(model, problem, options, result, memory=memory)
         return Solved(packed, problem, result, memory, model.parameters.motion)

@@ -14,7 +14,7 @@ from graphtrack.display import listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import Failure, SolverOptions
-from graphtrack.inference.chain.side_by_side import is_large
+from graphtrack.inference.chain.engine import is_large
 from graphtrack.inference.offline import engine_of
 from graphtrack.inference.solution import OfflineEngine
 from graphtrack.inference.warm import WHOLE, solver_rehearsals

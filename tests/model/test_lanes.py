@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.branches import any_of, choose
+from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.lane_singles import softness

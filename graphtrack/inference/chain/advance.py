@@ -12,11 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.elimination import Workspace, assign
-from graphtrack.inference.chain.mode_spread import spread_newest
-from graphtrack.inference.chain.modes import is_classified, is_seen, renew_couplings
+from graphtrack.inference.chain.elimination import Workspace, assign, workspace
+from graphtrack.inference.chain.coupling_modes import (
+    BODY_MODE,
+    HEAD_MODE,
+    ModeMemory,
+    is_classified,
+    is_observed,
+    mode_memory,
+    normalise,
+    renew_couplings,
+    report_modes,
+)
+from graphtrack.inference.chain.covariance import spread_newest
 from graphtrack.inference.chain.newton import as_variable
-from graphtrack.inference.chain.stating import state_uncertainty
+from graphtrack.inference.chain.calibration import add_lags, calibrate_frame
 from graphtrack.inference.chain.window_kernels import foresee, from_frame, let_go, solve_window, the_only
 from graphtrack.inference.chain.windows import (
     ADDS,
@@ -34,25 +44,8 @@ from graphtrack.inference.chain.windows import (
 from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import ROW, Gait
+from graphtrack.model.terms.gait import Gait
 from graphtrack.model.terms.intentional_motion import steer
-
-
-@allocating
-def memory_for(size: int) -> Workspace:
-    """What only lasts for a call, for windows of ``size`` frames; factorisations are the windows' own."""
-    return Workspace(
-        np.empty((0, N, N)),
-        np.empty((0, N, N)),
-        np.empty((size, N)),
-        np.empty((size, N)),
-        np.empty((size, N)),
-        np.empty((0, 4)),
-        np.empty((4, N, N)),
-        np.empty((0, N + 1, N)),
-        np.empty((0, N)),
-        np.zeros(1, np.int64),
-    )
 
 
 @allocating
@@ -82,9 +75,14 @@ def memory_in(windows: Windows, slot: int, memory: Workspace) -> Workspace:
         memory.candidate,
         windows.trigonometry[slot],
         memory.scratch,
+        memory.start,
+        memory.ended,
+        memory.length,
         windows.message[slot],
         windows.factored[slot],
         memory.kept,
+        memory.again,
+        memory.before,
     )
 
 
@@ -102,10 +100,16 @@ def foretell(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None
 
 
 @compiled
-def tell(
-    windows: Windows, slot: int, rules: Rules, covariance: FloatArray, p: int, advanced: Advanced
+def report(
+    windows: Windows,
+    slot: int,
+    rules: Rules,
+    covariance: FloatArray,
+    lags: FloatArray,
+    p: int,
+    advanced: Advanced,
 ) -> None:
-    """Write down what is known of a window's newest frame."""
+    """Report the newest frame of a window; ``lags`` (5,) is memory."""
     state, told = windows.states[slot, windows.offsets[slot, 1] - 1], advanced.covariance[p]
     for i in range(N):
         advanced.state[p, i] = state[i]
@@ -117,7 +121,8 @@ def tell(
         hide(BODY, advanced.state[p], told)
     if not rules.has_head:
         hide(HEAD, advanced.state[p], told)
-    state_uncertainty(advanced.covariance, advanced.state, p, 0.0, rules.stating)
+    add_lags(advanced.covariance, advanced.state, p, 0.0, rules.calibration, lags)
+    calibrate_frame(told, lags, rules.calibration)
 
 
 @compiled
@@ -142,8 +147,8 @@ def advance(
     advanced : filled in
     """
     size = windows.states.shape[1]
-    memory, before, covariance = memory_for(size), np.empty((size, N)), np.empty((N, N))
-    keeps = as_variable(True)
+    memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
+    keeps, lags = as_variable(True), np.empty(5)
     for p in range(len(people)):
         slot = people[p, SLOT]
         problem, states, own = (
@@ -157,7 +162,7 @@ def advance(
         )
         if not advanced.fine[p]:
             continue
-        tell(windows, slot, rules, covariance, p, advanced)
+        report(windows, slot, rules, covariance, lags, p, advanced)
         for _ in range(people[p, LEAVE]):
             let_go(problem, states, own)
 
@@ -215,8 +220,8 @@ def go_on(before: Any, after: Any, rate_seen: float) -> None:
     after.head_body_cos, after.head_body_sin = before.head_body_cos, before.head_body_sin
     after.head_doubt = before.head_doubt
     rate = -math.log1p(-before.steer_gain) / before.dt if before.steer_gain > 0.0 else 0.0
-    if is_seen(before) != is_seen(after):
-        rate *= rate_seen if is_seen(after) else 1.0 / max(rate_seen, 1e-9)
+    if is_observed(before) != is_observed(after):
+        rate *= rate_seen if is_observed(after) else 1.0 / max(rate_seen, 1e-9)
     steer(after, min(rate, after.steer_rate))
 
 
@@ -231,9 +236,9 @@ def advance_with_modes(
 ) -> None:
     """As `advance`, where the couplings have modes."""
     size = windows.states.shape[1]
-    memory, before, covariance = memory_for(size), np.empty((size, N)), np.empty((N, N))
+    memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
     # Modes renew the couplings of all frames.
-    keeps = as_variable(False)
+    keeps, lags, modes = as_variable(False), np.empty(5), mode_memory(size)
     for p in range(len(people)):
         slot = people[p, SLOT]
         problem, states, own = (
@@ -249,50 +254,40 @@ def advance_with_modes(
             go_on(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
             foresee(problem, states[begin:end], from_frame(own, begin))
             people[p, WARM] = 0
-        filtered, modes, pulls = np.empty((2, n, ROW)), np.empty((n, 2)), np.empty((n, 2))
-        classified = judge_modes(windows, slot, problem, states, gait, filtered, modes, pulls)
-        tell_modes(problem, modes, p, advanced)
+        classified = judge_modes(windows, slot, problem, states, gait, modes)
+        report_couplings(problem, modes, p, advanced)
         if people[p, SOLVES] != 0:
             advanced.fine[p] = solve_or_restore(
                 problem, states, people[p], keeps, rules, own, before[:kept], covariance
             )
             if not advanced.fine[p]:
                 continue
-            conclude(
-                windows, people[p], problem, states, rules, own, covariance, pulls, filtered, p, advanced
-            )
+            conclude(windows, people[p], problem, states, rules, own, covariance, modes, lags, p, advanced)
         windows.classified[slot, 0] = classified
 
 
-@compiled
+@allocating
 def judge_modes(
-    windows: Windows,
-    slot: int,
-    problem: Problem,
-    states: FloatArray,
-    gait: Gait,
-    filtered: FloatArray,
-    modes: FloatArray,
-    pulls: FloatArray,
+    windows: Windows, slot: int, problem: Problem, states: FloatArray, gait: Gait, modes: ModeMemory
 ) -> bool:
     """Renew the couplings of a window from its states; whether any of its frames has been classified."""
     classified = bool(windows.classified[slot, 0]) or is_classified(problem, the_only(problem))
-    here = states[problem.offsets[0] : problem.offsets[1]]
-    before = windows.modes_before[slot]
-    renew_couplings(problem, the_only(problem), here, gait, classified, before, filtered, modes, pulls)
+    here, n = states[problem.offsets[0] : problem.offsets[1]], problem.offsets[1] - problem.offsets[0]
+    assign(modes.before, windows.modes_before[slot])
+    renew_couplings(problem, the_only(problem), n, float(n), here, gait, classified, as_variable(True), modes)
     return classified
 
 
-@compiled
-def tell_modes(problem: Problem, modes: FloatArray, p: int, advanced: Advanced) -> None:
-    """Write down the modes of a window's newest frame, and its records with their couplings if wanted."""
-    begin, last = problem.offsets[0], len(modes) - 1
-    advanced.modes[p, 0], advanced.modes[p, 1] = modes[last, 0], modes[last, 1]
+@allocating
+def report_couplings(problem: Problem, modes: ModeMemory, p: int, advanced: Advanced) -> None:
+    """Report the modes of a window's newest frame, and its records with their couplings if wanted."""
+    begin, last = problem.offsets[0], problem.offsets[1] - problem.offsets[0] - 1
+    report_modes(1, 0, modes.held[last:], advanced.modes[p : p + 1])
     for k in range(len(advanced.coupled)):
         advanced.coupled[k] = problem.records[begin + k]
 
 
-@compiled
+@allocating
 def conclude(
     windows: Windows,
     person: NDArray[np.int64],
@@ -301,23 +296,25 @@ def conclude(
     rules: Rules,
     own: Workspace,
     covariance: FloatArray,
-    pulls: FloatArray,
-    filtered: FloatArray,
+    modes: ModeMemory,
+    lags: FloatArray,
     p: int,
     advanced: Advanced,
 ) -> None:
-    """Write down what a solved window says of its newest frame, and let go of its oldest ones.
+    """Report the newest frame of a solved window, and marginalise its oldest frames.
 
-    ``covariance`` is that of the newest frame, ``pulls`` and ``filtered`` are of the modes as in
-    `modes.renew_couplings`.
+    ``covariance`` is that of the newest frame, ``modes`` are from `coupling_modes.renew_couplings`.
     """
     slot = person[SLOT]
+    begin, end = problem.offsets[0], problem.offsets[1]
     clear_matrix(advanced.spread[p])
-    spread_newest(problem, states, pulls, own, advanced.spread[p])
-    tell(windows, slot, rules, covariance, p, advanced)
+    memory = from_frame(own, begin)
+    spread_newest(problem, end - begin, states[begin:end], modes.spread, memory, advanced.spread[p])
+    report(windows, slot, rules, covariance, lags, p, advanced)
     for k in range(person[LEAVE]):
         let_go(problem, states, own)
-        assign(windows.modes_before[slot], filtered[:, k])
+        normalise(modes.filtered_body[k], windows.modes_before[slot, BODY_MODE])
+        normalise(modes.filtered_head[k], windows.modes_before[slot, HEAD_MODE])
 
 
 @compiled

@@ -7,22 +7,21 @@ step, or the covariances by the recursion of the Rauch–Tung–Striebel smoothe
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import N
 
 
 class Workspace(NamedTuple):
-    """Memory of a factorisation, for tracks of up to n frames.
+    """Memory of a factorisation and a descent, for tracks of up to n frames: of one track, or of lanes.
 
     A window's frames that have not moved since they were factored are not factored again: what the frames up
-    to one of them say about it, and of which states, is kept. Of whole tracks that is nobody's use, and there
-    are no rows.
+    to one of them say about it, and of which states, is kept.
     """
 
     inverse: FloatArray  # (n, 6, 6) inverse Cholesky factors
@@ -31,26 +30,40 @@ class Workspace(NamedTuple):
     step: FloatArray  # (n, 6)
     candidate: FloatArray  # (n, 6)
     trigonometry: FloatArray  # (n, 4) cosine and sine of body and head
-    scratch: FloatArray  # (4, 6, 6)
+    scratch: FloatArray  # (4, 6, 6) gradients of two frames, their Hessians, and the transition
+    start: FloatArray  # (2, 6) the state of the first frame where the descent began, and where another did
+    ended: FloatArray  # (5,) first cost, cost, number of steps, how it ended, whether factored exactly
+    length: FloatArray  # (1,) number of frames, beyond which a lane has no terms
     message: FloatArray  # (n, 7, 6) Hessian and gradient of each frame, those before eliminated; or (0, 7, 6)
     factored: FloatArray  # (n, 6) the states at which each frame was factored; or (0, 6)
-    kept: NDArray[np.int64]  # (1,) the first frames, so many of them, are as they were factored
+    kept: NDArray[np.int64]  # (2,) the first frames, so many, are as they were factored; whether any may be
+    again: FloatArray  # (n, 6) states in another basin
+    before: FloatArray  # (n, 6) states to go back to
 
 
+FIRST_COST, COST, STEPS, STATUS, EXACT = range(5)
+"""Places in `Workspace.ended`."""
+
+
+@allocating
 def workspace(n: int) -> Workspace:
     """Memory for tracks of up to n frames."""
-    block, vector = (n, N, N), (n, N)
     return Workspace(
-        np.empty(block),
-        np.empty(block),
-        np.empty(vector),
-        np.empty(vector),
-        np.empty(vector),
+        np.empty((n, N, N)),
+        np.empty((n, N, N)),
+        np.empty((n, N)),
+        np.empty((n, N)),
+        np.empty((n, N)),
         np.empty((n, 4)),
         np.empty((4, N, N)),
+        np.empty((2, N)),
+        np.empty(5),
+        np.full(1, float(n)),
         np.empty((0, N + 1, N)),
         np.empty((0, N)),
-        np.zeros(1, np.int64),
+        np.zeros(2, np.int64),
+        np.empty((n, N)),
+        np.empty((n, N)),
     )
 
 
@@ -58,11 +71,11 @@ _SMALLEST_PIVOT = 1e-13  # relative to the diagonal
 
 
 @compiled
-def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> bool:
+def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> Any:
     """The inverse of the Cholesky factor of a symmetric matrix, of which the lower half is read.
 
     Returns whether the matrix is positive definite; if not, what is written is of no use. Only the lower half
-    of ``inverse`` is written. For floats, and for the matrices of all lanes at once.
+    of ``inverse`` is written.
     """
     # Written out, so that it stays in registers: loops that run to a changing end take twice as long.
     pivot = matrix[0, 0]
@@ -138,7 +151,7 @@ def invert_cholesky(matrix: FloatArray, inverse: FloatArray) -> bool:
 
 
 @compiled
-def eliminated(
+def eliminate(
     hessian: FloatArray,
     right: FloatArray,
     transition: FloatArray,
@@ -147,11 +160,8 @@ def eliminated(
     inverse: FloatArray,
     link: FloatArray,
     solution: FloatArray,
-) -> bool:
-    """Eliminate a frame: its Schur complement goes to the next one; keeps what the sweep back needs.
-
-    For floats, and for lanes.
-    """
+) -> Any:
+    """Eliminate a frame: its Schur complement goes to the next one; keeps what the sweep back needs."""
     definite = invert_cholesky(hessian, inverse)
     # Six sums side by side are one vector operation; as an inner loop they are not (three times the time).
     for i in range(N):
@@ -192,21 +202,6 @@ def eliminated(
 
 
 @compiled
-def eliminate(
-    hessian: FloatArray,
-    right: FloatArray,
-    transition: FloatArray,
-    hessian_next: FloatArray,
-    right_next: FloatArray,
-    inverse: FloatArray,
-    link: FloatArray,
-    solution: FloatArray,
-) -> bool:
-    """`eliminated` of floats, compiled once for all that call it."""
-    return eliminated(hessian, right, transition, hessian_next, right_next, inverse, link, solution)
-
-
-@compiled
 def clear(gradient: FloatArray, hessian: FloatArray, transition: FloatArray) -> None:
     """Set to 0; assigning to slices would take longer than the terms themselves."""
     for i in range(N):
@@ -225,13 +220,21 @@ def assign(target: FloatArray, source: FloatArray) -> None:
 
 
 @compiled
+def copy_rows(first: int, last: int, source: FloatArray, target: FloatArray) -> None:
+    """Copy the frames from ``first`` to before ``last``, (n, 6)."""
+    for k in range(first, last):
+        for i in range(N):
+            target[k, i] = source[k, i]
+
+
+@compiled
 def first_open(workspace: Workspace) -> int:
     """The first frame that may move: the last of those that are kept, or the first of all."""
     return max(workspace.kept[0] - 1, 0)
 
 
 @compiled
-def sweep_back(n: int, workspace: Workspace) -> float:
+def sweep_back(n: int, workspace: Workspace) -> Any:
     """The Newton step (n, 6) from a factorisation; returns the decrease of cost that it promises.
 
     Frames that are kept have none, but for the last of them.
@@ -262,9 +265,9 @@ def take_step(k: int, linked: bool, workspace: Workspace) -> None:
 
 
 @compiled
-def marginals(workspace: Workspace, covariance: FloatArray) -> None:
+def marginals(n: int, workspace: Workspace, covariance: FloatArray) -> None:
     """Covariances (n, 6, 6) of every frame's state from a factorisation."""
-    n, inverse, link = len(covariance), workspace.inverse, workspace.link
+    inverse, link = workspace.inverse, workspace.link
     full, product = workspace.scratch[0], workspace.scratch[1]
     for k in range(n - 1, -1, -1):
         after = covariance[min(k + 1, n - 1)]
@@ -281,7 +284,7 @@ def marginal(
     product: FloatArray,
     covariance: FloatArray,
 ) -> None:
-    """Covariance of a frame's state from that of the frame ``after`` it, if ``linked``; for lanes too."""
+    """Covariance of a frame's state from that of the frame ``after`` it, if ``linked``."""
     # P = L⁻ᵀ·(I + W·P'·Wᵀ)·L⁻¹, with P' of the frame after: G = L⁻ᵀ·W, then G·P'·Gᵀ + L⁻ᵀ·L⁻¹.
     if linked:
         for i in range(N):

@@ -1,42 +1,83 @@
-"""The chain engine: whole tracks solved by compiled Newton steps (see `newton`)."""
+"""The compiled chain engine on whole tracks: initialise, solve, find covariances and calibrate them."""
 
 from __future__ import annotations
 
-import copy
 import math
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.inference.chain.calibration import Calibration, calibrate_tracks
+from graphtrack.inference.chain.coupling_modes import mode_memory
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.linear import linear_part, solve_linear_tracks
-from graphtrack.inference.chain.modes import renew_tracks
-from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.programs import OF_PRESETS, program_of
 from graphtrack.inference.chain.result import NOT_FINITE, Result
+from graphtrack.inference.chain.solver import Options, lane_arrays
 from graphtrack.inference.chain.start import Seen, initialise
-from graphtrack.inference.chain.stating import Stating
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.layout import BODY, HEAD, VY, N, X, Y
+from graphtrack.model.kernels.layout import BODY, HEAD, VY, N, X, Y, number_rows
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import ROW, gait_of
+from graphtrack.model.terms.gait import gait_of
 from graphtrack.tracks import Track
 
 PASSES = 2
-"""Times that the modes of the couplings, and the states with them, are found anew; a third changes
-nothing that the errors on motion capture would show."""
+"""Times that the coupling modes, and the states with them, are found; a third changes nothing that the errors
+on motion capture would show."""
 
 ON_THE_WAY = 1e-6
 """Of the cost: where descents before the last end, which tell of modes alone; their last step is taken all
-the same. That is 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, from what ending at 10⁻¹² leads to."""
+the same. That is 2·10⁻⁵ rad, or 10⁻⁴ standard deviations, from where ending at 10⁻¹² leads."""
+
+LARGE = 200_000
+"""Person-frames from which work is large: solved in lanes, which takes as long to compile as all else of an
+engine, and a third of the time."""
+
+LONGEST = 5_000
+"""Frames of a track that is solved in lanes; those of the longest take 15 kB each."""
+
+NONE_GUESSED = np.zeros((0, 2), bool)
 
 
 def is_chain(model: Model) -> bool:
     """Whether every term of a model has a compiled kernel."""
     return all(term.is_compiled for term in model.terms)
+
+
+def is_large(model: Model, n_frames: int) -> bool:
+    """Whether work of so many person-frames is large, and the model one whose tracks can be in lanes."""
+    return n_frames >= LARGE and has_lanes(model)
+
+
+def has_lanes(model: Model) -> bool:
+    """Whether the tracks of a model can be solved in lanes: its kernels are those of the presets."""
+    return is_chain(model) and program_of(model) is OF_PRESETS
+
+
+def fit_lanes(tracks: Sequence[Track], model: Model, n_frames: int | None = None) -> list[bool]:
+    """Which tracks are solved in lanes: those of large work, without class likelihoods.
+
+    Parameters
+    ----------
+    tracks : to be solved
+    model : solves them
+    n_frames : of all the work that the tracks are a part of; by default there is no other
+    """
+    n_frames = sum(map(len, tracks)) if n_frames is None else n_frames
+    large = is_large(model, n_frames)
+    return [
+        large
+        and len(track) <= LONGEST
+        and track.body_likelihood is None
+        and track.head_likelihood is None
+        for track in tracks
+    ]
 
 
 def solve_packed(
@@ -46,8 +87,8 @@ def solve_packed(
     max_iterations: int = 100,
     tolerance: float = 1e-12,
     restart: bool = True,
-    side_by_side: bool = False,
-    stating: Stating | None = None,
+    in_lanes: bool = False,
+    calibration: Calibration | None = None,
 ) -> Result:
     """Maximum a posteriori states and their covariances.
 
@@ -57,101 +98,59 @@ def solve_packed(
     max_iterations : Newton steps a track
     tolerance : a track is done when the next step promises a smaller decrease, relative to 1 + its cost
     restart : search a grid of orientations for a better basin where there may be one
-    side_by_side : several tracks at a time, of those that `side_by_side.those_beside` has found
-    stating : covariances are to be as this states them, and not the inverse curvature
+    in_lanes : several tracks at a time, of those that `fit_lanes` has found
+    calibration : of the covariances; None: they are the inverse curvature
 
     Returns
     -------
     Result
         States in the world's frame, angles not wrapped. Covariances are those of the exact curvature where
-        that is positive definite, or as ``stating`` has them. NaN for what the model does not have. Where
-        couplings have modes, they are weighed by the modes' probabilities. Costs are those given these
-        weights; covariances contain what is not known of the modes (see `mode_spread`).
+        that is positive definite. NaN for what the model does not have. Where couplings have modes, they are
+        weighed by the modes' probabilities. Costs are those given these weights; covariances contain what is
+        not known of the modes (see `covariance`).
     """
     result, longest = empty_result(packed), int(np.diff(packed.offsets).max())
     if model.is_linear(packed):
-        if stating is None:
-            solve_linear_tracks(linear_part(packed), longest, result)
-        else:
-            from graphtrack.inference.chain.lane_stating import solve_and_state  # small work does without
-
-            solve_and_state(linear_part(packed), longest, packed.t, stating, result)
-        return result
-    problem, seen = problem_of(packed), seen_in(packed, model)
-    initialise(linear_part(packed), seen, np.empty((3, longest)), result.states)
-    guessed = never_seen(packed, seen) if model.has_modes else None
-    if side_by_side:
-        from graphtrack.inference.chain.lane_engine import solve_in_lanes  # small work does without
-
-        tolerances = max(ON_THE_WAY, tolerance), tolerance
-        solve_in_lanes(model, problem, max_iterations, tolerances, restart, PASSES, result, guessed)
+        solve_linear_tracks(linear_part(packed), longest, result)
     else:
-        memory = workspace(longest)
-        solve_terms(model, problem, max_iterations, tolerance, restart, memory, result, guessed)
-    finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
-    if stating is not None:
-        from graphtrack.inference.chain.lane_stating import state_tracks
-
-        state_tracks(result.covariance, result.states, packed.offsets, packed.t, stating)
+        problem, seen = problem_of(packed), seen_in(packed, model)
+        initialise(linear_part(packed), seen, np.empty((3, longest)), result.states)
+        guessed = never_seen(packed, seen) if model.has_modes else NONE_GUESSED
+        options = Options(max_iterations, tolerance, max(ON_THE_WAY, tolerance), PASSES, restart)
+        solve_terms(model, problem, options, result, guessed, in_lanes=in_lanes)
+        finish(packed.origin, packed.offsets, model.has_body, model.has_head, result)
+    if calibration is not None:
+        calibrate_tracks(result.covariance, result.states, packed.offsets, packed.t, calibration)
     return result
 
 
 def solve_terms(
     model: Model,
     problem: Problem,
-    max_iterations: int,
-    tolerance: float,
-    restart: bool,
-    memory: Workspace,
+    options: Options,
     result: Result,
-    guessed: BoolArray | None = None,
+    guessed: BoolArray = NONE_GUESSED,
+    *,
+    in_lanes: bool = False,
+    memory: Workspace | None = None,
 ) -> None:
-    """Solve all tracks from the states in ``result``, in place; modes of couplings alternate with states.
+    """Solve all tracks from the states in ``result``, in place; coupling modes alternate with states.
 
     ``guessed`` (N, 2): angles that nothing holds without couplings; they stay as they are until there are.
     """
-    program = program_of(model)
-    solve_tracks = program.solve_tracks
-    if not model.has_modes:
-        solve_tracks(problem, max_iterations, tolerance, restart, memory, result)
-        return
-    # Without couplings first: from there both the modes and the states are found.
-    for gate in program.switched:
-        problem.records[gate] = 0.0
-    angles = result.states[:, BODY : HEAD + 1]
-    first = angles.copy()
-    on_the_way = max(ON_THE_WAY, tolerance)
-    solve_tracks(problem, max_iterations, on_the_way, restart, memory, result)
-    if guessed is not None:
-        angles[guessed] = first[guessed]
-    gait, spread = gait_of(model.parameters.gait), np.zeros((len(result.states), 2))
-    before, nothing = np.zeros((2, ROW)), np.empty((2, 0, ROW))
-    classified = are_classified(problem) if restart else np.zeros(len(problem.offsets) - 1, bool)
-    for left in range(PASSES - 1, -1, -1):
-        renew_tracks(problem, result.states, gait, before, result.modes, spread, nothing)
-        ending = on_the_way if left else tolerance
-        solve_tracks(problem, max_iterations, ending, False, memory, result)
-        if classified.any():
-            # Class likelihoods have basins that only the couplings tell apart.
-            found = copy.deepcopy(result)
-            solve_tracks(problem, max_iterations, ending, True, memory, result)
-            # The grid does not know where the head's coupling rests: it may lead to a worse basin.
-            put_back(found, result, problem.offsets, ~(result.cost < found.cost) | ~classified)
-    program.spread_tracks(problem, result.states, spread, memory, result.covariance)
-
-
-def are_classified(problem: Problem) -> BoolArray:
-    """(m,) tracks of which class likelihoods of body or head are known in some frame."""
-    rows = (problem.records["body_class_kappa"] > 0.0) | (problem.records["head_class_kappa"] > 0.0)
-    return np.logical_or.reduceat(rows, problem.offsets[:-1])
-
-
-def put_back(found: Result, result: Result, offsets: np.ndarray, tracks: BoolArray) -> None:
-    """Have some tracks as they were found before."""
-    rows = np.repeat(tracks, np.diff(offsets))
-    for before, after in zip(found, result, strict=True):
-        which = rows if len(after) == len(rows) else tracks
-        after[which] = before[which]
+    lengths = np.diff(problem.offsets)
+    longest, gait = int(lengths.max()), gait_of(model.parameters.gait) if model.has_modes else None
+    if gait is not None:
+        for gate in program_of(model).switched:
+            problem.records[gate] = 0.0
+    if in_lanes:
+        numbers, order = number_rows(problem.records), np.argsort(-lengths, kind="stable")
+        arrays = lane_arrays(longest, numbers.shape[1], gait is not None)
+        program_of(model).solve_lanes(problem, numbers, order, options, gait, guessed, arrays, result)
+    else:
+        memory = workspace(longest) if memory is None else memory
+        modes = None if gait is None else mode_memory(longest)
+        program_of(model).solve_tracks(problem, options, gait, guessed, memory, modes, result)
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:

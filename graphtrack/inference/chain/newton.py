@@ -1,28 +1,35 @@
-"""The compiled chain solver: Newton steps on one track whose Hessian is block-tridiagonal.
+"""Newton's method on tracks whose Hessian is block-tridiagonal, one at a time or one in each lane.
 
 One sweep forward adds the terms up frame by frame and eliminates each frame as soon as it is complete; one
-sweep back gives the step (see `elimination_kernels`).
+sweep back gives the step (see `elimination`).
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import (
+    COST,
+    EXACT,
+    FIRST_COST,
+    STATUS,
+    STEPS,
     Workspace,
-    assign,
     clear,
+    copy_rows,
     eliminate,
     first_open,
     invert_cholesky,
     sweep_back,
 )
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
-from graphtrack.model.kernels.compiled import allocating, compiled
-from graphtrack.model.kernels.layout import N
+from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
+from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.program import add_frame, note_turns
+from graphtrack.model.kernels.program import add_frame
 
 
 @compiled
@@ -33,7 +40,14 @@ def as_variable(flag: bool) -> bool:
 
 
 @compiled
-def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessian: FloatArray) -> float:
+def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
+    """Cosines and sines of body and head in frame k; ``turns`` is (n, 4)."""
+    turns[k, 0], turns[k, 1] = math.cos(states[k, BODY]), math.sin(states[k, BODY])
+    turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])
+
+
+@compiled
+def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessian: FloatArray) -> Any:
     """½·dᵀ·Λ·d − ηᵀ·d, where d is the deviation from the prior's point."""
     cost = 0.0
     for i in range(N):
@@ -49,14 +63,14 @@ def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessia
 @compiled
 def recall(
     k: int, states: FloatArray, gradient: FloatArray, hessian: FloatArray, workspace: Workspace
-) -> float:
+) -> Any:
     """What a frame and all before it cost more than where they were factored, with derivatives."""
     message, cost = workspace.message[k], 0.0
-    assign(hessian, message[:N])
     for i in range(N):
         slope = message[N, i]
         gradient[i] = slope
         for j in range(N):
+            hessian[i, j] = message[i, j]
             bend = message[max(i, j), min(i, j)] * (states[k, j] - workspace.factored[k, j])
             gradient[i] += bend
             slope += 0.5 * bend
@@ -67,21 +81,30 @@ def recall(
 
 @compiled
 def sweep_forward(
-    problem: Problem, track: int, start: FloatArray, states: FloatArray, exact: bool, workspace: Workspace
-) -> tuple[float, bool]:
+    problem: Problem, track: int, n: int, states: FloatArray, exact: bool, workspace: Workspace
+) -> tuple[Any, Any]:
     """Cost of the states, and whether the Hessian there is positive definite; if so it is factored.
 
     Where frames are kept it begins with the last of these, and the cost is less by a constant.
     """
-    n, inverse, link, solution = len(states), workspace.inverse, workspace.link, workspace.solution
-    gradients, hessians, transition = workspace.scratch[0], workspace.scratch[1:3], workspace.scratch[3]
-    workspace.scratch[:] = 0.0
-    cost, definite, first = 0.0, True, workspace.kept[0]
+    inverse, link, solution, scratch = (
+        workspace.inverse,
+        workspace.link,
+        workspace.solution,
+        workspace.scratch,
+    )
+    gradients, transition, start = scratch[0], scratch[3], workspace.start[0]
+    length, first, every, keeps = workspace.length[0], workspace.kept[0], True, workspace.kept[1] > 0
+    cost, definite = 0.0 * length, length >= 0.0
+    clear(gradients[0], scratch[1], transition)
+    clear(gradients[1], scratch[2], transition)
     if first > 0:
         here = (first - 1) & 1
-        cost = recall(first - 1, states, gradients[here], hessians[here], workspace)
+        cost += recall(first - 1, states, gradients[here], scratch[1 + here], workspace)
     for k in range(first, n):
         here, before = k & 1, 1 - (k & 1)
+        gradient, hessian, gradient_before = gradients[here], scratch[1 + here], gradients[before]
+        hessian_before = scratch[1 + before]
         cost += add_frame(
             problem,
             track,
@@ -89,96 +112,138 @@ def sweep_forward(
             start,
             states,
             exact,
+            every,
+            every,
             workspace.trigonometry,
-            gradients[before],
-            gradients[here],
-            hessians[before],
-            hessians[here],
+            gradient_before,
+            gradient,
+            hessian_before,
+            hessian,
             transition,
         )
         if k == 0 and len(problem.prior) > 0:
-            cost += add_prior(problem.prior, states[0], gradients[here], hessians[here])
-        if k > 0 and definite:
-            definite = eliminate(
-                hessians[before],
-                gradients[before],
+            cost += add_prior(problem.prior, states[0], gradient, hessian)
+        over = length <= float(k)
+        if any_of(over):
+            # Tracks of other lanes go on: what has no terms is eliminated as the identity.
+            block = masked(hessian, over)
+            for i in range(N):
+                block[i, i] = 1.0
+        if k > 0 and any_of(definite):
+            definite &= eliminate(
+                hessian_before,
+                gradient_before,
                 transition,
-                hessians[here],
-                gradients[here],
+                hessian,
+                gradient,
                 inverse[k - 1],
                 link[k - 1],
                 solution[k - 1],
             )
-        clear(gradients[before], hessians[before], transition)
-        if len(workspace.message) > 0 and definite:
-            assign(workspace.message[k, :N], hessians[here])
+        clear(gradient_before, hessian_before, transition)
+        if keeps and any_of(definite):
             for i in range(N):
-                workspace.message[k, N, i] = gradients[here, i]
+                for j in range(N):
+                    workspace.message[k, i, j] = hessian[i, j]
+                workspace.message[k, N, i] = gradient[i]
                 workspace.factored[k, i] = states[k, i]
-    if definite:
-        here = (n - 1) & 1
-        definite = invert_cholesky(hessians[here], inverse[n - 1])
+    last = (n - 1) & 1
+    if any_of(definite):
+        definite &= invert_cholesky(scratch[1 + last], inverse[n - 1])
         for i in range(N):
             total = 0.0
             for k in range(i + 1):
-                total += inverse[n - 1, i, k] * gradients[here, k]
+                total += inverse[n - 1, i, k] * gradients[last, k]
             solution[n - 1, i] = total
     return cost, definite
 
 
 _SMALLEST_SCALE = 1e-9
+_HUGE = 1e300
 
 
-@allocating
+@compiled
+def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to: FloatArray) -> None:
+    """Go as much of the steps as ``scale`` says; with 0 nowhere."""
+    for k in range(first, n):
+        for i in range(N):
+            to[k, i] = choose(scale > 0.0, states[k, i] + scale * step[k, i], states[k, i])
+
+
+@compiled
 def minimise(
     problem: Problem,
     track: int,
+    n: int,
     states: FloatArray,
     max_iterations: int,
     tolerance: float,
     workspace: Workspace,
-) -> tuple[float, float, int, int, bool]:
-    """Newton's method with step halving on one track, from ``states`` (n, 6), in place.
+) -> None:
+    """Newton's method with step halving from ``states`` (n, 6), in place; ``workspace.ended`` says how.
 
-    Frames that are kept stay where they are, but for the last of them.
-
-    Returns the first cost, the last, the number of steps, how it ended, and whether the workspace holds the
-    exact Hessian, factored, at the end.
+    Frames that are kept stay where they are, but for the last of them. Each lane has its own step length, and
+    stays where it is once it is done.
     """
-    n, step, candidate = len(states), workspace.step, workspace.candidate[: len(states)]
-    first = first_open(workspace)
-    start, full = states[0].copy(), as_variable(True)
-    first_cost, definite = sweep_forward(problem, track, start, states, full, workspace)
-    cost = first_cost
-    if not math.isfinite(cost):
-        return first_cost, cost, 0, NOT_FINITE, False
+    step, candidate, ended = workspace.step, workspace.candidate, workspace.ended
+    first, full = first_open(workspace), as_variable(True)
+    for i in range(N):
+        workspace.start[0, i] = states[0, i]
+    first_cost, definite = sweep_forward(problem, track, n, states, full, workspace)
+    cost, exact, one = first_cost, definite, 0.0 * workspace.length[0] + 1.0
+    running = abs(cost) < _HUGE
+    status, steps = choose(running, one * NOT_CONVERGED, one * NOT_FINITE), 0.0 * one
+    running &= workspace.length[0] > 0.0
+    stuck_somewhere = negate(one > 0.0)
     for iteration in range(max_iterations + 1):
-        exact = definite
-        if not definite:
-            _, definite = sweep_forward(problem, track, start, states, not full, workspace)
-        decrement = sweep_back(n, workspace)
-        if not definite or not math.isfinite(decrement):
-            return first_cost, cost, iteration, NOT_FINITE, False
-        if decrement <= tolerance * (1.0 + abs(cost)):
-            for k in range(first, n):
-                for i in range(N):
-                    states[k, i] += step[k, i]
-            return first_cost, cost, iteration, CONVERGED, exact
-        if iteration == max_iterations:
+        if not any_of(running):
             break
-        scale, found = 1.0, math.inf
-        while scale > _SMALLEST_SCALE:
+        decrement, exact = sweep_back(n, workspace), definite
+        unsound = running & negate(definite)
+        if any_of(unsound):
+            # These take the step of the curvature that is never negative.
+            copy_rows(first, n, step, candidate)
+            _, sound = sweep_forward(problem, track, n, states, not full, workspace)
+            decrement = choose(unsound, choose(sound, sweep_back(n, workspace), math.nan), decrement)
+            others = masked(step, negate(unsound))
             for k in range(first, n):
                 for i in range(N):
-                    candidate[k, i] = states[k, i] + scale * step[k, i]
-            found, definite = sweep_forward(problem, track, start, candidate, full, workspace)
-            if found <= cost:
+                    others[k, i] = choose(unsound, step[k, i], candidate[k, i])
+            exact = negate(one > 0.0)
+        finite = abs(decrement) < _HUGE
+        status = choose(running & negate(finite), one * NOT_FINITE, status)
+        steps = choose(running, one * iteration, steps)
+        running &= finite
+        done = running & (decrement <= tolerance * (1.0 + abs(cost)))
+        if any_of(done):
+            go(first, n, states, choose(done, one, 0.0), step, states)
+            status = choose(done, one * CONVERGED, status)
+            running &= negate(done)
+        if not any_of(running) or iteration == max_iterations:
+            break
+        scale, found = choose(running, one, 0.0), cost
+        while True:
+            go(first, n, states, scale, step, candidate)
+            found, definite = sweep_forward(problem, track, n, candidate, full, workspace)
+            worse = running & negate(found <= cost)
+            if not any_of(worse):
                 break
-            scale *= 0.5
-        if not found <= cost:
+            scale = choose(worse, 0.5 * scale, scale)
             # What the step promises is less than the rounding of the cost.
-            _, exact = sweep_forward(problem, track, start, states, full, workspace)
-            return first_cost, cost, iteration, CONVERGED if exact else NOT_CONVERGED, exact
-        cost = found
-        assign(states[first:], candidate[first:])
-    return first_cost, cost, max_iterations, NOT_CONVERGED, exact
+            stuck = worse & (scale <= _SMALLEST_SCALE)
+            stuck_somewhere |= stuck
+            running &= negate(stuck)
+            scale = choose(stuck, 0.0, scale)
+        cost, exact = choose(running, found, cost), definite
+        copy_rows(first, n, candidate, states)
+    status = choose(stuck_somewhere & exact, one * CONVERGED, status)
+    ended[FIRST_COST], ended[COST], ended[STEPS], ended[STATUS] = first_cost, cost, steps, status
+    ended[EXACT] = choose(exact, one, 0.0)
+
+
+@compiled
+def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
+    """The cost of states from which a descent might begin."""
+    for i in range(N):
+        workspace.start[0, i] = states[0, i]
+    return sweep_forward(problem, track, n, states, as_variable(True), workspace)[0]

@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from graphtrack.errors import InputError
-from graphtrack.inference.chain import advance, grid, mode_spread, newton, restart, window_kernels
+from graphtrack.inference.chain import advance, basin_search, covariance, newton, solver, window_kernels
 from graphtrack.model import Model, Term
 from graphtrack.model.kernels import program
 from graphtrack.model.kernels.compiled import machine_code_folder
@@ -31,10 +31,10 @@ from graphtrack.model.model import every_term
 Compiled = Callable[..., Any]
 
 _PROGRAM = program.__name__
-_CALLERS = tuple(module.__name__ for module in (newton, grid, restart, window_kernels, mode_spread, advance))
+_CALLERS = tuple(module.__name__ for module in (newton, basin_search, covariance, solver, window_kernels, advance))
 """The modules whose functions call those of the frame program, directly or not."""
 
-_PUBLIC = ("program", "newton", "restart", "mode_spread", "advance")
+_PUBLIC = ("program", "newton", "basin_search", "solver", "covariance", "advance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,29 +52,31 @@ class ChainProgram:
     switched: tuple[str, ...]
     minimise: Compiled
     solve_tracks: Compiled
+    solve_lanes: Compiled
     find_other_basin: Compiled
-    spread_tracks: Compiled
+    spread_track: Compiled
     advance: Compiled
     advance_with_modes: Compiled
 
     @classmethod
     def of(cls, modules: Sequence[ModuleType]) -> ChainProgram:
         """The functions in the modules `_PUBLIC` of a program."""
-        frame, newton, restart, spread, advance = modules
+        frame, newton, search, solver, covariance, advance = modules
         return cls(
             RecordTypes(frame.FRAME, frame.SHARED),
             frame.LINKS,
             frame.SWITCHED,
             newton.minimise,
-            restart.solve_tracks,
-            restart.find_other_basin,
-            spread.spread_tracks,
+            solver.solve_tracks,
+            solver.solve_lanes,
+            search.find_other_basin,
+            covariance.spread_track,
             advance.advance,
             advance.advance_with_modes,
         )
 
 
-OF_PRESETS = ChainProgram.of((program, newton, restart, mode_spread, advance))
+OF_PRESETS = ChainProgram.of((program, newton, basin_search, solver, covariance, advance))
 
 
 def program_of(model: Model) -> ChainProgram:

@@ -8,22 +8,33 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import (
+    COST,
+    EXACT,
+    STATUS,
     Workspace,
     assign,
     clear,
+    copy_rows,
     eliminate,
     first_open,
     invert_cholesky,
     sweep_back,
     take_step,
 )
-from graphtrack.inference.chain.newton import add_prior, as_variable, minimise, sweep_forward
-from graphtrack.inference.chain.restart import AT_END, find_other_basin
+from graphtrack.inference.chain.newton import (
+    add_prior,
+    as_variable,
+    cost_of,
+    minimise,
+    note_turns,
+    sweep_forward,
+)
+from graphtrack.inference.chain.basin_search import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
 from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.program import add_frame, add_links, add_own, cut, note_turns
+from graphtrack.model.kernels.program import add_frame, cut
 from graphtrack.model.terms.position import CAUCHY
 
 _FAR = 0.5
@@ -65,41 +76,44 @@ def solve_window(
     begin, end = problem.offsets[0], problem.offsets[1]
     track = the_only(problem)
     here, last, memory = states[begin:end], end - begin - 1, from_frame(workspace, begin)
-    full = as_variable(True)
-    memory.kept[0] = 0
+    n, full, ended = last + 1, as_variable(True), memory.ended
+    memory.kept[0], memory.kept[1] = 0, 1
+    memory.length[0] = n
     if warm and last > 0:
         foresee(problem, here, memory)
         if keeps:
             memory.kept[0] = settled(here[:last], memory.factored, 1.0)
     before = here[first_open(memory)].copy()
-    _, cost, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
+    minimise(problem, track, n, here, max_iterations, tolerance, memory)
     kept, memory.kept[0] = memory.kept[0], 0
-    if status != NOT_FINITE and kept > 0:
+    if ended[STATUS] != NOT_FINITE and kept > 0:
         follow(here, kept - 1, before, memory)
         if settled(here[:kept], memory.factored, 2.0) < kept:
             # They had to go farther than was foreseen.
             kept = 0
-            _, cost, _, status, exact = minimise(problem, track, here, max_iterations, tolerance, memory)
-    if status == NOT_FINITE:
+            minimise(problem, track, n, here, max_iterations, tolerance, memory)
+    if ended[STATUS] == NOT_FINITE:
         return False
+    cost, exact = ended[COST], ended[EXACT] > 0.0
     again = np.empty((last + 1, N))
     if have_strayed(problem, track, here):
         # The loss is not convex: whoever has followed false positions may have to be looked for elsewhere.
         if kept > 0:
             kept = 0
-            cost, _ = sweep_forward(problem, track, here[0].copy(), here, full, memory)
+            cost = cost_of(problem, track, n, here, memory)
         assign(again, here)
         find_by_squares(problem, track, again, max_iterations, tolerance, memory)
         leap = _LEAP * problem.shared[0].robust_threshold ** 2
         prior = problem.prior  # stays as it is
         cost, exact = move_if_less(problem, here, again, cost, leap, prior, max_iterations, tolerance, memory)
-    if search and find_other_basin(problem, track, here, AT_END, again):
+    if search and find_other_basin(problem, track, here, AT_END, memory):
+        assign(again, memory.again[:n])
         if kept > 0:
-            cost, _ = sweep_forward(problem, track, here[0].copy(), here, full, memory)
+            cost = cost_of(problem, track, n, here, memory)
         prior = problem.prior.copy()
         turn_past(problem.prior, here, again)
         cost, exact = move_if_less(problem, here, again, cost, 0.0, prior, max_iterations, tolerance, memory)
-    if not exact and not sweep_forward(problem, track, here[0].copy(), here, not full, memory)[1]:
+    if not exact and not sweep_forward(problem, track, n, here, not full, memory)[1]:
         return False
     finite = True
     for i in range(N):
@@ -129,13 +143,14 @@ def move_if_less(
     Else the problem's prior is ``prior`` as before, and the memory holds the factorisation at the states.
     Returns the cost, and whether the curvature is exact.
     """
-    track = the_only(problem)
-    _, found, _, ended, exact = minimise(problem, track, again, max_iterations, tolerance, memory)
-    if ended != NOT_FINITE and found < cost - gain:
+    track, n, ended = the_only(problem), len(states), memory.ended
+    minimise(problem, track, n, again, max_iterations, tolerance, memory)
+    if ended[STATUS] != NOT_FINITE and ended[COST] < cost - gain:
         assign(states, again)
-        return found, exact
+        return ended[COST], ended[EXACT] > 0.0
     assign(problem.prior, prior)
-    return cost, sweep_forward(problem, track, states[0].copy(), states, as_variable(True), memory)[1]
+    copy_rows(0, 1, states, memory.start)
+    return cost, sweep_forward(problem, track, n, states, as_variable(True), memory)[1]
 
 
 @compiled
@@ -178,7 +193,7 @@ def find_by_squares(
     """Minimise with squares in place of the robust loss, in place."""
     robust = problem.shared[0].robust
     problem.shared[0].robust = 0.0
-    minimise(problem, track, states, max_iterations, tolerance, memory)
+    minimise(problem, track, len(states), states, max_iterations, tolerance, memory)
     problem.shared[0].robust = robust
 
 
@@ -247,9 +262,14 @@ def from_frame(workspace: Workspace, begin: int) -> Workspace:
         workspace.candidate[begin:],
         workspace.trigonometry[begin:],
         workspace.scratch,
+        workspace.start,
+        workspace.ended,
+        workspace.length,
         workspace.message[begin:],
         workspace.factored[begin:],
         workspace.kept,
+        workspace.again[begin:],
+        workspace.before[begin:],
     )
 
 
@@ -264,13 +284,17 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     gradients, hessians, transition = memory.scratch[0], memory.scratch[1:3], memory.scratch[3]
     memory.scratch[:] = 0.0
     assign(hessians[0], memory.message[last - 1, :N])
+    every = as_variable(True)
+    note_turns(last - 1, states, memory.trigonometry)
     add_frame(
         problem,
         the_only(problem),
         last,
         states[0],
         states,
-        as_variable(True),
+        every,
+        every,
+        every,
         memory.trigonometry,
         gradients[0],
         gradients[1],
@@ -305,7 +329,7 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
             states[k, i] += memory.step[k, i]
 
 
-@compiled
+@allocating
 def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     """Eliminate the oldest frame of the window for good: what it says about the next becomes the prior.
 
@@ -340,23 +364,26 @@ def marginalise(problem: Problem, states: FloatArray, exact: bool, workspace: Wo
     transition, track, first = scratch[3], the_only(problem), len(states) - 2
     clear(gradient, hessian, transition)
     clear(gradient_after, hessian_after, transition)
-    note_turns(first, states, turns)
-    note_turns(first + 1, states, turns)
-    add_own(problem, track, first, states[0], states, exact, turns, gradient, hessian)
+    every = as_variable(True)
+    for k, own in ((first, every), (first + 1, not every)):
+        # The second frame's own terms stay in the window.
+        add_frame(
+            problem,
+            track,
+            k,
+            states[0],
+            states,
+            exact,
+            not own,
+            own,
+            turns,
+            gradient,
+            gradient if own else gradient_after,
+            hessian,
+            hessian if own else hessian_after,
+            transition,
+        )
     add_prior(problem.prior, states[0], gradient, hessian)
-    add_links(
-        problem,
-        track,
-        first + 1,
-        states,
-        exact,
-        turns,
-        gradient,
-        gradient_after,
-        hessian,
-        hessian_after,
-        transition,
-    )
     for place in (BODY, HEAD):
         # An orientation that the model does not have, or that nothing carries on.
         if hessian_after[place, place] == 0.0:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.stating import Stating, stating_of
+from graphtrack.inference.chain.calibration import Calibration, calibration_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.layout import N
 
@@ -30,14 +30,14 @@ class Rules(NamedTuple):
     has_head: bool
     max_iterations: int
     tolerance: float
-    stating: Stating
+    calibration: Calibration
 
 
 @lru_cache(64)
 def rules_of(model: Model, tolerance: float, max_iterations: int) -> Rules:
     """The same for the same, so that windows that have it can be taken together."""
-    stating = stating_of(model.parameters)
-    return Rules(model.has_body, model.has_head, max_iterations, tolerance, stating)
+    calibration = calibration_of(model.parameters)
+    return Rules(model.has_body, model.has_head, max_iterations, tolerance, calibration)
 
 
 class Advanced(NamedTuple):

@@ -11,11 +11,12 @@ from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.engine import PASSES
-from graphtrack.inference.chain.restart import AT_END, AT_START
+from graphtrack.inference.chain.basin_search import AT_END, AT_START
+from graphtrack.inference.chain.calibration import calibrate, calibration_of
 from graphtrack.inference.extremes import not_finite, with_extreme
 from graphtrack.inference.graph.chain_view import ChainView, is_ambiguous
 from graphtrack.inference.initial import initial_states
-from graphtrack.inference.solution import Solution, SolverOptions, estimated_tracks, seconds_to_ends, stated
+from graphtrack.inference.solution import Solution, SolverOptions, estimated_tracks, seconds_to_ends
 from graphtrack.inference.warm import WHOLE, graph_rehearsal, has_own_kernels
 from graphtrack.later import gtsam
 from graphtrack.model import Model, States, Step
@@ -160,7 +161,7 @@ def smooth_graph(
     states = descent.states(values)
     if view is not None and model.has_modes:
         view.widen(states, covariance)
-    stated(covariance, states[:, 2:4], model.parameters, seconds_to_ends(track.t))
+    calibrate(covariance, states, seconds_to_ends(track.t), calibration_of(model.parameters))
     if not np.isfinite(costs[-1]) or not np.isfinite(states[:, [0, 1, 2, 3]]).all():
         raise SolveError(track.track_id, not_finite(track, model))
     if costs[-1] > costs[0]:

@@ -8,10 +8,10 @@ import numpy as np
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.coupling_modes import is_classified, mode_memory, renew_couplings, report_modes
 from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.engine import never_seen
 from graphtrack.inference.chain.frame_rows import FrameRows
-from graphtrack.inference.chain.modes import renew_tracks
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.initial import pack, problem_of, seen_in
 from graphtrack.inference.prior import MarginalPrior, on_state
@@ -55,24 +55,31 @@ class _View:
         if not (self._model.has_body or self._model.has_head):
             return None
         here = self._here(states)
-        again = np.empty_like(here)
-        if not self._program.find_other_basin(self._problem, 0, here, near, again):
+        memory = workspace(len(here))
+        if not self._program.find_other_basin(self._problem, 0, here, near, memory):
             return None
+        again = memory.again
         again[:, :2] += self._problem.origin[0]
         return again
 
     def renew(self, states: FloatArray) -> None:
         """Set the couplings by the modes that the states (n, 6) imply."""
         gait = gait_of(self._model.parameters.gait)
-        here, filtered = self._here(states), np.empty((2, len(states), ROW))
-        renew_tracks(self._problem, here, gait, self._before, self.modes, self._spread, filtered)
-        self._filtered = filtered
+        here, n = self._here(states), len(states)
+        memory = mode_memory(n)
+        memory.before[:] = self._before
+        classified = is_classified(self._problem, 0)
+        renew_couplings(self._problem, 0, n, float(n), here, gait, classified, True, memory)
+        report_modes(n, 0, memory.held, self.modes)
+        filtered = np.stack([memory.filtered_body, memory.filtered_head])
+        self._spread, self._filtered = memory.spread, filtered / filtered.sum(axis=2, keepdims=True)
         self._note()
 
     def widen(self, states: FloatArray, covariance: FloatArray) -> None:
         """Add to the covariances (n, 6, 6) of the states (n, 6) what the modes leave open, in place."""
         memory = workspace(len(states))
-        self._program.spread_tracks(self._problem, self._here(states), self._spread, memory, covariance)
+        here = self._here(states)
+        self._program.spread_track(self._problem, len(here), here, self._spread, memory, covariance)
 
     def _note(self) -> None:
         raise NotImplementedError

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.restart import AT_END
+from graphtrack.inference.chain.basin_search import AT_END
 from graphtrack.inference.graph.batch import anchors, optimize, variable_keys
 from graphtrack.inference.graph.chain_view import WindowView, is_ambiguous
 from graphtrack.inference.graph.fixed_lag import FixedLag

@@ -1,8 +1,7 @@
-"""Writes the frame program: what the chain engine does at a frame, spelled out from a list of terms.
+"""Writes the frame program: the kernels of a list of terms, called one after another, for floats and lanes.
 
 Functions that looped over kernels could not be inlined, nor their machine code be kept: so every call is
 written out. ``python -m graphtrack.model.kernels.generator`` writes `program` anew; a test compares.
-`lane_generator` does the same for tracks side by side.
 """
 
 from __future__ import annotations
@@ -14,39 +13,10 @@ from typing import Protocol
 
 from graphtrack.model.kernels.kernel import Function, Kernel, arguments_of
 from graphtrack.model.kernels.layout import DT, Field
-from graphtrack.model.kernels.program_texts import (
-    END_QUARTERS,
-    HEADER,
-    NOTE_TURNS,
-    OPEN_CUT,
-    OPEN_FRAME,
-    OPEN_LINKS,
-    OPEN_OVER,
-    OPEN_OWN,
-    OPEN_QUARTERS,
-    OVER_FRAMES,
-    QUARTERS,
-    QUARTERS_FRAMES,
-)
 
-TURNS = tuple(f"{name}_{part}" for name in ("body", "head") for part in ("cos", "sin"))
-_OWN = ("gradient", "hessian")
-_LINK = ("gradient_before", "gradient", "hessian_before", "hessian", "transition")
-_NOTED = {name: f"turns[k, {i}]" for i, name in enumerate(TURNS)}
-_WIDTH = 110
-_TAKEN = (
-    "add_own",
-    "add_links",
-    "add_frame",
-    "add_over",
-    "note_turns",
-    "set_quarters",
-    "cut",
-    "inner",
-    "compiled",
-    "inlined",
-)
-
+_TURNS = tuple(f"{name}_{part}" for name in ("body", "head") for part in ("cos", "sin"))
+_ADDED = ("gradient", "hessian", "gradient_before", "hessian_before", "transition")
+_LOCAL = ("state", "before", "start", "exact", *_TURNS, *(f"{name}_before" for name in _TURNS))
 _EXPRESSIONS = {
     "origin_x": "problem.origin[track, 0]",
     "origin_y": "problem.origin[track, 1]",
@@ -57,6 +27,118 @@ _EXPRESSIONS = {
     "BODY": "BODY",
     "HEAD": "HEAD",
 }
+
+_HEADER = '''"""The frame program of {title}.
+
+Written by `graphtrack.model.kernels.generator`; not to be edited.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
+from graphtrack.model.kernels.layout import BODY, HEAD, N
+from graphtrack.model.kernels.problem import Problem
+{imports}
+'''
+
+_FRAME = '''
+@compiled
+def add_frame(
+    problem: Problem,
+    track: int,
+    k: int,
+    start: Any,
+    states: Any,
+    exact: bool,
+    links: bool,
+    own: bool,
+    turns: Any,
+    gradient_before: Any,
+    gradient: Any,
+    hessian_before: Any,
+    hessian: Any,
+    transition: Any,
+) -> Any:
+    """Add the terms that arrive with frame k of a track; returns their cost.
+
+    ``links``: those between the frame and the one before; ``own``: those of the frame alone. ``turns`` (n, 4)
+    must have been noted of the frame before, and are noted of frame k.
+    """
+    place = problem.offsets[track] + k
+    frame, state, shared = problem.records[place], states[k], problem.shared[0]
+    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
+    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+    turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = body_cos, body_sin, head_cos, head_sin
+    cost = 0.0 * body_cos
+    if links and k > 0:
+        before = states[k - 1]
+        body_cos_before, body_sin_before = turns[k - 1, 0], turns[k - 1, 1]
+        head_cos_before, head_sin_before = turns[k - 1, 2], turns[k - 1, 3]
+'''
+
+_CUT = '''
+@compiled
+def cut(frame: Any) -> None:
+    """Take a frame's links to the one before out of its record."""
+'''
+
+_QUARTERS = '''
+@compiled
+def set_quarters(
+    problem: Problem,
+    track: int,
+    k: int,
+    states: Any,
+    turns: Any,
+    gradient: Any,
+    hessian: Any,
+    body: Any,
+    head: Any,
+) -> None:
+    """Find what frame k costs with ``body`` or ``head`` as they are, and one, two and three quarters on.
+
+    ``turns`` (n, 4) are noted of the frame; ``gradient`` and ``hessian`` are memory.
+    """
+    place = problem.offsets[track] + k
+    frame, state, shared, exact = problem.records[place], states[k], problem.shared[0], False
+    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
+    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
+    turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = body_cos, body_sin, head_cos, head_sin
+    for q in range(4):
+        body[q] = head[q] = 0.0 * body_cos
+'''
+
+_OVER = '''
+@allocating
+def add_over(
+    problem: Problem,
+    track: int,
+    states: FloatArray,
+    cos: FloatArray,
+    sin: FloatArray,
+    node: np.ndarray,
+    body: FloatArray,
+    head: FloatArray,
+) -> None:
+    """Add what frames cost at each direction of a grid, to the rows of their groups.
+
+    ``node`` (n,) is each frame's group; ``body`` and ``head`` are (groups, directions).
+    """
+    shared, exact, gradient, hessian = problem.shared[0], False, np.zeros(N), np.zeros((N, N))
+'''
+
+_OVER_FRAMES = """\
+    for k in range(len(states)):
+        place, state, g = problem.offsets[track] + k, states[k], node[k]
+        frame = problem.records[place]
+"""
 
 
 class Packs(Protocol):
@@ -91,17 +173,13 @@ class Program:
         self._functions: dict[Function, str] = {}
         self._imports: dict[str, set[str]] = {}
         self._check()
-        self.source = self._source(title)
-
-    def _source(self, title: str) -> str:
-        parts = [self._types(), self._own(), self._links(), NOTE_TURNS, self._frame(), self._cut()]
-        parts += [self._over(), self._quarters()]
-        body = "\n".join(parts)
-        layout = ", ".join(name for name in ("BODY", "HEAD", "N") if re.search(rf"\b{name}\b", body))
-        return HEADER.format(imports=self._import_lines(), layout=layout, title=title) + body
+        body = self._types() + self._frame() + self._cut() + self._quarters() + self._over()
+        lines = [f"from {module} import {', '.join(names)}" for module, names in self._imports.items()]
+        imports = "\n".join(_shortened(line) for line in sorted(lines))
+        self.source = _HEADER.format(title=title, imports=imports) + body
 
     def _check(self) -> None:
-        """Every parameter of a kernel is known, and no two fields have one name."""
+        """Every gate of a kernel is known, and no two fields have one name."""
         names = [f.name for f in (*self.fields, *self.shared)]
         double = {name for name in names if names.count(name) > 1}
         if double:
@@ -111,16 +189,17 @@ class Program:
                 if name not in [f.name for f in self.fields]:
                     raise ValueError(f"found the gate {name!r}, expected a field of the record")
 
-    # -- names ---------------------------------------------------------------------------------------------
-
-    def _given(self, name: str, local: Sequence[str]) -> str:
+    def _given(self, name: str, here: Mapping[str, str]) -> str:
         """The expression that a kernel's parameter stands for."""
-        if name in local:
+        if name in here:
+            return here[name]
+        if name in _LOCAL:
             return name
-        if name in [f.name for f in self.fields]:
-            return f"frame.{name}"
-        if name in [f.name for f in self.shared]:
-            return f"shared.{name}"
+        if name in _ADDED:
+            return f"masked({name}, gate)"
+        for group, fields in (("frame", self.fields), ("shared", self.shared)):
+            if name in [f.name for f in fields]:
+                return f"{group}.{name}"
         if name in _EXPRESSIONS:
             return _EXPRESSIONS[name]
         raise ValueError(
@@ -128,99 +207,60 @@ class Program:
         )
 
     def _name(self, function: Function) -> str:
-        """What a function is called in the program, which imports it."""
+        """The name of a function in the program, which imports it."""
         if function not in self._functions:
             module, name = function.__module__, getattr(function, "py_func", function).__name__
-            taken = name in self._functions.values() or name in _TAKEN
+            taken = name in self._functions.values() or f"def {name}(" in _FRAME + _CUT + _QUARTERS + _OVER
             alias = f"{name}_{module.rpartition('.')[2]}" if taken else name
             self._imports.setdefault(module, set()).add(f"{name} as {alias}" if taken else name)
             self._functions[function] = alias
         return self._functions[function]
 
-    def _import_lines(self) -> str:
-        lines = []
-        for module, names in sorted(self._imports.items()):
-            line = f"from {module} import {', '.join(sorted(names))}"
-            if len(line) > _WIDTH:
-                line = f"from {module} import (\n" + "".join(f"    {name},\n" for name in sorted(names)) + ")"
-            lines.append(line)
-        return "\n".join(lines)
+    def _call(
+        self, indent: int, begin: str, function: Function, names: Iterable[str], here: Mapping[str, str]
+    ) -> str:
+        space, given = " " * indent, [self._given(name, here) for name in names]
+        return f"{space}{begin}{self._name(function)}(\n{_indented(given, indent + 4)}{space})\n"
 
-    def _all_given(
-        self, arguments: Iterable[str], local: Sequence[str], here: Mapping[str, str]
-    ) -> list[str]:
-        return [here.get(name) or self._given(name, local) for name in arguments]
-
-    def _gate(self, kernel: Kernel) -> str:
-        unless = (
-            f" and not frame.{kernel.unless} > 0.0" if kernel.unless in [f.name for f in self.fields] else ""
-        )
-        return f"if frame.{kernel.gate} > 0.0{unless}:"
-
-    # -- functions -----------------------------------------------------------------------------------------
+    def _opened(self, kernel: Kernel) -> str:
+        """The condition under which a kernel is called."""
+        gate = f"frame.{kernel.gate} > 0.0"
+        if kernel.unless in [f.name for f in self.fields]:
+            gate = f"({gate}) & negate(frame.{kernel.unless} > 0.0)"
+        return f"        gate = {gate}\n        if any_of(gate):\n"
 
     def _types(self) -> str:
-        lines = []
+        text = ""
         for name, fields, what in (
             ("FRAME", self.fields, "One frame. What a gate stands for is 0 where there is nothing to say."),
             ("SHARED", self.shared, "What all frames of a job share."),
         ):
-            lines += [f"{name} = np.dtype(", "    ["]
-            for field in fields:
-                shape = f", {field.shape}" if field.shape else ""
-                meaning = f"  # {field.meaning}" if field.meaning else ""
-                lines.append(f'        ("{field.name}", float{shape}),{meaning}')
-            lines += ["    ]", ")", f'"""{what}"""', ""]
-        switched = list(dict.fromkeys(kernel.gate for kernel in self.kernels if kernel.switched))
-        lines += [
-            _constant("LINKS", self._link_gates()),
-            '"""Gates of what links a frame to the one before."""',
-            "",
-        ]
-        lines += [
-            _constant("SWITCHED", switched),
-            '"""Gates of what the modes of the couplings switch."""',
-            "",
-        ]
-        return "\n".join(lines)
-
-    def _own_lines(self, turned: Mapping[str, str]) -> list[str]:
-        """The terms of a frame alone; ``turned`` says where its cosines and sines are."""
-        return self._lines(before=False, local=("state", "start", "exact", *_OWN), here=turned)
-
-    def _link_lines(self, turned: Mapping[str, str]) -> list[str]:
-        """The terms between a frame and the one before."""
-        here = {f"{name}_before": f"turns[k - 1, {i}]" for i, name in enumerate(TURNS)}
-        return self._lines(before=True, local=("before", "state", "exact", *_LINK), here={**here, **turned})
-
-    def _lines(self, *, before: bool, local: Sequence[str], here: Mapping[str, str]) -> list[str]:
-        lines = []
-        for kernel in self.kernels:
-            if bool(kernel.before) is before:
-                given = self._all_given(kernel.arguments, local, here)
-                call = written_call(8, "cost += ", self._name(kernel.function), given)
-                lines += [f"    {self._gate(kernel)}", call]
-        return lines
-
-    def _own(self) -> str:
-        lines = self._own_lines(_NOTED)
-        return "\n".join([OPEN_OWN, *_locals(lines), *lines, "    return cost", ""])
-
-    def _links(self) -> str:
-        lines = self._link_lines(_NOTED)
-        return "\n".join([OPEN_LINKS, *_locals(lines), *lines, "    return cost", ""])
+            rows = [f'("{f.name}", float{f", {f.shape}" if f.shape else ""})' for f in fields]
+            notes = [f"  # {f.meaning}" if f.meaning else "" for f in fields]
+            text += f"\n{name} = np.dtype(\n    [\n{_indented(rows, 8, notes)}    ]\n)\n" + f'"""{what}"""\n'
+        links = [kernel.gate for kernel in self.kernels if kernel.before]
+        switched = [kernel.gate for kernel in self.kernels if kernel.switched]
+        for name, gates, what in (
+            ("LINKS", links, "Gates of what links a frame to the one before."),
+            ("SWITCHED", switched, "Gates of what the modes of the couplings switch."),
+        ):
+            quoted = [f'"{gate}"' for gate in dict.fromkeys(gates)]
+            text += f'\n{name} = (\n{_indented(quoted, 4)})\n"""{what}"""\n'
+        return text + "\n"
 
     def _frame(self) -> str:
-        """Both, spelled out once more: a problem handed on at every frame costs as much as a term."""
-        local = {name: name for name in TURNS}
-        lines = [*self._link_lines(local), *self._own_lines(local)]
-        return "\n".join([OPEN_FRAME, *_locals(lines), *lines, "    return cost", ""])
+        text = _FRAME
+        for links in (True, False):
+            text += "" if links else "    if own:\n"
+            for kernel in self.kernels:
+                if bool(kernel.before) is links:
+                    call = self._call(12, "found = ", kernel.function, kernel.arguments, {})
+                    text += f"{self._opened(kernel)}{call}            cost += choose(gate, found, 0.0)\n"
+        return text + "    return cost\n\n"
 
     def _cut(self) -> str:
-        return "\n".join([OPEN_CUT, *(f"    frame.{gate} = 0.0" for gate in self._link_gates()), ""])
-
-    def _link_gates(self) -> list[str]:
-        return list(dict.fromkeys(kernel.gate for kernel in self.kernels if kernel.before))
+        links = dict.fromkeys(kernel.gate for kernel in self.kernels if kernel.before)
+        return _CUT + "".join(f"    frame.{gate} = 0.0\n" for gate in links) + "\n"
 
     def _searched(self) -> Iterator[tuple[str, Kernel]]:
         """The kernels that the search looks up, with the orientation that each depends on."""
@@ -228,98 +268,64 @@ class Program:
             if kernel.orientation and "start" not in kernel.arguments:
                 yield kernel.orientation, kernel
 
-    def _over(self) -> str:
-        before, loop = [], []
+    def _quarters(self) -> str:
+        text = _QUARTERS
         for name, kernel in self._searched():
-            search, gate = kernel.search, f"        {self._gate(kernel)}"
+            turned = {"cos": f"{name}_cos", "sin": f"{name}_sin", "cost": f"masked({name}, gate)"}
+            quick = kernel.search and kernel.search.add_quarters
+            if quick:
+                call = self._call(8, "", quick, _unturned(quick, kernel), turned)
+            else:
+                turned = {f"{name}_cos": "cos", f"{name}_sin": "sin"}
+                call = f"        cos, sin = {name}_cos, {name}_sin\n        for q in range(4):\n"
+                call += self._call(12, "found = ", kernel.function, kernel.arguments, turned)
+                call += f"            {name}[q] += choose(gate, found, 0.0)\n            cos, sin = -sin, cos\n"
+            text += _outdented(self._opened(kernel)) + call
+        return text + "\n"
+
+    def _over(self) -> str:
+        before, loop = "", ""
+        for name, kernel in self._searched():
+            search, here = kernel.search, {"cos": "cos", "sin": "sin", "cost": f"{name}[g]"}
+            loop += self._opened(kernel)
             if search is None:
                 turned = {f"{name}_cos": "cos[i]", f"{name}_sin": "sin[i]"}
-                given = self._all_given(kernel.arguments, ("state", "exact", *_OWN), turned)
-                call = written_call(16, f"{name}[g, i] += ", self._name(kernel.function), given)
-                loop += [gate, "            for i in range(len(cos)):", call]
+                loop += "            for i in range(len(cos)):\n"
+                loop += self._call(16, f"{name}[g, i] += ", kernel.function, kernel.arguments, turned)
                 continue
-            here = {"cost": f"{name}[g]"}
             if search.prepare is not None:
                 here["prepared"] = f"of_{kernel.gate}"
-                given = self._all_given(unturned(search.prepare, kernel), ("cos", "sin"), {})
-                before.append(written_call(4, f"of_{kernel.gate} = ", self._name(search.prepare), given))
-            given = self._all_given(unturned(search.add_over, kernel), ("state", "cos", "sin"), here)
-            loop += [gate, written_call(12, "", self._name(search.add_over), given)]
-        return "\n".join([OPEN_OVER, *_locals(loop, _MEMORY), *before, OVER_FRAMES, *loop, ""])
-
-    def _quarters(self) -> str:
-        lines = []
-        for name, kernel in self._searched():
-            search, row = kernel.search, 0 if name == "body" else 2
-            lines.append(f"        {self._gate(kernel)}")
-            if search is None:
-                turned = {f"{name}_cos": f"turns[{row}, i]", f"{name}_sin": f"turns[{row + 1}, i]"}
-                given = self._all_given(kernel.arguments, ("state", "exact", *_OWN), turned)
-                call = written_call(16, f"{name}[i] += ", self._name(kernel.function), given)
-                lines += ["            for i in range(4):", call]
-                continue
-            function = search.add_quarters or search.add_over
-            here = {"cos": f"turns[{row}]", "sin": f"turns[{row + 1}]", "cost": name}
-            if search.add_quarters is not None:
-                here |= {"cos": f"{name}_cos", "sin": f"{name}_sin"}
-            given = self._all_given(unturned(function, kernel), ("state",), here)
-            lines.append(written_call(12, "", self._name(function), given))
-        turns = [QUARTERS] if any("turns[" in line for line in lines) else []
-        memory = _locals([*turns, *lines], _MEMORY)
-        return "\n".join([OPEN_QUARTERS, *memory, QUARTERS_FRAMES, *turns, *lines, END_QUARTERS])
+                names = _unturned(search.prepare, kernel)
+                before += self._call(4, f"of_{kernel.gate} = ", search.prepare, names, here)
+            loop += self._call(12, "", search.add_over, _unturned(search.add_over, kernel), here)
+        return _OVER + before + _OVER_FRAMES + loop
 
 
-_SHARED = {"shared": "problem.shared[0]"}
-_MEMORY = _SHARED | {
-    "exact": "False",
-    "gradient": "np.zeros(N)",
-    "hessian": "np.zeros((N, N))",
-    "turns": "np.empty((4, 4))",
-}
+def _indented(rows: Sequence[str], indent: int, notes: Sequence[str] | None = None) -> str:
+    """A row a line, each with a comma."""
+    return "".join(
+        f"{' ' * indent}{row},{note}\n" for row, note in zip(rows, notes or [""] * len(rows), strict=True)
+    )
 
 
-def _locals(lines: Iterable[str], known: Mapping[str, str] = _SHARED) -> list[str]:
-    """Assignments of the local names that lines use."""
-    words = set(re.findall(r"\w+", "\n".join(lines)))
-    return [f"    {name} = {value}" for name, value in known.items() if name in words]
+def _outdented(text: str) -> str:
+    return re.sub("^    ", "", text, flags=re.MULTILINE)
 
 
-def _constant(name: str, values: Sequence[str]) -> str:
-    quoted = [f'"{value}"' for value in values]
-    line = f"{name} = ({', '.join(quoted)}{',' if len(quoted) == 1 else ''})"
-    return line if len(line) <= _WIDTH else f"{name} = (\n" + "".join(f"    {one},\n" for one in quoted) + ")"
+def _shortened(line: str) -> str:
+    """An import with its names sorted, a name a line where there are several."""
+    module, names = line.split(" import ")
+    return line if ", " not in names else f"{module} import (\n{_indented(sorted(names.split(', ')), 4)})"
 
 
-def unturned(function: Function, kernel: Kernel) -> tuple[str, ...]:
+def _unturned(function: Function, kernel: Kernel) -> tuple[str, ...]:
     """What a function of the search is given: directions of its own, else what the kernel is given."""
     names = {name: given for name, given in kernel.names.items() if name not in ("cos", "sin")}
     return arguments_of(function, names)
 
 
-def written_call(indent: int, begin: str, function: str, given: Sequence[str]) -> str:
-    """A call, broken as the formatter breaks it."""
-    space = " " * indent
-    line = f"{space}{begin}{function}({', '.join(given)})"
-    if len(line) <= _WIDTH:
-        return line
-    inner = f"{space}    {', '.join(given)}"
-    if len(inner) <= _WIDTH:
-        return f"{space}{begin}{function}(\n{inner}\n{space})"
-    rows = "".join(f"{space}    {one},\n" for one in given)
-    return f"{space}{begin}{function}(\n{rows}{space})"
-
-
-def main() -> None:
-    """Write `program` anew, for the terms of all presets."""
-    write(Program, Path(__file__).with_name("program.py"))
-
-
-def write(kind: type[Program], path: Path) -> None:
-    """Write a program for the terms of all presets."""
+if __name__ == "__main__":
     from graphtrack.model.model import every_term
 
-    path.write_text(kind(every_term(), "the presets' terms").source, encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+    written = Program(every_term(), "the presets' terms").source
+    Path(__file__).with_name("program.py").write_text(written, encoding="utf-8")

@@ -63,8 +63,6 @@ class Kernel:
     names : parameter → what it is given, where that is not its own name
     switched : whether the modes of the couplings switch it; see `gait.GaitOffsets`
     search : a quicker way to look its cost up in many directions
-    lanes : whether the function can be given `lanes` in place of floats: it has no branches but on ``exact``
-        and on what frames share. Tracks that have others are solved one by one
     """
 
     function: Function
@@ -75,7 +73,6 @@ class Kernel:
     names: Mapping[str, str] = field(default_factory=dict)
     switched: bool = False
     search: Search | None = None
-    lanes: bool = False
 
     @cached_property
     def arguments(self) -> tuple[str, ...]:

@@ -45,7 +45,7 @@ def add_anchor(
 def _held(name: Variable) -> Kernel:
     names = {"place": name.upper(), "anchor": f"{name}_anchor"}
     names |= {f"state_{part}": f"{name}_{part}" for part in ("cos", "sin")}
-    return Kernel(add_anchor, gate=f"{name}_anchor", variables=(name,), names=names, lanes=True)
+    return Kernel(add_anchor, gate=f"{name}_anchor", variables=(name,), names=names)
 
 
 class Anchor(Term):

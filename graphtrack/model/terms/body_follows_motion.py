@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.branches import any_of, choose
+from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel, Search
 from graphtrack.model.kernels.layout import BODY, VX, VY, Field
@@ -143,7 +143,6 @@ ADD_BODY_FOLLOWS_MOTION = Kernel(
     variables=("velocity", "body"),
     switched=True,
     search=Search(add_motion_over, add_motion_quarters),
-    lanes=True,
 )
 
 

@@ -44,7 +44,8 @@ def add_faces_group(
     inside = (1.0 - group_outliers) * math.exp(-kappa * (1.0 - close))
     share = inside / (group_outliers + inside)
     gradient[place] += group_weight * share * kappa * across
-    round_part = kappa * close - (1.0 - share) * (kappa * across) ** 2 if exact else kappa
+    slope = kappa * across
+    round_part = kappa * close - (1.0 - share) * slope * slope if exact else 1.0 * kappa
     hessian[place, place] += group_weight * share * round_part
     return -group_weight * math.log(group_outliers + inside)
 

@@ -52,7 +52,7 @@ def add_head_follows_body(
 
 
 ADD_HEAD_FOLLOWS_BODY = Kernel(
-    add_head_follows_body, gate="head_body_kappa", variables=("body", "head"), switched=True, lanes=True
+    add_head_follows_body, gate="head_body_kappa", variables=("body", "head"), switched=True
 )
 
 

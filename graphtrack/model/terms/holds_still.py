@@ -11,6 +11,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
+from graphtrack.model.kernels.lanes import choose
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import States
 from graphtrack.model.term import Term, Variable
@@ -46,10 +47,11 @@ def add_holds(
     """w·λ·(√(δ² + 2·(1 − cos Δ)) − δ) between an angle and itself a frame before: about λ·|Δ|."""
     close = cos_before * cos + sin_before * sin
     across = sin * cos_before - cos * sin_before
-    size = math.sqrt(group_drift * group_drift + 2.0 * max(1.0 - close, 0.0))
+    size = math.sqrt(group_drift * group_drift + 2.0 * choose(close < 1.0, 1.0 - close, 0.0))
     weight = group_hold * hold / size
     pull = weight * across
-    curvature = weight * (close - (across / size) ** 2) if exact else weight
+    slope = across / size
+    curvature = weight * (close - slope * slope) if exact else weight
     gradient[place] += pull
     gradient_before[place] -= pull
     hessian[place, place] += curvature

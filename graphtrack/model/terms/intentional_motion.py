@@ -14,7 +14,9 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.later import gtsam
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.elementary import expm1
 from graphtrack.model.kernels.kernel import Kernel
+from graphtrack.model.kernels.lanes import choose
 from graphtrack.model.kernels.layout import HEAD, VX, VY, Field, X, Y
 from graphtrack.model.observation import States, Step
 from graphtrack.model.term import Variable
@@ -75,25 +77,20 @@ def smooth_speed(velocity: FloatArray) -> FloatArray:
 
 
 @compiled
-def steer(frame: Any, rate: float) -> None:
+def steer(frame: Any, rate: Any) -> None:
     """Set the ``rate`` λ in 1/s at which a step is steered; see `steered_step`."""
-    dt, x = frame.dt, rate * frame.dt
-    if not (x > 0.0 and frame.motion_information > 0.0):
-        frame.steer_gain = 0.0
-        return
-    once, twice = math.expm1(-x), math.expm1(-2.0 * x)
-    if x < SMALL_TURN:
-        reach = dt * (1.0 - x / 2.0 + x * x / 6.0)
-        place = dt * dt * dt / 3.0 * (1.0 - 0.75 * x + 0.35 * x * x)
-        cross = dt * dt / 2.0 * (1.0 - x + 7.0 * x * x / 12.0)
-        spread = dt * (1.0 - x + 2.0 * x * x / 3.0)
-    else:
-        reach = -once / rate
-        place = (dt + 2.0 * once / rate - twice / (2.0 * rate)) / (rate * rate)
-        cross = once * once / (2.0 * rate * rate)
-        spread = -twice / (2.0 * rate)
-    scale = frame.motion_information / (place * spread - cross * cross)
-    frame.steer_gain, frame.steer_reach = -once, reach
+    dt, information = frame.dt, frame.motion_information
+    some = (rate * dt > 0.0) & (information > 0.0)
+    rate, dt = choose(some, rate, 1.0), choose(some, dt, 1.0)
+    x = rate * dt
+    small, once, twice = x < SMALL_TURN, expm1(-x), expm1(-2.0 * x)
+    reach = choose(small, dt * (1.0 - x / 2.0 + x * x / 6.0), -once / rate)
+    place = (dt + 2.0 * once / rate - twice / (2.0 * rate)) / (rate * rate)
+    place = choose(small, dt * dt * dt / 3.0 * (1.0 - 0.75 * x + 0.35 * x * x), place)
+    cross = choose(small, dt * dt / 2.0 * (1.0 - x + 7.0 * x * x / 12.0), once * once / (2.0 * rate * rate))
+    spread = choose(small, dt * (1.0 - x + 2.0 * x * x / 3.0), -twice / (2.0 * rate))
+    scale = information / (place * spread - cross * cross)
+    frame.steer_gain, frame.steer_reach = choose(some, -once, 0.0), reach
     frame.steer_place, frame.steer_cross, frame.steer_spread = spread * scale, -cross * scale, place * scale
 
 
@@ -201,7 +198,6 @@ ADD_STEERED_MOTION = Kernel(
     variables=("position", "velocity"),
     before=("position", "velocity", "head"),
     switched=True,
-    lanes=True,
 )
 
 

@@ -92,10 +92,9 @@ ADD_MOTION = Kernel(
     variables=("position", "velocity"),
     before=("position", "velocity"),
     unless="steer_gain",
-    lanes=True,
 )
 ADD_FIRST_VELOCITY = Kernel(
-    add_first_velocity, gate="velocity_information", variables=("velocity",), lanes=True
+    add_first_velocity, gate="velocity_information", variables=("velocity",)
 )
 
 

@@ -24,7 +24,7 @@ from graphtrack.later import gtsam, special
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.kernels.bessel import of_alike
-from graphtrack.model.kernels.branches import any_of, choose
+from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.kernel import Kernel, Search
@@ -142,7 +142,6 @@ def _observed(name: Variable) -> tuple[Kernel, Kernel]:
             (name,),
             names=names | angle,
             search=Search(add_angle_over, add_angle_quarters),
-            lanes=True,
         ),
         Kernel(
             add_classes,

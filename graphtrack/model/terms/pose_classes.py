@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
 from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.lanes import any_of
 
 
 @compiled
-def doubted(outliers: float, kappa: float, doubt: float) -> float:
+def doubted(outliers: Any, kappa: Any, doubt: Any) -> Any:
     """The outliers' density, with that of classes that say nothing with the probability ``doubt``."""
-    if not doubt > 0.0:
+    if not any_of(doubt > 0.0):
         return outliers
     return outliers + doubt * (1.0 - outliers) * math.exp(log_i0e(kappa))
 

@@ -14,7 +14,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.homography import apply_homography
 from graphtrack.later import gtsam
 from graphtrack.model.factors.derived import derived_factors
-from graphtrack.model.kernels.branches import choose
+from graphtrack.model.kernels.lanes import choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import Field, X, Y
@@ -161,9 +161,8 @@ ADD_POSITION = Kernel(
     gate="position_information",
     variables=("position",),
     unless="pixel_information",
-    lanes=True,
 )
-ADD_PIXEL = Kernel(add_pixel, gate="pixel_information", variables=("position",), lanes=True)
+ADD_PIXEL = Kernel(add_pixel, gate="pixel_information", variables=("position",))
 
 
 class PositionLikelihood(Term):

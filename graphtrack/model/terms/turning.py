@@ -64,7 +64,7 @@ def _turning(name: Variable) -> Kernel:
     for part in ("cos", "sin"):
         names |= {part: f"{name}_{part}", f"{part}_before": f"{name}_{part}_before"}
     gate = f"{name}_turn_kappa"
-    return Kernel(add_turn, gate=gate, variables=(name,), before=(name,), names=names, lanes=True)
+    return Kernel(add_turn, gate=gate, variables=(name,), before=(name,), names=names)
 
 
 _READ = ("diffusion", "white_share", "turn_rate", "turn_time")

@@ -1,21 +1,24 @@
-"""Orientations of a whole track on a grid, by dynamic programming: where a descent can start anew.
+"""Basin search: orientations of a whole track on a grid, by dynamic programming, as another start of a descent.
 
 Newton's method ends in the basin it began in. Where observations contradict each other (a classifier that
 takes front for back) another course of the orientations may cost less. Two steps look for it, with the motion
-fixed: `greatest_gain` tells at little cost whether there can be one, `best_course` finds it. They know what
-each orientation costs by itself, how it turns, and how the head follows the body; another kind of term that
-depends on both is left to the descent.
+fixed: `greatest_gain` bounds at little cost what there is to gain, `best_course` finds it. They know the cost
+of each orientation by itself, of its turns, and of the head's deviation from the body; another kind of term
+that depends on both is left to the descent.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.elimination import Workspace, copy_rows
 from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_over, set_quarters
@@ -25,23 +28,33 @@ Single = NDArray[np.float32]
 SURE = 4.0
 """Greatest concentration that the past of a window has in the search for another basin."""
 
+WORTHWHILE = 4.0
+"""Least `greatest_gain` for which a grid is searched: turning there and back costs more than that."""
 
-@allocating
-def greatest_gain(problem: Problem, track: int, states: FloatArray) -> float:
+COARSE, FINE = (12, 0.2), (24, 0.05)
+"""Directions of the grids, and rad² by which orientations diffuse over frames that count as one. The coarse
+grid tells whether the fine one, which takes ten times as long, is needed."""
+
+AT_START, AT_END = math.cos(math.radians(90.0)), math.cos(math.radians(60.0))
+"""Cosines of the turns within which a course on a grid leads to the same basin as the states: those where a
+descent begins, and those where it ended."""
+
+
+@compiled
+def greatest_gain(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
     """The most that a stretch of frames gains by turning body, head or both by one, two or three quarters.
 
     Turning there and back is free, so that this is more than any such course can gain.
     """
-    quarters, gain, greatest = np.empty((len(states), 12)), np.zeros((3, 4)), 0.0
-    set_quarters(problem, track, states, quarters)
-    for k in range(len(states)):
-        body, head = quarters[k, :4], quarters[k, 4:8]
-        body_cos, body_sin, head_cos, head_sin = (
-            quarters[k, 8],
-            quarters[k, 9],
-            quarters[k, 10],
-            quarters[k, 11],
-        )
+    scratch, turns = workspace.scratch, workspace.trigonometry
+    body, head, gain = scratch[0, 0], scratch[0, 1], scratch[1]
+    greatest = 0.0 * workspace.length[0]
+    for way in range(3):
+        for q in range(1, 4):
+            gain[way, q] = greatest
+    for k in range(n):
+        set_quarters(problem, track, k, states, turns, scratch[0, 2], scratch[2], body, head)
+        body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
         # The cosine of head minus body once the head, or the body, has turned by a quarter more.
         close = body_cos * head_cos + body_sin * head_sin
         across = head_sin * body_cos - head_cos * body_sin
@@ -51,11 +64,13 @@ def greatest_gain(problem: Problem, track: int, states: FloatArray) -> float:
             turned, turning = -turning, turned
             unturned = turned if q == 2 else -turned
             by_body, by_head = body[0] - body[q], head[0] - head[q]
-            gain[0, q] = max(0.0, gain[0, q] + by_body + kappa * (unturned - close))
-            gain[1, q] = max(0.0, gain[1, q] + by_head + kappa * (turned - close))
-            gain[2, q] = max(0.0, gain[2, q] + by_body + by_head)
+            gain[0, q] += by_body + kappa * (unturned - close)
+            gain[1, q] += by_head + kappa * (turned - close)
+            gain[2, q] += by_body + by_head
             for way in range(3):
-                greatest = max(greatest, gain[way, q])
+                total = choose(gain[way, q] > 0.0, gain[way, q], 0.0)
+                gain[way, q] = total
+                greatest = choose(total > greatest, total, greatest)
     return greatest
 
 
@@ -217,3 +232,82 @@ def best_course(
                     if total < cheapest:
                         cheapest, to_b, to_h = total, i, j
             b, h = to_b, to_h
+
+
+@compiled
+def lies_elsewhere(states: FloatArray, course: FloatArray, near: float) -> bool:
+    """Whether a course (n, 2) turns from the states' orientations by more than ``near``, a cosine, allows."""
+    for k in range(len(states)):
+        if math.cos(course[k, 0] - states[k, BODY]) < near:
+            return True
+        if math.cos(course[k, 1] - states[k, HEAD]) < near:
+            return True
+    return False
+
+
+@compiled
+def leads_elsewhere(
+    problem: Problem, track: int, states: FloatArray, near: float, course: FloatArray
+) -> bool:
+    """Whether the best course (n, 2) of a track on the grid leads to another basin than the states'."""
+    for bins, spread in (COARSE, FINE):
+        best_course(problem, track, states, bins, spread, course)
+        if not lies_elsewhere(states, course, near):
+            return False
+    return True
+
+
+@allocating
+def find_other_basins(
+    problem: Problem,
+    tracks: NDArray[np.int64],
+    own: Problem,
+    track: int,
+    n: int,
+    states: FloatArray,
+    near: float,
+    workspace: Workspace,
+) -> Any:
+    """Put into ``workspace.again`` the states with the orientations of the best course on the grid.
+
+    Returns a condition that holds where that is another basin; else the states are as they were. Costs little
+    where there is none worth a visit.
+
+    Parameters
+    ----------
+    problem, tracks : whole, and the number in it of the track, or of that in each lane
+    own, track : as the kernels see them: the same, or lanes
+    n, states : (n, 6)
+    near : cosine of the turn within which a course leads to the same basin
+    """
+    gains = greatest_gain(own, track, n, states, workspace)
+    found, again = gains < 0.0, workspace.again
+    if not any_of(gains > WORTHWHILE):
+        return found
+    copy_rows(0, n, states, again)
+    for lane in range(lane_count(gains)):
+        if not lane_of(gains, lane) > WORTHWHILE:
+            continue
+        length = int(lane_of(workspace.length[0], lane))
+        here, course = np.empty((length, N)), np.empty((length, 2))
+        for k in range(length):
+            for i in range(N):
+                here[k, i] = lane_of(states[k, i], lane)
+        if leads_elsewhere(problem, tracks[lane], here, near, course):
+            this = only_lane(found, lane)
+            found |= this
+            angles = masked(again, this)
+            for k in range(length):
+                angles[k, BODY], angles[k, HEAD] = course[k, 0], course[k, 1]
+    return found
+
+
+@allocating
+def find_other_basin(
+    problem: Problem, track: int, states: FloatArray, near: float, workspace: Workspace
+) -> bool:
+    """The same of one track."""
+    tracks = np.empty(1, np.int64)
+    tracks[0] = track
+    workspace.length[0] = len(states)
+    return find_other_basins(problem, tracks, problem, track, len(states), states, near, workspace)

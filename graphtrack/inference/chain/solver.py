@@ -1,0 +1,438 @@
+"""Whole tracks solved: descents, other basins, coupling modes and covariances, one track at a time or in lanes.
+
+Everything here is written once. A `Group` is one track, whose arrays hold floats, or one track in each lane,
+whose arrays are `lanes`; `solve_tracks` takes tracks one at a time, `solve_lanes` `LANES` at once.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.inference.chain.basin_search import AT_END, AT_START, find_other_basins
+from graphtrack.inference.chain.coupling_modes import (
+    ModeMemory,
+    is_classified,
+    renew_couplings,
+    report_modes,
+)
+from graphtrack.inference.chain.covariance import find_covariances
+from graphtrack.inference.chain.elimination import (
+    COST,
+    EXACT,
+    FIRST_COST,
+    STATUS,
+    STEPS,
+    Workspace,
+    copy_rows,
+)
+from graphtrack.inference.chain.newton import cost_of, minimise
+from graphtrack.inference.chain.result import NOT_FINITE, Result
+from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.lanes import (
+    any_of,
+    choose,
+    lane_array,
+    lane_count,
+    lane_of,
+    lane_records,
+    lane_rows,
+    masked,
+    negate,
+    only_lane,
+)
+from graphtrack.model.kernels.layout import BODY, LANES, N
+from graphtrack.model.kernels.problem import Problem
+from graphtrack.model.terms.gait import ROW
+
+
+class Options(NamedTuple):
+    """How tracks are solved."""
+
+    max_iterations: int  # of each descent
+    tolerance: float  # of the cost, of the last descent
+    on_the_way: float  # the same of those before, which tell of modes alone
+    passes: int  # times that coupling modes, and then the states, are found
+    search: bool  # whether other basins are searched
+
+
+class Group(NamedTuple):
+    """One track, or one in each lane."""
+
+    problem: Problem  # as the kernels see it: the whole, or the lanes'
+    track: int  # its number there
+    tracks: NDArray[np.int64]  # its number, or the lanes', in the whole problem; −1: none
+    states: FloatArray  # (n, 6)
+    covariance: FloatArray  # (n, 6, 6)
+    workspace: Workspace
+    modes: Any  # ModeMemory; None without coupling modes
+
+
+# -- one group -----------------------------------------------------------------------------------------------
+
+
+@compiled
+def settle(
+    whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool
+) -> None:
+    """Minimise the costs of a group; ``workspace.ended`` reports how.
+
+    With ``search`` a descent begins in another basin, and ends there, where that promises to cost less.
+    """
+    problem, track, states, workspace = group.problem, group.track, group.states, group.workspace
+    ended, again, start = workspace.ended, workspace.again, workspace.start
+    nothing = 0.0 * workspace.length[0]
+    elsewhere, begun = nothing > 0.0, nothing
+    if search:
+        tracks = group.tracks
+        elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_START, workspace)
+    if any_of(elsewhere):
+        # Contradictions make a poor start, from which the descent is long.
+        begun = cost_of(problem, track, n, states, workspace)
+        copy_rows(0, n, again, states)
+    minimise(problem, track, n, states, max_iterations, tolerance, workspace)
+    ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
+    if search:
+        tracks, sound = group.tracks, ended[STATUS] < float(NOT_FINITE)
+        elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_END, workspace) & sound
+        if any_of(elsewhere):
+            for i in range(N):
+                start[1, i] = start[0, i]
+            first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
+            minimise(problem, track, n, again, max_iterations, tolerance, workspace)
+            better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & (ended[COST] < cost)
+            steps += choose(elsewhere, ended[STEPS], nothing)
+            take_better(n, better, again, first_cost, cost, status, group)
+            ended[STEPS] = steps
+
+
+@compiled
+def take_better(
+    n: int, better: Any, again: FloatArray, first_cost: Any, cost: Any, status: Any, group: Group
+) -> None:
+    """Go to the states ``again``, where the last descent ended, if they are ``better``; else keep what was.
+
+    ``start[1]`` is where the descent before began.
+    """
+    states, start, ended = group.states, group.workspace.start, group.workspace.ended
+    for k in range(n):
+        for i in range(N):
+            states[k, i] = choose(better, again[k, i], states[k, i])
+    for i in range(N):
+        start[0, i] = choose(better, start[0, i], start[1, i])
+    ended[FIRST_COST] = first_cost
+    ended[COST] = choose(better, ended[COST], cost)
+    ended[STATUS] = choose(better, ended[STATUS], status)
+    # Else the workspace has the factorisation at other states.
+    ended[EXACT] = choose(better, ended[EXACT], 0.0 * cost)
+
+
+@compiled
+def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float) -> None:
+    """Search other basins once the couplings are known, and stay there if they cost less.
+
+    Class likelihoods have basins that only the couplings tell apart; but the grid does not know the offset of
+    the head's coupling, so that it may lead to a worse basin.
+    """
+    states, workspace, ended = group.states, group.workspace, group.workspace.ended
+    before, start = workspace.before, workspace.start
+    first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
+    copy_rows(0, n, states, before)
+    first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
+    settle(whole, group, n, max_iterations, tolerance, True)
+    better = ended[COST] < cost
+    if any_of(negate(better)):
+        for k in range(n):
+            for i in range(N):
+                states[k, i] = choose(better, states[k, i], before[k, i])
+        for i in range(N):
+            start[0, i] = choose(better, start[0, i], first[i])
+        ended[FIRST_COST] = choose(better, ended[FIRST_COST], first_cost)
+        ended[COST] = choose(better, ended[COST], cost)
+        ended[STATUS] = choose(better, ended[STATUS], status)
+        ended[STEPS] = choose(better, ended[STEPS], steps)
+        ended[EXACT] = choose(better, ended[EXACT], 0.0 * cost)
+
+
+@compiled
+def put_back(whole: Problem, group: Group, guessed: BoolArray) -> None:
+    """Have the angles that are ``guessed`` (N, 2) as they were before the descent; no rows: none are."""
+    length = group.workspace.length[0]
+    for lane in range(lane_count(length)):
+        if group.tracks[lane] < 0 or len(guessed) == 0:
+            continue
+        begin = whole.offsets[group.tracks[lane]]
+        states = masked(group.states, only_lane(length > 0.0, lane))
+        for k in range(int(lane_of(length, lane))):
+            for i in range(2):
+                if guessed[begin + k, i]:
+                    states[k, BODY + i] = lane_of(group.workspace.before[k, BODY + i], lane)
+
+
+@compiled
+def note(group: Group, result: Result) -> None:
+    """How the descents of a group ended, into the result."""
+    ended = group.workspace.ended
+    for lane in range(lane_count(ended[COST])):
+        track = group.tracks[lane]
+        if track >= 0:
+            result.first_cost[track] = lane_of(ended[FIRST_COST], lane)
+            result.cost[track] = lane_of(ended[COST], lane)
+            result.iterations[track] = int(lane_of(ended[STEPS], lane))
+            result.status[track] = int(lane_of(ended[STATUS], lane))
+
+
+@compiled
+def solve_group(
+    whole: Problem,
+    group: Group,
+    n: int,
+    options: Options,
+    gait: Any,
+    guessed: BoolArray,
+    classified: bool,
+    searched: bool,
+    result: Result,
+) -> None:
+    """Solve a group of up to n frames from its states, in place, with covariances.
+
+    Parameters
+    ----------
+    gait : parameters of the coupling modes; None without
+    guessed : (N, 2) angles that nothing holds without couplings: they stay as they are until there are
+    classified : whether class likelihoods of the head are known
+    searched : whether basins are searched with couplings, too, as class likelihoods ask for
+    """
+    problem, track, states, workspace = group.problem, group.track, group.states, group.workspace
+    if gait is None:
+        settle(whole, group, n, options.max_iterations, options.tolerance, options.search)
+        note(group, result)
+        find_covariances(problem, track, n, states, None, workspace, group.covariance)
+    else:
+        # Without couplings first: from there both the modes and the states are found.
+        copy_rows(0, n, states, workspace.before)
+        settle(whole, group, n, options.max_iterations, options.on_the_way, options.search)
+        put_back(whole, group, guessed)
+        for left in range(options.passes - 1, -1, -1):
+            last = left == 0
+            tolerance = options.tolerance if last else options.on_the_way
+            renew_couplings(
+                problem, track, n, workspace.length[0], states, gait, classified, last, group.modes
+            )
+            settle(whole, group, n, options.max_iterations, tolerance, False)
+            if searched:
+                improve(whole, group, n, options.max_iterations, tolerance)
+        note(group, result)
+        find_covariances(problem, track, n, states, group.modes.spread, workspace, group.covariance)
+        for lane in range(lane_count(workspace.length[0])):
+            if group.tracks[lane] >= 0:
+                begin = whole.offsets[group.tracks[lane]]
+                frames = int(lane_of(workspace.length[0], lane))
+                report_modes(frames, lane, group.modes.held, result.modes[begin : begin + frames])
+
+
+# -- one track after the other -------------------------------------------------------------------------------
+
+
+@allocating
+def solve_tracks(
+    problem: Problem,
+    options: Options,
+    gait: Any,
+    guessed: BoolArray,
+    workspace: Workspace,
+    modes: Any,
+    result: Result,
+) -> None:
+    """Solve all tracks from the states in the result, in place; parameters as in `solve_group`."""
+    for track in range(len(problem.offsets) - 1):
+        a, b = problem.offsets[track], problem.offsets[track + 1]
+        tracks = np.full(1, track)
+        workspace.length[0] = b - a
+        group = Group(problem, track, tracks, result.states[a:b], result.covariance[a:b], workspace, modes)
+        classified = is_classified(problem, track)
+        searched = options.search and (classified or is_body_classified(problem, track))
+        solve_group(problem, group, b - a, options, gait, guessed, classified, searched, result)
+
+
+@compiled
+def is_body_classified(problem: Problem, track: int) -> bool:
+    """Whether class likelihoods are known of the body in any frame of a track."""
+    for k in range(problem.offsets[track], problem.offsets[track + 1]):
+        if problem.records[k].body_class_kappa > 0.0:
+            return True
+    return False
+
+
+# -- a track in each lane ------------------------------------------------------------------------------------
+
+
+class LaneArrays(NamedTuple):
+    """Memory for a group of tracks of up to n frames, without class likelihoods; lanes come last."""
+
+    tracks: NDArray[np.int64]  # (LANES,) numbers; −1: none
+    offsets: NDArray[np.int64]  # (2,) of the lanes' problem
+    frames: FloatArray  # (n, numbers of a record, LANES)
+    origin: FloatArray  # (1, 2, LANES), and so on as in `Workspace` and `ModeMemory`
+    states: FloatArray
+    covariance: FloatArray
+    inverse: FloatArray
+    link: FloatArray
+    rows: FloatArray  # (5, n, 6, LANES) solution, step, candidate, again, before
+    trigonometry: FloatArray
+    scratch: FloatArray
+    start: FloatArray
+    ended: FloatArray
+    length: FloatArray
+    kept: NDArray[np.int64]
+    mode_rows: FloatArray  # (n, ROW, LANES) of the likelihood and the two filters, one after another
+    mode_scratch: FloatArray  # (6, ROW, LANES) spare, after, weight, before
+    mode_dt: FloatArray  # (n, LANES)
+    mode_numbers: FloatArray  # (3, n, 3, LANES) ahead, held, spread
+
+
+def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
+    """Memory for tracks of up to n frames whose records have so many numbers."""
+    block, vector, rows = (n, N, N, LANES), (n, N, LANES), n if has_modes else 0
+    return LaneArrays(
+        np.empty(LANES, np.int64),
+        np.zeros(2, np.int64),
+        np.empty((n, numbers, LANES)),
+        np.empty((1, 2, LANES)),
+        np.empty(vector),
+        np.empty(block),
+        np.empty(block),
+        np.empty(block),
+        np.empty((5, *vector)),
+        np.empty((n, 4, LANES)),
+        np.empty((4, N, N, LANES)),
+        np.empty((2, N, LANES)),
+        np.empty((5, LANES)),
+        np.empty((1, LANES)),
+        np.zeros(2, np.int64),
+        np.empty((3 * rows, ROW, LANES)),
+        np.empty((6, ROW, LANES)),
+        np.empty((rows, LANES)),
+        np.empty((3, rows, 3, LANES)),
+    )
+
+
+@allocating
+def lane_group(problem: Problem, arrays: LaneArrays, gait: Any) -> Group:
+    """The arrays as the kernels see them; whoever calls keeps the arrays."""
+    own = Problem(
+        lane_records(arrays.frames, problem.records),
+        problem.shared,
+        problem.body_heights,
+        problem.head_heights,
+        problem.body_directions,
+        problem.head_directions,
+        lane_rows(arrays.origin, 2),
+        arrays.offsets,
+        problem.prior,
+    )
+    rows, none = arrays.rows, arrays.inverse[:0]
+    workspace = Workspace(
+        lane_array(arrays.inverse),
+        lane_array(arrays.link),
+        lane_array(rows[0]),
+        lane_array(rows[1]),
+        lane_array(rows[2]),
+        lane_rows(arrays.trigonometry, 4),
+        lane_array(arrays.scratch),
+        lane_array(arrays.start),
+        lane_array(arrays.ended),
+        lane_array(arrays.length),
+        lane_array(none),
+        lane_array(arrays.states[:0]),
+        arrays.kept,
+        lane_array(rows[3]),
+        lane_array(rows[4]),
+    )
+    states, covariance = lane_array(arrays.states), lane_array(arrays.covariance)
+    return Group(own, 0, arrays.tracks, states, covariance, workspace, lane_modes(arrays, gait))
+
+
+@allocating
+def lane_modes(arrays: LaneArrays, gait: Any) -> Any:
+    """The memory of the coupling modes as the kernels see it; None without modes."""
+    if gait is None:
+        return None
+    n, rows, scratch, numbers = len(arrays.states), arrays.mode_rows, arrays.mode_scratch, arrays.mode_numbers
+    return ModeMemory(
+        lane_array(arrays.mode_dt),
+        lane_rows(numbers[0], 3),
+        lane_rows(rows[:n], ROW),
+        lane_rows(rows[n : 2 * n], ROW),
+        lane_rows(rows[2 * n :], ROW),
+        lane_rows(scratch[:1], ROW),
+        lane_rows(scratch[1:3], ROW),
+        lane_rows(scratch[3:4], ROW),
+        lane_rows(scratch[4:], ROW),
+        lane_rows(numbers[1], 3),
+        lane_rows(numbers[2], 3),
+    )
+
+
+@compiled
+def gather(
+    problem: Problem, numbers: FloatArray, states: FloatArray, order: NDArray[np.int64], begin: int, arrays: LaneArrays
+) -> int:
+    """Put the tracks from a place in an order on into the lanes; returns how many frames the longest has.
+
+    ``numbers`` (N, fields) are the problem's records, ``states`` (N, 6) those of all tracks.
+    """
+    longest = 0
+    for lane in range(LANES):
+        track = order[begin + lane] if begin + lane < len(order) else -1
+        n = problem.offsets[track + 1] - problem.offsets[track] if track >= 0 else 0
+        arrays.tracks[lane], arrays.length[0, lane], longest = track, n, max(n, longest)
+        for axis in range(2):
+            arrays.origin[0, axis, lane] = problem.origin[track, axis] if track >= 0 else 0.0
+    arrays.offsets[1] = longest
+    for k in range(longest):
+        for lane in range(LANES):
+            row = problem.offsets[arrays.tracks[lane]] + k
+            known = float(k) < arrays.length[0, lane]
+            for i in range(numbers.shape[1]):
+                arrays.frames[k, i, lane] = numbers[row, i] if known else 0.0
+            for i in range(N):
+                arrays.states[k, i, lane] = states[row, i] if known else 0.0
+    return longest
+
+
+@compiled
+def scatter(problem: Problem, arrays: LaneArrays, result: Result) -> None:
+    """Put states and covariances of the lanes into the result."""
+    for lane in range(LANES):
+        track = arrays.tracks[lane]
+        if track < 0:
+            continue
+        begin = problem.offsets[track]
+        for k in range(int(arrays.length[0, lane])):
+            for i in range(N):
+                result.states[begin + k, i] = arrays.states[k, i, lane]
+                for j in range(N):
+                    result.covariance[begin + k, i, j] = arrays.covariance[k, i, j, lane]
+
+
+@allocating
+def solve_lanes(
+    problem: Problem,
+    numbers: FloatArray,
+    order: NDArray[np.int64],
+    options: Options,
+    gait: Any,
+    guessed: BoolArray,
+    arrays: LaneArrays,
+    result: Result,
+) -> None:
+    """`solve_tracks` in lanes, in an ``order`` in which neighbours are about as long."""
+    group = lane_group(problem, arrays, gait)
+    for begin in range(0, len(order), LANES):
+        n = gather(problem, numbers, result.states, order, begin, arrays)
+        solve_group(problem, group, n, options, gait, guessed, False, False, result)
+        scatter(problem, arrays, result)
