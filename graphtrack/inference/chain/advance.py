@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.elimination import Workspace, assign, workspace
+from graphtrack.inference.chain.calibration import add_lags, calibrate_frame
 from graphtrack.inference.chain.coupling_modes import (
     BODY_MODE,
     HEAD_MODE,
@@ -25,8 +25,8 @@ from graphtrack.inference.chain.coupling_modes import (
     report_modes,
 )
 from graphtrack.inference.chain.covariance import spread_newest
+from graphtrack.inference.chain.elimination import Workspace, assign, workspace
 from graphtrack.inference.chain.newton import as_variable
-from graphtrack.inference.chain.calibration import add_lags, calibrate_frame
 from graphtrack.inference.chain.window_kernels import foresee, from_frame, let_go, solve_window, the_only
 from graphtrack.inference.chain.windows import (
     ADDS,

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, copy_rows
 from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.frame_program import add_over, set_quarters
 from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.program import add_over, set_quarters
 
 Single = NDArray[np.float32]
 

@@ -128,7 +128,12 @@ def seconds_behind(across: float, body: float, head: float, calibration: Calibra
 
 @compiled
 def add_lags(
-    covariances: FloatArray, states: FloatArray, k: int, end: float, calibration: Calibration, lags: FloatArray
+    covariances: FloatArray,
+    states: FloatArray,
+    k: int,
+    end: float,
+    calibration: Calibration,
+    lags: FloatArray,
 ) -> None:
     """Put into ``lags`` (5,) what lags add to frame k.
 

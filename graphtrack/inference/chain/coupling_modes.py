@@ -547,7 +547,12 @@ def renew_body(
     memory: ModeMemory,
 ) -> None:
     """Set the coupling of body and motion in all frames."""
-    shared, offset, modes, filtered = problem.shared[0], problem.offsets[track], gait.body, memory.filtered_body
+    shared, offset, modes, filtered = (
+        problem.shared[0],
+        problem.offsets[track],
+        gait.body,
+        memory.filtered_body,
+    )
     look_ahead(n, length, states, modes.lead, True, memory.dt, memory.ahead)
     judge_body(problem, track, n, states, gait, memory)
     filter_modes(n, modes, memory.before[BODY_MODE], filtered, memory)

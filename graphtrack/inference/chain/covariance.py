@@ -104,7 +104,12 @@ def widen(covariance: FloatArray, deviation: FloatArray) -> None:
 
 @compiled
 def spread_track(
-    problem: Problem, n: int, states: FloatArray, spread: FloatArray, workspace: Workspace, covariance: FloatArray
+    problem: Problem,
+    n: int,
+    states: FloatArray,
+    spread: FloatArray,
+    workspace: Workspace,
+    covariance: FloatArray,
 ) -> None:
     """Add to the covariances (n, 6, 6) of the only track what the modes of both couplings leave open.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,13 +13,14 @@ from graphtrack.inference.chain.calibration import Calibration, calibrate_tracks
 from graphtrack.inference.chain.coupling_modes import mode_memory
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.linear import linear_part, solve_linear_tracks
-from graphtrack.inference.chain.programs import OF_PRESETS, program_of
+from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.result import NOT_FINITE, Result
-from graphtrack.inference.chain.solver import Options, lane_arrays
+from graphtrack.inference.chain.solver import Options, lane_arrays, solve_lanes, solve_tracks
 from graphtrack.inference.chain.start import Seen, initialise
 from graphtrack.inference.initial import empty_result, problem_of, seen_in
 from graphtrack.model import Model
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.frame_program import OF_PRESETS
 from graphtrack.model.kernels.layout import BODY, HEAD, VY, N, X, Y, number_rows
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
@@ -72,10 +72,7 @@ def fit_lanes(tracks: Sequence[Track], model: Model, n_frames: int | None = None
     n_frames = sum(map(len, tracks)) if n_frames is None else n_frames
     large = is_large(model, n_frames)
     return [
-        large
-        and len(track) <= LONGEST
-        and track.body_likelihood is None
-        and track.head_likelihood is None
+        large and len(track) <= LONGEST and track.body_likelihood is None and track.head_likelihood is None
         for track in tracks
     ]
 
@@ -146,11 +143,11 @@ def solve_terms(
     if in_lanes:
         numbers, order = number_rows(problem.records), np.argsort(-lengths, kind="stable")
         arrays = lane_arrays(longest, numbers.shape[1], gait is not None)
-        program_of(model).solve_lanes(problem, numbers, order, options, gait, guessed, arrays, result)
+        solve_lanes(problem, numbers, order, options, gait, guessed, arrays, result)
     else:
         memory = workspace(longest) if memory is None else memory
         modes = None if gait is None else mode_memory(longest)
-        program_of(model).solve_tracks(problem, options, gait, guessed, memory, modes, result)
+        solve_tracks(problem, options, gait, guessed, memory, modes, result)
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:

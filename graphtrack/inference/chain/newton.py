@@ -26,10 +26,10 @@ from graphtrack.inference.chain.elimination import (
 )
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
 from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.frame_program import add_frame
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.program import add_frame
 
 
 @compiled

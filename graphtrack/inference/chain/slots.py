@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.angles import class_centres, unit
-from graphtrack.inference.chain.programs import ChainProgram
 from graphtrack.inference.chain.windows import Windows
+from graphtrack.model.kernels.frame_program import FrameProgram
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import ROW
@@ -31,7 +31,7 @@ class Block:
     free : slots that nobody has, the first last
     """
 
-    def __init__(self, program: ChainProgram, size: int) -> None:
+    def __init__(self, program: FrameProgram, size: int) -> None:
         frames = (SLOTS, size)
         self.size, self.free = size, list(range(SLOTS - 1, -1, -1))
         self.windows = Windows(
@@ -92,7 +92,7 @@ class Slot:
 class Blocks:
     """All blocks for the windows of a program; as many as are needed."""
 
-    def __init__(self, program: ChainProgram) -> None:
+    def __init__(self, program: FrameProgram) -> None:
         self._program, self._blocks, self._mutex = program, list[Block](), threading.RLock()
 
     def slot(self, size: int) -> Slot:
@@ -113,6 +113,6 @@ class Blocks:
 
 
 @lru_cache(16)
-def blocks_of(program: ChainProgram) -> Blocks:
+def blocks_of(program: FrameProgram) -> Blocks:
     """One for all windows of a process: what their frames are called is the same."""
     return Blocks(program)

@@ -75,9 +75,7 @@ class Group(NamedTuple):
 
 
 @compiled
-def settle(
-    whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool
-) -> None:
+def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool) -> None:
     """Minimise the costs of a group; ``workspace.ended`` reports how.
 
     With ``search`` a descent begins in another basin, and ends there, where that promises to cost less.
@@ -379,7 +377,12 @@ def lane_modes(arrays: LaneArrays, gait: Any) -> Any:
 
 @compiled
 def gather(
-    problem: Problem, numbers: FloatArray, states: FloatArray, order: NDArray[np.int64], begin: int, arrays: LaneArrays
+    problem: Problem,
+    numbers: FloatArray,
+    states: FloatArray,
+    order: NDArray[np.int64],
+    begin: int,
+    arrays: LaneArrays,
 ) -> int:
     """Put the tracks from a place in an order on into the lanes; returns how many frames the longest has.
 

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.advance import advance, advance_with_modes
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.slots import Slot, blocks_of
@@ -357,9 +358,9 @@ def _called(
     block, people = first._slot.block.windows, np.array(to_do)
     if first._model.has_modes:
         gait = gait_of_model(first._model)
-        first._program.advance_with_modes(block, people, guesses, first._rules, gait, advanced)
+        advance_with_modes(block, people, guesses, first._rules, gait, advanced)
     else:
-        first._program.advance(block, people, guesses, first._rules, advanced)
+        advance(block, people, guesses, first._rules, advanced)
     return advanced
 
 

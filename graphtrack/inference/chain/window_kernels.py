@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.inference.chain.basin_search import AT_END, find_other_basin
 from graphtrack.inference.chain.elimination import (
     COST,
     EXACT,
@@ -29,12 +30,11 @@ from graphtrack.inference.chain.newton import (
     note_turns,
     sweep_forward,
 )
-from graphtrack.inference.chain.basin_search import AT_END, find_other_basin
 from graphtrack.inference.chain.result import NOT_FINITE
 from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.frame_program import add_frame, cut
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.kernels.program import add_frame, cut
 from graphtrack.model.terms.position import CAUCHY
 
 _FAR = 0.5

@@ -10,9 +10,9 @@ import numpy as np
 from graphtrack.errors import SolveError
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.engine import PASSES
 from graphtrack.inference.chain.basin_search import AT_END, AT_START
 from graphtrack.inference.chain.calibration import calibrate, calibration_of
+from graphtrack.inference.chain.engine import PASSES
 from graphtrack.inference.extremes import not_finite, with_extreme
 from graphtrack.inference.graph.chain_view import ChainView, is_ambiguous
 from graphtrack.inference.initial import initial_states

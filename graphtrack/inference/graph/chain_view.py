@@ -8,7 +8,14 @@ import numpy as np
 
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.coupling_modes import is_classified, mode_memory, renew_couplings, report_modes
+from graphtrack.inference.chain.basin_search import find_other_basin
+from graphtrack.inference.chain.coupling_modes import (
+    is_classified,
+    mode_memory,
+    renew_couplings,
+    report_modes,
+)
+from graphtrack.inference.chain.covariance import spread_track
 from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.engine import never_seen
 from graphtrack.inference.chain.frame_rows import FrameRows
@@ -56,7 +63,7 @@ class _View:
             return None
         here = self._here(states)
         memory = workspace(len(here))
-        if not self._program.find_other_basin(self._problem, 0, here, near, memory):
+        if not find_other_basin(self._problem, 0, here, near, memory):
             return None
         again = memory.again
         again[:, :2] += self._problem.origin[0]
@@ -79,7 +86,7 @@ class _View:
         """Add to the covariances (n, 6, 6) of the states (n, 6) what the modes leave open, in place."""
         memory = workspace(len(states))
         here = self._here(states)
-        self._program.spread_track(self._problem, len(here), here, self._spread, memory, covariance)
+        spread_track(self._problem, len(here), here, self._spread, memory, covariance)
 
     def _note(self) -> None:
         raise NotImplementedError

@@ -20,7 +20,7 @@ from graphtrack.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-_OPTIONS = {
+OPTIONS = {
     "nogil": True,
     "error_model": "numpy",
     # Sums may be reordered and fused; NaN and infinity keep their meaning ("nnan" would break isnan).
@@ -69,12 +69,12 @@ def _declared(function: Function, **options: bool) -> Function:
         with _CACHE_DIR:
             given, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(home)
             try:
-                return cast(Function, numba.njit(cache=True, **_OPTIONS, **options)(function))
+                return cast(Function, numba.njit(cache=True, **OPTIONS, **options)(function))
             except RuntimeError:  # of a function without a file: from the prompt, or `exec`
                 pass
             finally:
                 numba.config.CACHE_DIR = given
-    return cast(Function, numba.njit(**_OPTIONS, **options)(function))
+    return cast(Function, numba.njit(**OPTIONS, **options)(function))
 
 
 def machine_code_folder() -> Path | None:

@@ -157,6 +157,7 @@ class Program:
     terms : whose fields and kernels it has, each once
     title : of what
     others : terms of which it has the fields alone, since other functions read them
+    *fields : other fields of the record
 
     Raises
     ------
@@ -164,10 +165,12 @@ class Program:
         For kernels whose parameters or gates are unknown, and for two fields of one name.
     """
 
-    def __init__(self, terms: Iterable[Packs], title: str, others: Iterable[Packs] = ()) -> None:
+    def __init__(
+        self, terms: Iterable[Packs], title: str, others: Iterable[Packs] = (), *fields: Field
+    ) -> None:
         terms = list(terms)
         every = [*others, *terms]
-        self.fields = tuple(dict.fromkeys([DT, *(f for term in every for f in term.fields)]))
+        self.fields = tuple(dict.fromkeys([DT, *(f for term in every for f in term.fields), *fields]))
         self.shared = tuple(dict.fromkeys(f for term in every for f in term.shared))
         self.kernels = tuple({id(k): k for term in terms for k in term.kernels}.values())
         self._functions: dict[Function, str] = {}
@@ -279,7 +282,9 @@ class Program:
                 turned = {f"{name}_cos": "cos", f"{name}_sin": "sin"}
                 call = f"        cos, sin = {name}_cos, {name}_sin\n        for q in range(4):\n"
                 call += self._call(12, "found = ", kernel.function, kernel.arguments, turned)
-                call += f"            {name}[q] += choose(gate, found, 0.0)\n            cos, sin = -sin, cos\n"
+                call += (
+                    f"            {name}[q] += choose(gate, found, 0.0)\n            cos, sin = -sin, cos\n"
+                )
             text += _outdented(self._opened(kernel)) + call
         return text + "\n"
 

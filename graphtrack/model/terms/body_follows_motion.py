@@ -9,9 +9,9 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel, Search
+from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.layout import BODY, VX, VY, Field
 from graphtrack.model.observation import States
 from graphtrack.model.term import Term, Variable

@@ -93,9 +93,7 @@ ADD_MOTION = Kernel(
     before=("position", "velocity"),
     unless="steer_gain",
 )
-ADD_FIRST_VELOCITY = Kernel(
-    add_first_velocity, gate="velocity_information", variables=("velocity",)
-)
+ADD_FIRST_VELOCITY = Kernel(add_first_velocity, gate="velocity_information", variables=("velocity",))
 
 
 class Motion(Term):

@@ -24,10 +24,10 @@ from graphtrack.later import gtsam, special
 from graphtrack.model.factors.derived import derived_factors
 from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.kernels.bessel import of_alike
-from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.elementary import exp, log
 from graphtrack.model.kernels.kernel import Kernel, Search
+from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.term import Term, Variable

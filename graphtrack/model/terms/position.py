@@ -14,9 +14,9 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.geometry.homography import apply_homography
 from graphtrack.later import gtsam
 from graphtrack.model.factors.derived import derived_factors
-from graphtrack.model.kernels.lanes import choose
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.kernel import Kernel
+from graphtrack.model.kernels.lanes import choose
 from graphtrack.model.kernels.layout import Field, X, Y
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.parameters import LikelihoodParameters
