@@ -10,12 +10,12 @@ from walks import walk
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import OnlineSmoother
-from graphtrack.inference.chain.advance import go_on
+from graphtrack.inference.chain.advance import carry_over
 from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.grid import greatest_gain
 from graphtrack.inference.chain.modes import renew_couplings
 from graphtrack.inference.chain.start import fill
-from graphtrack.inference.chain.window_kernels import foresee, from_frame
+from graphtrack.inference.chain.window_kernels import predict_newest, from_frame
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import Model, Parameters
 from graphtrack.model.kernels.layout import BODY, HEAD
@@ -89,8 +89,8 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
     records[end] = slot.records[end]
     problem = slot.problem._replace(offsets=np.array([begin, end + 1]), records=records)
     # The step that the newest frame asks for, and then the modes.
-    go_on(records[end - 1], records[end], gait.head_rate_seen)
-    foresee(problem, states[begin:], from_frame(memory, begin))
+    carry_over(records[end - 1], records[end], gait.head_rate_seen)
+    predict_newest(problem, states[begin:], from_frame(memory, begin))
     filtered = np.empty((2, n, ROW))
     renew_couplings(
         problem, 0, states[begin:], gait, False, before, filtered, np.empty((n, 2)), np.empty((n, 2))

@@ -16,7 +16,7 @@ from graphtrack.baselines.kalman import kalman_filter, rauch_tung_striebel
 from graphtrack.geometry.angles import unit
 from graphtrack.inference import SolverOptions, smooth_track
 from graphtrack.inference.chain.elimination import workspace
-from graphtrack.inference.chain.window_kernels import marginalise
+from graphtrack.inference.chain.window_kernels import condense
 from graphtrack.inference.graph.batch import smooth_graph
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.inference.recorded import track_online
@@ -113,7 +113,7 @@ def test_what_leaves_the_window_is_what_elimination_leaves(preset: str) -> None:
     states = np.column_stack(
         [here.position - packed.origin, here.velocity, np.nan_to_num(here.body), here.head]
     )
-    assert marginalise(problem_of(packed)._replace(prior=np.zeros((8, 6))), states, True, memory)
+    assert condense(problem_of(packed)._replace(prior=np.zeros((8, 6))), states, True, memory)
 
     def cost(vector: np.ndarray) -> float:
         # Without what the couplings say about the second frame itself.

@@ -453,11 +453,11 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
         local[:, :2] -= packed.origin[0]
         found = {name: np.zeros((n, bins)) for name in ("body", "head")}
         nodes = np.arange(n)
-        program.add_over(
+        program.add_grid_costs(
             problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"]
         )
         rows_of_quarters = np.empty((n, 12))
-        program.set_quarters(problem, 0, local, rows_of_quarters)
+        program.set_quarter_turns(problem, 0, local, rows_of_quarters)
         for k in range(n):
             quarters = {"body": rows_of_quarters[k, :4], "head": rows_of_quarters[k, 4:8]}
             for name, place in (("body", BODY), ("head", HEAD)):

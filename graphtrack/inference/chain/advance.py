@@ -27,10 +27,16 @@ from graphtrack.inference.chain.coupling_modes import (
 from graphtrack.inference.chain.covariance import spread_newest
 from graphtrack.inference.chain.elimination import Workspace, assign, workspace
 from graphtrack.inference.chain.newton import as_variable
-from graphtrack.inference.chain.window_kernels import foresee, from_frame, let_go, solve_window, the_only
+from graphtrack.inference.chain.window_kernels import (
+    predict_newest,
+    from_frame,
+    marginalise_oldest,
+    solve_window,
+    the_only,
+)
 from graphtrack.inference.chain.windows import (
     ADDS,
-    FORETOLD,
+    PREDICTED,
     LEAVE,
     NOTHING,
     SEARCHES,
@@ -87,7 +93,7 @@ def memory_in(windows: Windows, slot: int, memory: Workspace) -> Workspace:
 
 
 @compiled
-def foretell(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None:
+def predict_state(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None:
     """Initial values of a new frame: constant velocity, the angles as they were.
 
     ``guess`` (2,) are angles that are known otherwise, NaN where those before count.
@@ -142,7 +148,7 @@ def advance(
     Parameters
     ----------
     people : (P, 6) what is to be done; the new frames' records stand in the rows after their windows' last
-    guesses : (P, 2) as in `foretell`
+    guesses : (P, 2) as in `predict_state`
     rules : of all of them
     advanced : filled in
     """
@@ -164,7 +170,7 @@ def advance(
             continue
         report(windows, slot, rules, covariance, lags, p, advanced)
         for _ in range(people[p, LEAVE]):
-            let_go(problem, states, own)
+            marginalise_oldest(problem, states, own)
 
 
 @compiled
@@ -173,8 +179,8 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
     begin, end = problem.offsets[0], problem.offsets[1]
     assign(before[: end - begin], states[begin:end])
     if adds != NOTHING:
-        if adds == FORETOLD:
-            foretell(states, end, problem.records[end].dt, guess)
+        if adds == PREDICTED:
+            predict_state(states, end, problem.records[end].dt, guess)
         problem.offsets[1] = end + 1
     return int(end - begin)
 
@@ -210,7 +216,7 @@ def solve_or_restore(
 
 
 @compiled
-def go_on(before: Any, after: Any, rate_seen: float) -> None:
+def carry_over(before: Any, after: Any, rate_seen: float) -> None:
     """Couplings of a new frame, and the steering to it, as they were of the one before."""
     share = after.body_aligned_kappa / before.body_aligned_kappa if before.body_aligned_kappa > 0.0 else 0.0
     after.motion_body_kappa = share * before.motion_body_kappa
@@ -251,8 +257,8 @@ def advance_with_modes(
         n = end - begin
         if people[p, WARM] != 0 and people[p, ADDS] != NOTHING and n > 1:
             # Modes are judged by states: first those that the new observation asks for.
-            go_on(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
-            foresee(problem, states[begin:end], from_frame(own, begin))
+            carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
+            predict_newest(problem, states[begin:end], from_frame(own, begin))
             people[p, WARM] = 0
         classified = judge_modes(windows, slot, problem, states, gait, modes)
         report_couplings(problem, modes, p, advanced)
@@ -301,7 +307,7 @@ def conclude(
     p: int,
     advanced: Advanced,
 ) -> None:
-    """Report the newest frame of a solved window, and marginalise its oldest frames.
+    """Report the newest frame of a solved window, and condense its oldest frames.
 
     ``covariance`` is that of the newest frame, ``modes`` are from `coupling_modes.renew_couplings`.
     """
@@ -312,7 +318,7 @@ def conclude(
     spread_newest(problem, end - begin, states[begin:end], modes.spread, memory, advanced.spread[p])
     report(windows, slot, rules, covariance, lags, p, advanced)
     for k in range(person[LEAVE]):
-        let_go(problem, states, own)
+        marginalise_oldest(problem, states, own)
         normalise(modes.filtered_body[k], windows.modes_before[slot, BODY_MODE])
         normalise(modes.filtered_head[k], windows.modes_before[slot, HEAD_MODE])
 

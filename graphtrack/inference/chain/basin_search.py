@@ -1,4 +1,4 @@
-"""Basin search: orientations of a whole track on a grid, by dynamic programming, as another start of a descent.
+"""Basin search: orientations of a track on a grid, by dynamic programming, as another start of a descent.
 
 Newton's method ends in the basin it began in. Where observations contradict each other (a classifier that
 takes front for back) another course of the orientations may cost less. Two steps look for it, with the motion
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, copy_rows
 from graphtrack.model.kernels.compiled import allocating, compiled
-from graphtrack.model.kernels.frame_program import add_over, set_quarters
+from graphtrack.model.kernels.frame_program import add_grid_costs, set_quarter_turns
 from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
@@ -53,7 +53,7 @@ def greatest_gain(problem: Problem, track: int, n: int, states: FloatArray, work
         for q in range(1, 4):
             gain[way, q] = greatest
     for k in range(n):
-        set_quarters(problem, track, k, states, turns, scratch[0, 2], scratch[2], body, head)
+        set_quarter_turns(problem, track, k, states, turns, scratch[0, 2], scratch[2], body, head)
         body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
         # The cosine of head minus body once the head, or the body, has turned by a quarter more.
         close = body_cos * head_cos + body_sin * head_sin
@@ -186,7 +186,7 @@ def best_course(
         cos[i], sin[i] = math.cos(angles[i]), math.sin(angles[i])
     body, head, kappa = np.zeros((count, bins)), np.zeros((count, bins)), np.zeros(count)
     body_turn, head_turn = np.zeros(count), np.zeros(count)
-    add_over(problem, track, states, cos, sin, node, body, head)
+    add_grid_costs(problem, track, states, cos, sin, node, body, head)
     for k in range(n):
         frame, g = records[k], node[k]
         kappa[g] += frame.head_body_kappa

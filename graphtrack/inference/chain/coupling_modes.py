@@ -73,7 +73,7 @@ def mode_memory(n: int) -> ModeMemory:
 def look_ahead(
     n: int, length: Any, states: FloatArray, lead: float, of_motion: bool, dt: FloatArray, ahead: FloatArray
 ) -> None:
-    """Velocity, or body orientation, ``lead`` seconds after each frame, linearly interpolated; the last beyond.
+    """Velocity, or body orientation, ``lead`` seconds after each frame by interpolation; the last beyond.
 
     ``length``: number of frames; ``ahead`` (n, 3) is filled in, with 0 beyond a lane's length.
     """

@@ -1,9 +1,10 @@
 """Covariances of the states: the inverse Hessian, and what the coupling modes leave open.
 
-The inverse Hessian is the covariance given the couplings; the law of total variance adds the rest. Of one coupling each mode and offset would pull the
-states another way, and of all of them it has the mean. What is off the mean has a standard deviation γ in
-each frame (`modes.couple`), and modes last longer than the states remember, so that along a track it is one
-unknown: the states' deviations by it are u = H⁻¹·γ, and their covariance grows by u·uᵀ.
+The inverse Hessian is the covariance given the couplings; the law of total variance adds the rest. Of one
+coupling each mode and offset would pull the states another way, and of all of them it has the mean. What is
+off the mean has a standard deviation γ in each frame (`coupling_modes.couple`), and modes last longer than
+the states remember, so that along a track it is one unknown: the states' deviations by it are u = H⁻¹·γ, and
+their covariance grows by u·uᵀ.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ def spread_track(
 ) -> None:
     """Add to the covariances (n, 6, 6) of the only track what the modes of both couplings leave open.
 
-    ``spread`` (n, 2) is that of `modes.renew_couplings`, and the states are those found with its couplings.
+    ``spread`` (n, 2) is that of `coupling_modes.renew_couplings`, and the states are those found with its couplings.
     """
     full = as_variable(True)
     workspace.length[0] = n

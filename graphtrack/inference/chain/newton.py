@@ -61,7 +61,7 @@ def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessia
 
 
 @compiled
-def recall(
+def add_message(
     k: int, states: FloatArray, gradient: FloatArray, hessian: FloatArray, workspace: Workspace
 ) -> Any:
     """What a frame and all before it cost more than where they were factored, with derivatives."""
@@ -100,7 +100,7 @@ def sweep_forward(
     clear(gradients[1], scratch[2], transition)
     if first > 0:
         here = (first - 1) & 1
-        cost += recall(first - 1, states, gradients[here], scratch[1 + here], workspace)
+        cost += add_message(first - 1, states, gradients[here], scratch[1 + here], workspace)
     for k in range(first, n):
         here, before = k & 1, 1 - (k & 1)
         gradient, hessian, gradient_before = gradients[here], scratch[1 + here], gradients[before]

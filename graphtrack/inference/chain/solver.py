@@ -1,4 +1,4 @@
-"""Whole tracks solved: descents, other basins, coupling modes and covariances, one track at a time or in lanes.
+"""Whole tracks: descents, other basins, coupling modes and covariances, one track at a time or in lanes.
 
 Everything here is written once. A `Group` is one track, whose arrays hold floats, or one track in each lane,
 whose arrays are `lanes`; `solve_tracks` takes tracks one at a time, `solve_lanes` `LANES` at once.

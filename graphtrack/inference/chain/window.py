@@ -15,7 +15,7 @@ from graphtrack.inference.chain.advance import advance, advance_with_modes
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.slots import Slot, blocks_of
-from graphtrack.inference.chain.windows import AS_SET, FORETOLD, NOTHING, Advanced, room_for, rules_of
+from graphtrack.inference.chain.windows import AS_SET, PREDICTED, NOTHING, Advanced, room_for, rules_of
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.state import FAILURES, Angles, Newest, Window
 from graphtrack.model import Model, Step
@@ -312,7 +312,7 @@ def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> li
         else:
             groups.setdefault((id(window._slot.block), id(window._rules)), []).append(k)
     for places in groups.values():
-        some = _solved_together([windows[k] for k in places], FORETOLD, [steps[k] for k in places])
+        some = _solved_together([windows[k] for k in places], PREDICTED, [steps[k] for k in places])
         for k, one in zip(places, some, strict=True):
             found[k] = one
     return found  # type: ignore[return-value]  # none is left out

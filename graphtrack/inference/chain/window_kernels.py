@@ -80,7 +80,7 @@ def solve_window(
     memory.kept[0], memory.kept[1] = 0, 1
     memory.length[0] = n
     if warm and last > 0:
-        foresee(problem, here, memory)
+        predict_newest(problem, here, memory)
         if keeps:
             memory.kept[0] = settled(here[:last], memory.factored, 1.0)
     before = here[first_open(memory)].copy()
@@ -96,7 +96,7 @@ def solve_window(
         return False
     cost, exact = ended[COST], ended[EXACT] > 0.0
     again = np.empty((last + 1, N))
-    if have_strayed(problem, track, here):
+    if is_astray(problem, track, here):
         # The loss is not convex: whoever has followed false positions may have to be looked for elsewhere.
         if kept > 0:
             kept = 0
@@ -111,7 +111,7 @@ def solve_window(
         if kept > 0:
             cost = cost_of(problem, track, n, here, memory)
         prior = problem.prior.copy()
-        turn_past(problem.prior, here, again)
+        turn_prior(problem.prior, here, again)
         cost, exact = move_if_less(problem, here, again, cost, 0.0, prior, max_iterations, tolerance, memory)
     if not exact and not sweep_forward(problem, track, n, here, not full, memory)[1]:
         return False
@@ -154,7 +154,7 @@ def move_if_less(
 
 
 @compiled
-def have_strayed(problem: Problem, track: int, states: FloatArray) -> bool:
+def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
     """Whether some of the newest positions that were seen are all farther from the states than k.
 
     At least `_RUN` of them and at most `_LONGEST_RUN`. Only with the Cauchy loss, whose pull falls beyond k
@@ -226,7 +226,7 @@ def follow(states: FloatArray, last: int, before: FloatArray, memory: Workspace)
 
 
 @compiled
-def turn_past(prior: FloatArray, states: FloatArray, again: FloatArray) -> None:
+def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None:
     """Turn the prior with a first frame that went from ``states`` to another basin in ``again``.
 
     What the Gaussian says holds about its own basin; that it is as sure of the other one is the best guess.
@@ -274,7 +274,7 @@ def from_frame(workspace: Workspace, begin: int) -> Workspace:
 
 
 @compiled
-def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
+def predict_newest(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     """A Newton step of the window for the price of its newest frame, as a better start.
 
     The frames before were at their optimum when they were factored: they have no gradient but what the newest
@@ -330,7 +330,7 @@ def foresee(problem: Problem, states: FloatArray, memory: Workspace) -> None:
 
 
 @allocating
-def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
+def marginalise_oldest(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     """Eliminate the oldest frame of the window for good: what it says about the next becomes the prior.
 
     The curvature is exact unless that leaves no positive definite prior, as it may at outliers.
@@ -339,7 +339,7 @@ def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
     prior, after = problem.prior, problem.records[begin + 1]
     memory = from_frame(workspace, begin)
     for exact in (True, False):
-        if marginalise(problem, states[begin : begin + 2], exact, memory):
+        if condense(problem, states[begin : begin + 2], exact, memory):
             break
     matrix, vector = memory.scratch[2], memory.scratch[0, 1]
     for i in range(N):
@@ -353,7 +353,7 @@ def let_go(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
 
 
 @compiled
-def marginalise(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
+def condense(problem: Problem, states: FloatArray, exact: bool, workspace: Workspace) -> bool:
     """Schur complement and gradient on the second of two frames, without its own terms, in the scratch.
 
     Returns whether it is positive definite.

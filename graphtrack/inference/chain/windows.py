@@ -19,7 +19,7 @@ SLOT, ADDS, SOLVES, WARM, SEARCHES, LEAVE = range(6)
 newest is added, and how it begins; whether it is solved, or only its couplings are set; whether the
 factorisation of the last solution is there; whether other basins are searched; and how many frames then leave
 it."""
-NOTHING, AS_SET, FORETOLD = range(3)
+NOTHING, AS_SET, PREDICTED = range(3)
 """What is added: nothing; a frame whose state stands in its row; or one that goes on from the last."""
 
 

@@ -1,6 +1,6 @@
 """Frame programs: the kernels of some terms, called one after another, and which one a problem has.
 
-Compiled code calls `add_frame`, `cut`, `set_quarters` and `add_over`. Their implementation is chosen where
+Compiled code calls `add_frame`, `cut`, `set_quarter_turns` and `add_grid_costs`. Their implementation is chosen where
 the call is compiled, by the type of the problem's records: that of the package's terms in `program`, or one
 that was generated for terms of a user's own. So a solver is compiled once more for such terms, from the same
 source.
@@ -70,10 +70,10 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
     def implementation(*arguments: Any) -> Any:
         kind = records_of(*arguments)
         if isinstance(kind, LaneRecordsType):
-            names = kind.dtype.names
+            fields = kind.places
         else:
-            names = tuple((kind.dtype if isinstance(kind, types.Array) else kind).fields)
-        return getattr(_FUNCTIONS[names], name).py_func
+            fields = (kind.dtype if isinstance(kind, types.Array) else kind).fields
+        return getattr(_FUNCTIONS[tuple(fields)], name).py_func
 
     # Numba compares the parameters' names.
     implementation.__signature__ = inspect.signature(getattr(program, name).py_func)  # type: ignore[attr-defined]
@@ -86,6 +86,6 @@ def _of_problem(problem: Any, *_others: Any) -> Any:
 
 
 add_frame = _chosen("add_frame", _of_problem)
-set_quarters = _chosen("set_quarters", _of_problem)
-add_over = _chosen("add_over", _of_problem)
+set_quarter_turns = _chosen("set_quarter_turns", _of_problem)
+add_grid_costs = _chosen("add_grid_costs", _of_problem)
 cut = _chosen("cut", lambda frame: frame)

@@ -91,7 +91,7 @@ def cut(frame: Any) -> None:
 
 _QUARTERS = '''
 @compiled
-def set_quarters(
+def set_quarter_turns(
     problem: Problem,
     track: int,
     k: int,
@@ -117,7 +117,7 @@ def set_quarters(
 
 _OVER = '''
 @allocating
-def add_over(
+def add_grid_costs(
     problem: Problem,
     track: int,
     states: FloatArray,
@@ -275,7 +275,7 @@ class Program:
         text = _QUARTERS
         for name, kernel in self._searched():
             turned = {"cos": f"{name}_cos", "sin": f"{name}_sin", "cost": f"masked({name}, gate)"}
-            quick = kernel.search and kernel.search.add_quarters
+            quick = kernel.search and kernel.search.add_quarter_turns
             if quick:
                 call = self._call(8, "", quick, _unturned(quick, kernel), turned)
             else:
@@ -302,7 +302,7 @@ class Program:
                 here["prepared"] = f"of_{kernel.gate}"
                 names = _unturned(search.prepare, kernel)
                 before += self._call(4, f"of_{kernel.gate} = ", search.prepare, names, here)
-            loop += self._call(12, "", search.add_over, _unturned(search.add_over, kernel), here)
+            loop += self._call(12, "", search.add_grid_costs, _unturned(search.add_grid_costs, kernel), here)
         return _OVER + before + _OVER_FRAMES + loop
 
 

@@ -1,10 +1,10 @@
 """Numbers of several tracks side by side, which compiled functions can be given in place of floats.
 
-`Lanes` is a vector of `LANES` floats, which the processor adds, multiplies … at once; comparisons of them give
-a `LaneMask`. A function that asks `choose` and `any_of` where it would write ``if`` is compiled for floats and
-for lanes from one source. `lane_array` makes an array of floats, whose last axis is that of the lanes, into
-one that is indexed as if its elements were floats: ``a[k]``, ``a[k, i]``, ``a[k, i] += x``. `lane_records`
-does the same for records: ``frame.x``.
+`Lanes` is a vector of `LANES` floats, which the processor adds, multiplies … at once; comparisons of them
+give a `LaneMask`. A function that asks `choose` and `any_of` where it would write ``if`` is compiled for
+floats and for lanes from one source. `lane_array` makes an array of floats, whose last axis is that of the
+lanes, into one that is indexed as if its elements were floats: ``a[k]``, ``a[k, i]``, ``a[k, i] += x``.
+`lane_records` does the same for records: ``frame.x``.
 
 It stands on what numba documents for extensions: types, models, intrinsics and lowering.
 """

@@ -18,8 +18,8 @@ from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.anchor import add_anchor
 from graphtrack.model.terms.body_follows_motion import (
     add_body_follows_motion,
-    add_motion_over,
-    add_motion_quarters,
+    add_motion_grid,
+    add_motion_quarter_turns,
 )
 from graphtrack.model.terms.faces_group import add_faces_group
 from graphtrack.model.terms.head_follows_body import add_head_follows_body
@@ -32,13 +32,13 @@ from graphtrack.model.terms.motion import (
 from graphtrack.model.terms.place import add_place
 from graphtrack.model.terms.pose import (
     add_angle,
-    add_angle_over,
-    add_angle_quarters,
+    add_angle_grid,
+    add_angle_quarter_turns,
 )
 from graphtrack.model.terms.pose_classes import (
-    add_class_quarters,
+    add_class_grid,
+    add_class_quarter_turns,
     add_classes,
-    add_classes_over,
     class_densities,
 )
 from graphtrack.model.terms.position import (
@@ -498,7 +498,7 @@ def cut(frame: Any) -> None:
 
 
 @compiled
-def set_quarters(
+def set_quarter_turns(
     problem: Problem,
     track: int,
     k: int,
@@ -522,7 +522,7 @@ def set_quarters(
         body[q] = head[q] = 0.0 * body_cos
     gate = frame.body_kappa > 0.0
     if any_of(gate):
-        add_angle_quarters(
+        add_angle_quarter_turns(
             frame.seen_body_cos,
             frame.seen_body_sin,
             frame.body_kappa,
@@ -533,7 +533,7 @@ def set_quarters(
         )
     gate = frame.body_class_kappa > 0.0
     if any_of(gate):
-        add_class_quarters(
+        add_class_quarter_turns(
             body_cos,
             body_sin,
             problem.body_heights[place],
@@ -544,7 +544,7 @@ def set_quarters(
         )
     gate = frame.head_kappa > 0.0
     if any_of(gate):
-        add_angle_quarters(
+        add_angle_quarter_turns(
             frame.seen_head_cos,
             frame.seen_head_sin,
             frame.head_kappa,
@@ -555,7 +555,7 @@ def set_quarters(
         )
     gate = frame.head_class_kappa > 0.0
     if any_of(gate):
-        add_class_quarters(
+        add_class_quarter_turns(
             head_cos,
             head_sin,
             problem.head_heights[place],
@@ -566,7 +566,7 @@ def set_quarters(
         )
     gate = frame.motion_body_kappa > 0.0
     if any_of(gate):
-        add_motion_quarters(
+        add_motion_quarter_turns(
             state,
             frame.motion_body_kappa,
             shared.speed_threshold,
@@ -615,7 +615,7 @@ def set_quarters(
 
 
 @allocating
-def add_over(
+def add_grid_costs(
     problem: Problem,
     track: int,
     states: FloatArray,
@@ -645,7 +645,7 @@ def add_over(
         frame = problem.records[place]
         gate = frame.body_kappa > 0.0
         if any_of(gate):
-            add_angle_over(
+            add_angle_grid(
                 frame.seen_body_cos,
                 frame.seen_body_sin,
                 frame.body_kappa,
@@ -656,7 +656,7 @@ def add_over(
             )
         gate = frame.body_class_kappa > 0.0
         if any_of(gate):
-            add_classes_over(
+            add_class_grid(
                 problem.body_heights[place],
                 of_body_class_kappa,
                 frame.body_class_kappa,
@@ -665,7 +665,7 @@ def add_over(
             )
         gate = frame.head_kappa > 0.0
         if any_of(gate):
-            add_angle_over(
+            add_angle_grid(
                 frame.seen_head_cos,
                 frame.seen_head_sin,
                 frame.head_kappa,
@@ -676,7 +676,7 @@ def add_over(
             )
         gate = frame.head_class_kappa > 0.0
         if any_of(gate):
-            add_classes_over(
+            add_class_grid(
                 problem.head_heights[place],
                 of_head_class_kappa,
                 frame.head_class_kappa,
@@ -685,7 +685,7 @@ def add_over(
             )
         gate = frame.motion_body_kappa > 0.0
         if any_of(gate):
-            add_motion_over(
+            add_motion_grid(
                 state,
                 frame.motion_body_kappa,
                 shared.speed_threshold,

@@ -94,7 +94,7 @@ def add_body_follows_motion(
 
 
 @compiled
-def add_motion_over(
+def add_motion_grid(
     state: FloatArray,
     motion_body_kappa: float,
     speed_threshold: float,
@@ -114,7 +114,7 @@ def add_motion_over(
 
 
 @compiled
-def add_motion_quarters(
+def add_motion_quarter_turns(
     state: FloatArray,
     motion_body_kappa: float,
     speed_threshold: float,
@@ -142,7 +142,7 @@ ADD_BODY_FOLLOWS_MOTION = Kernel(
     gate="motion_body_kappa",
     variables=("velocity", "body"),
     switched=True,
-    search=Search(add_motion_over, add_motion_quarters),
+    search=Search(add_motion_grid, add_motion_quarter_turns),
 )
 
 

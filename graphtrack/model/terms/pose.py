@@ -32,9 +32,9 @@ from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.term import Term, Variable
 from graphtrack.model.terms.pose_classes import (
-    add_class_quarters,
+    add_class_quarter_turns,
     add_classes,
-    add_classes_over,
+    add_class_grid,
     class_densities,
 )
 from graphtrack.tracks import Track
@@ -101,7 +101,7 @@ def add_angle(
 
 
 @compiled
-def add_angle_over(
+def add_angle_grid(
     mean_cos: float,
     mean_sin: float,
     kappa: float,
@@ -116,7 +116,7 @@ def add_angle_over(
 
 
 @compiled
-def add_angle_quarters(
+def add_angle_quarter_turns(
     mean_cos: float, mean_sin: float, kappa: float, uniform: float, cos: float, sin: float, cost: FloatArray
 ) -> None:
     """The same at a direction and one, two and three quarters on, of which two cosines are all."""
@@ -141,14 +141,14 @@ def _observed(name: Variable) -> tuple[Kernel, Kernel]:
             f"{name}_kappa",
             (name,),
             names=names | angle,
-            search=Search(add_angle_over, add_angle_quarters),
+            search=Search(add_angle_grid, add_angle_quarter_turns),
         ),
         Kernel(
             add_classes,
             f"{name}_class_kappa",
             (name,),
             names=names | classes,
-            search=Search(add_classes_over, add_class_quarters, class_densities),
+            search=Search(add_class_grid, add_class_quarter_turns, class_densities),
         ),
     )
 

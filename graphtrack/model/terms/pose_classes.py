@@ -75,7 +75,7 @@ def class_densities(cos: FloatArray, sin: FloatArray, directions: FloatArray) ->
 
 
 @compiled
-def add_classes_over(
+def add_class_grid(
     heights: FloatArray, prepared: FloatArray, kappa: float, doubt: float, cost: FloatArray
 ) -> None:
     """What class likelihoods cost at each of many directions, from the classes' densities there."""
@@ -89,7 +89,7 @@ def add_classes_over(
 
 
 @compiled
-def add_class_quarters(
+def add_class_quarter_turns(
     cos: float,
     sin: float,
     heights: FloatArray,
