@@ -28,17 +28,17 @@ from graphtrack.inference.chain.covariance import spread_newest
 from graphtrack.inference.chain.elimination import Workspace, assign, workspace
 from graphtrack.inference.chain.newton import as_variable
 from graphtrack.inference.chain.window_kernels import (
-    predict_newest,
     from_frame,
     marginalise_oldest,
+    predict_newest,
     solve_window,
     the_only,
 )
 from graphtrack.inference.chain.windows import (
     ADDS,
-    PREDICTED,
     LEAVE,
     NOTHING,
+    PREDICTED,
     SEARCHES,
     SLOT,
     SOLVES,

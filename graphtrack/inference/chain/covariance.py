@@ -114,7 +114,8 @@ def spread_track(
 ) -> None:
     """Add to the covariances (n, 6, 6) of the only track what the modes of both couplings leave open.
 
-    ``spread`` (n, 2) is that of `coupling_modes.renew_couplings`, and the states are those found with its couplings.
+    ``spread`` (n, 2) is that of `coupling_modes.renew_couplings`; the states are those found with its
+    couplings.
     """
     full = as_variable(True)
     workspace.length[0] = n

@@ -15,7 +15,7 @@ from graphtrack.inference.chain.advance import advance, advance_with_modes
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.slots import Slot, blocks_of
-from graphtrack.inference.chain.windows import AS_SET, PREDICTED, NOTHING, Advanced, room_for, rules_of
+from graphtrack.inference.chain.windows import AS_SET, NOTHING, PREDICTED, Advanced, room_for, rules_of
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.state import FAILURES, Angles, Newest, Window
 from graphtrack.model import Model, Step

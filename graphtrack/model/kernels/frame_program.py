@@ -1,9 +1,9 @@
 """Frame programs: the kernels of some terms, called one after another, and which one a problem has.
 
-Compiled code calls `add_frame`, `cut`, `set_quarter_turns` and `add_grid_costs`. Their implementation is chosen where
-the call is compiled, by the type of the problem's records: that of the package's terms in `program`, or one
-that was generated for terms of a user's own. So a solver is compiled once more for such terms, from the same
-source.
+Compiled code calls `add_frame`, `cut`, `set_quarter_turns` and `add_grid_costs`. Their implementation is
+chosen where the call is compiled, by the type of the problem's records: that of the package's terms in
+`program`, or one that was generated for terms of a user's own. So the solver is compiled once more for such
+terms, from the same source.
 """
 
 from __future__ import annotations

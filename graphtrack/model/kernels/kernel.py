@@ -18,11 +18,12 @@ class Search:
 
     Attributes
     ----------
-    add_grid_costs : compiled; adds to ``cost`` (n,) what the kernel costs at the directions ``cos``, ``sin`` (n,)
+    add_grid_costs : compiled; adds to ``cost`` (n,) what the kernel costs at the directions ``cos``, ``sin``
+        (n,)
     add_quarter_turns : compiled; the same of a direction ``cos``, ``sin`` and those one, two and three
         quarters on, ``cost`` (4,), where there is a quicker way
-    prepare : compiled; from the directions of a grid ``cos``, ``sin`` what ``add_grid_costs`` takes as ``prepared``
-        for every frame
+    prepare : compiled; from the directions of a grid ``cos``, ``sin`` what ``add_grid_costs`` takes as
+        ``prepared`` for every frame
     """
 
     add_grid_costs: Function

@@ -32,9 +32,9 @@ from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.term import Term, Variable
 from graphtrack.model.terms.pose_classes import (
+    add_class_grid,
     add_class_quarter_turns,
     add_classes,
-    add_class_grid,
     class_densities,
 )
 from graphtrack.tracks import Track
