@@ -141,36 +141,59 @@ def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
 
 @allocating
 def advance(
-    windows: Windows, people: NDArray[np.int64], guesses: FloatArray, rules: Rules, advanced: Advanced
+    windows: Windows,
+    people: NDArray[np.int64],
+    guesses: FloatArray,
+    rules: Rules,
+    gait: Any,
+    advanced: Advanced,
 ) -> None:
     """Take one observation more, or what was changed, into each of some windows of a block.
+
+    Predict the new frame, infer the coupling modes, solve the window, report its newest frame, and marginalise
+    the oldest ones.
 
     Parameters
     ----------
     people : (P, 6) what is to be done; the new frames' records stand in the rows after their windows' last
     guesses : (P, 2) as in `predict_state`
     rules : of all of them
+    gait : parameters of the coupling modes; None without
     advanced : filled in
     """
     size = windows.states.shape[1]
     memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
-    keeps, lags = as_variable(True), np.empty(5)
+    # Coupling modes renew the couplings of all frames: none are kept as they were factored.
+    keeps, lags, modes = as_variable(gait is None), np.empty(5), mode_memory(0 if gait is None else size)
     for p in range(len(people)):
-        slot = people[p, SLOT]
+        person, slot = people[p], people[p, SLOT]
         problem, states, own = (
             problem_in(windows, slot),
             windows.states[slot],
             memory_in(windows, slot, memory),
         )
-        kept = add_newest(problem, states, people[p, ADDS], guesses[p], before)
-        advanced.fine[p] = solve_or_restore(
-            problem, states, people[p], keeps, rules, own, before[:kept], covariance
-        )
-        if not advanced.fine[p]:
-            continue
-        report(windows, slot, rules, covariance, lags, p, advanced)
-        for _ in range(people[p, LEAVE]):
-            marginalise_oldest(problem, states, own)
+        kept = add_newest(problem, states, person[ADDS], guesses[p], before)
+        if gait is not None:
+            classified = infer_couplings(windows, person, problem, states, own, gait, modes)
+            report_couplings(problem, modes, p, advanced)
+        if person[SOLVES] != 0:
+            fine = solve_or_restore(problem, states, person, keeps, rules, own, before[:kept], covariance)
+            advanced.fine[p] = fine
+            if not fine:
+                continue
+            if gait is not None:
+                begin, end = problem.offsets[0], problem.offsets[1]
+                clear_matrix(advanced.spread[p])
+                here, factors = states[begin:end], from_frame(own, begin)
+                spread_newest(problem, end - begin, here, modes.spread, factors, advanced.spread[p])
+            report(windows, slot, rules, covariance, lags, p, advanced)
+            for k in range(person[LEAVE]):
+                marginalise_oldest(problem, states, own)
+                if gait is not None:
+                    normalise(modes.filtered_body[k], windows.modes_before[slot, BODY_MODE])
+                    normalise(modes.filtered_head[k], windows.modes_before[slot, HEAD_MODE])
+        if gait is not None:
+            windows.classified[slot, 0] = classified
 
 
 @compiled
@@ -232,53 +255,24 @@ def carry_over(before: Any, after: Any, rate_seen: float) -> None:
 
 
 @allocating
-def advance_with_modes(
+def infer_couplings(
     windows: Windows,
-    people: NDArray[np.int64],
-    guesses: FloatArray,
-    rules: Rules,
+    person: NDArray[np.int64],
+    problem: Problem,
+    states: FloatArray,
+    own: Workspace,
     gait: Gait,
-    advanced: Advanced,
-) -> None:
-    """As `advance`, where the couplings have modes."""
-    size = windows.states.shape[1]
-    memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
-    # Modes renew the couplings of all frames.
-    keeps, lags, modes = as_variable(False), np.empty(5), mode_memory(size)
-    for p in range(len(people)):
-        slot = people[p, SLOT]
-        problem, states, own = (
-            problem_in(windows, slot),
-            windows.states[slot],
-            memory_in(windows, slot, memory),
-        )
-        kept = add_newest(problem, states, people[p, ADDS], guesses[p], before)
-        begin, end = problem.offsets[0], problem.offsets[1]
-        n = end - begin
-        if people[p, WARM] != 0 and people[p, ADDS] != NOTHING and n > 1:
-            # Modes are judged by states: first those that the new observation asks for.
-            carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
-            predict_newest(problem, states[begin:end], from_frame(own, begin))
-            people[p, WARM] = 0
-        classified = judge_modes(windows, slot, problem, states, gait, modes)
-        report_couplings(problem, modes, p, advanced)
-        if people[p, SOLVES] != 0:
-            advanced.fine[p] = solve_or_restore(
-                problem, states, people[p], keeps, rules, own, before[:kept], covariance
-            )
-            if not advanced.fine[p]:
-                continue
-            conclude(windows, people[p], problem, states, rules, own, covariance, modes, lags, p, advanced)
-        windows.classified[slot, 0] = classified
-
-
-@allocating
-def judge_modes(
-    windows: Windows, slot: int, problem: Problem, states: FloatArray, gait: Gait, modes: ModeMemory
+    modes: ModeMemory,
 ) -> bool:
     """Renew the couplings of a window from its states; whether any of its frames has been classified."""
+    slot, begin, end = person[SLOT], problem.offsets[0], problem.offsets[1]
+    n, here = end - begin, states[begin:end]
+    if person[WARM] != 0 and person[ADDS] != NOTHING and n > 1:
+        # Modes are judged by states: first those that the new observation asks for.
+        carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
+        predict_newest(problem, here, from_frame(own, begin))
+        person[WARM] = 0
     classified = bool(windows.classified[slot, 0]) or is_classified(problem, the_only(problem))
-    here, n = states[problem.offsets[0] : problem.offsets[1]], problem.offsets[1] - problem.offsets[0]
     assign(modes.before, windows.modes_before[slot])
     renew_couplings(problem, the_only(problem), n, float(n), here, gait, classified, as_variable(True), modes)
     return classified
@@ -291,36 +285,6 @@ def report_couplings(problem: Problem, modes: ModeMemory, p: int, advanced: Adva
     report_modes(1, 0, modes.held[last:], advanced.modes[p : p + 1])
     for k in range(len(advanced.coupled)):
         advanced.coupled[k] = problem.records[begin + k]
-
-
-@allocating
-def conclude(
-    windows: Windows,
-    person: NDArray[np.int64],
-    problem: Problem,
-    states: FloatArray,
-    rules: Rules,
-    own: Workspace,
-    covariance: FloatArray,
-    modes: ModeMemory,
-    lags: FloatArray,
-    p: int,
-    advanced: Advanced,
-) -> None:
-    """Report the newest frame of a solved window, and condense its oldest frames.
-
-    ``covariance`` is that of the newest frame, ``modes`` are from `coupling_modes.renew_couplings`.
-    """
-    slot = person[SLOT]
-    begin, end = problem.offsets[0], problem.offsets[1]
-    clear_matrix(advanced.spread[p])
-    memory = from_frame(own, begin)
-    spread_newest(problem, end - begin, states[begin:end], modes.spread, memory, advanced.spread[p])
-    report(windows, slot, rules, covariance, lags, p, advanced)
-    for k in range(person[LEAVE]):
-        marginalise_oldest(problem, states, own)
-        normalise(modes.filtered_body[k], windows.modes_before[slot, BODY_MODE])
-        normalise(modes.filtered_head[k], windows.modes_before[slot, HEAD_MODE])
 
 
 @compiled

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.advance import advance, advance_with_modes
+from graphtrack.inference.chain.advance import advance
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.slots import Slot, blocks_of
@@ -356,11 +356,8 @@ def _called(
     shown = len(first._steps) + (adds > 0) if first._show_coupled else 0
     advanced = room_for(n, np.empty(shown, first._program.types.frame))
     block, people = first._slot.block.windows, np.array(to_do)
-    if first._model.has_modes:
-        gait = gait_of_model(first._model)
-        advance_with_modes(block, people, guesses, first._rules, gait, advanced)
-    else:
-        advance(block, people, guesses, first._rules, advanced)
+    gait = gait_of_model(first._model) if first._model.has_modes else None
+    advance(block, people, guesses, first._rules, gait, advanced)
     return advanced
 
 
