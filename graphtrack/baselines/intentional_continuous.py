@@ -19,9 +19,6 @@ from graphtrack.model.parameters import Parameters
 from graphtrack.model.terms.intentional_motion import steered_step
 from graphtrack.tracks import Track
 
-HEAD_RATE = 2.0
-"""λ in 1/s at which the head draws the velocity, learned on turning walks."""
-
 
 def intentional_transition(
     dt: float, rate: FloatArray, velocity: FloatArray, head: FloatArray, density: float
@@ -54,7 +51,7 @@ def steer(
     t: FloatArray,
     variance: FloatArray,
     parameters: Parameters,
-    rate: float = HEAD_RATE,
+    rate: float | None = None,
 ) -> FilteredStates:
     """Filter m tracks of n steps that share their times.
 
@@ -65,13 +62,14 @@ def steer(
     t : (n,) seconds
     variance : (m, n) of each axis of the positions, m²
     parameters : their motion is used
-    rate : λ in 1/s
+    rate : λ in 1/s; by default the parameters' ``motion.head_rate``
 
     Raises
     ------
     InputError
         If the rate is negative or not finite.
     """
+    rate = parameters.motion.head_rate if rate is None else rate
     if not (np.isfinite(rate) and rate >= 0.0):
         raise InputError(f"rate = {rate!r}", "a number in 1/s, at least 0")
     motion = parameters.motion
@@ -85,7 +83,7 @@ def steer(
     return filter_tracks(position, variance, motion.initial_speed_std**2, transition)
 
 
-def intentional_states(track: Track, parameters: Parameters, rate: float = HEAD_RATE) -> FilteredStates:
+def intentional_states(track: Track, parameters: Parameters, rate: float | None = None) -> FilteredStates:
     """Filtered and predicted states of one track (m = 1), with the log-likelihood of the innovations.
 
     Raises
@@ -102,7 +100,9 @@ def intentional_states(track: Track, parameters: Parameters, rate: float = HEAD_
     return steer(track.position[None], head[None], track.t, variance[None], parameters, rate)
 
 
-def intentional_tracker(track: Track, parameters: Parameters | None = None, rate: float = HEAD_RATE) -> Track:
+def intentional_tracker(
+    track: Track, parameters: Parameters | None = None, rate: float | None = None
+) -> Track:
     """Online estimates of position and velocity from positions and the head, each from the past alone."""
     parameters = Parameters() if parameters is None else parameters
     states = intentional_states(track, parameters, rate)
