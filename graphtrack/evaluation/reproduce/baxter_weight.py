@@ -166,7 +166,8 @@ def fitted(source: Source, method: str, evaluations: int, progress: Progress) ->
     """A constant rate and rates that grow and fall with the deviation, each as likely as it can be on the
     source's tracks to fit on.
 
-    The searches of the rates that change begin at the best constant one.
+    The searches of the rates that change begin at the best constant one of the first round; all have a second
+    round, as long as each other's.
     """
     graph = method == GRAPH
 
@@ -179,7 +180,7 @@ def fitted(source: Source, method: str, evaluations: int, progress: Progress) ->
         return graph_nats(tracks, density, factor, rate, 8 if fast and len(tracks[0]) > 100 else 1 + fast)
 
     found: dict[str, Found] = {}
-    start: tuple[float, ...] = (0.2, 3.0, 2.0) if graph else (0.2, 2.0)
+    start: tuple[float, ...] = (0.2, 3.0, 0.5) if graph else (0.2, 0.5)
     for weight, sign in WEIGHTS.items():
 
         def cost(*values: float, sign: float = sign) -> float:
@@ -187,9 +188,11 @@ def fitted(source: Source, method: str, evaluations: int, progress: Progress) ->
             return -float(np.nanmean(nats(source.fitted, sign, values, True)))
 
         begin = start if weight == CONSTANT else (*start, GROWTH, OFFSET)
-        best = fit(cost, begin, evaluations=evaluations * (1 if weight == CONSTANT else 2))
+        best = fit(cost, begin, evaluations=evaluations)
         if weight == CONSTANT:
             start = best
+        # Once more from there, so that no weight is ahead for having been searched for longer.
+        best = fit(cost, best, evaluations=2 * evaluations)
         rest = best[2:] if graph else best[1:]
         found[weight] = Found(_rate(source, sign, rest), nats(source.judged, sign, best, False))
     return found
@@ -300,7 +303,7 @@ def _figure(results: Mapping[tuple[str, str], Mapping[str, Found]]) -> Figure:
 def work(settings: Settings) -> int:
     """Evaluations of all searches."""
     found = 5 if settings.recording(*MOCAP) else 2
-    return found * len(METHODS) * 5 * _evaluations(settings)
+    return found * len(METHODS) * 9 * _evaluations(settings)
 
 
 EXPERIMENT = Experiment(
