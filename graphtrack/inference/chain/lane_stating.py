@@ -12,6 +12,7 @@ from graphtrack.inference.chain.stating import Added, Stating, across, added, st
 from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.lanes import LANES, load, store
 from graphtrack.model.kernels.layout import BODY, HEAD
+from graphtrack.model.kernels.vector_math import of_lanes  # noqa: F401  (math.exp of lanes)
 
 
 @allocating
