@@ -16,11 +16,8 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, unit
 from graphtrack.inference.initial import observed_vectors, require_position
 from graphtrack.model.parameters import Parameters
-from graphtrack.model.terms.intentional_motion import steered_step
+from graphtrack.model.terms.intentional_motion import HEAD_RATE, head_rates, steered_step
 from graphtrack.tracks import Track
-
-HEAD_RATE = 2.0
-"""λ in 1/s at which the head draws the velocity, learned on turning walks."""
 
 
 def intentional_transition(
@@ -54,7 +51,7 @@ def steer(
     t: FloatArray,
     variance: FloatArray,
     parameters: Parameters,
-    rate: float = HEAD_RATE,
+    rate: float | FloatArray | None = None,
 ) -> FilteredStates:
     """Filter m tracks of n steps that share their times.
 
@@ -65,28 +62,32 @@ def steer(
     t : (n,) seconds
     variance : (m, n) of each axis of the positions, m²
     parameters : their motion is used
-    rate : λ in 1/s
+    rate : λ in 1/s, one or (m, n) of the steps that lead to the frames; by default the parameters'
+        ``motion.head_rate``
 
     Raises
     ------
     InputError
         If the rate is negative or not finite.
     """
-    if not (np.isfinite(rate) and rate >= 0.0):
-        raise InputError(f"rate = {rate!r}", "a number in 1/s, at least 0")
     motion = parameters.motion
+    rates = np.broadcast_to(motion.head_rate if rate is None else rate, head.shape)
+    if not (np.isfinite(rates) & (rates >= 0.0)).all():
+        raise InputError(f"rate = {rate!r}", "numbers in 1/s, at least 0")
 
     def transition(k: int, mean: FloatArray) -> Transition:
         seen = head[:, k - 1]
-        own = np.where(np.isfinite(seen), rate, 0.0)
+        own = np.where(np.isfinite(seen), rates[:, k], 0.0)
         dt = float(t[k] - t[k - 1])
         return intentional_transition(dt, own, mean[:, 2:], seen, motion.acceleration_density)
 
     return filter_tracks(position, variance, motion.initial_speed_std**2, transition)
 
 
-def intentional_states(track: Track, parameters: Parameters, rate: float = HEAD_RATE) -> FilteredStates:
+def intentional_states(track: Track, parameters: Parameters, rate: float | None = None) -> FilteredStates:
     """Filtered and predicted states of one track (m = 1), with the log-likelihood of the innovations.
+
+    Without a ``rate`` in 1/s it is the parameters', or the track's input `HEAD_RATE` where it has one.
 
     Raises
     ------
@@ -99,10 +100,13 @@ def intentional_states(track: Track, parameters: Parameters, rate: float = HEAD_
     vectors = observed_vectors(track, "head")
     head = np.where(np.isfinite(vectors).all(axis=1), direction(vectors), np.nan)
     variance = position_std(track, parameters) ** 2
-    return steer(track.position[None], head[None], track.t, variance[None], parameters, rate)
+    rates = head_rates(track.input(HEAD_RATE), parameters.motion.head_rate) if rate is None else rate
+    return steer(track.position[None], head[None], track.t, variance[None], parameters, rates)
 
 
-def intentional_tracker(track: Track, parameters: Parameters | None = None, rate: float = HEAD_RATE) -> Track:
+def intentional_tracker(
+    track: Track, parameters: Parameters | None = None, rate: float | None = None
+) -> Track:
     """Online estimates of position and velocity from positions and the head, each from the past alone."""
     parameters = Parameters() if parameters is None else parameters
     states = intentional_states(track, parameters, rate)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -86,8 +87,10 @@ def compare(
         typer.Option(
             "--methods",
             help="Comma-separated: kf, intentional, intentional-printed, intentional-consistent, particle, "
-            "rts, ffbs, smoother, chain, isam2, fixed-lag; by default kf,rts,smoother,chain,isam2. With "
-            "--truth: associate, hungarian, bytetrack, ocsort; by default the first two.",
+            "rts, ffbs, smoother, chain, isam2, fixed-lag; by default chain, isam2, kf, intentional, "
+            "intentional-printed, particle, smoother, rts. The others are compared with the first online and "
+            "the first offline method, track by track. With --truth: associate, hungarian, bytetrack, "
+            "ocsort; by default the first two.",
             show_default=False,
         ),
     ] = None,
@@ -245,6 +248,7 @@ def print_comparison(comparison: Comparison) -> None:
         for method, group in groups.items()
     ]
     print_table("Medians over the tracks", errors)
+    print_differences(comparison)
     consistency = [
         {
             "method": row["method"],
@@ -258,6 +262,25 @@ def print_comparison(comparison: Comparison) -> None:
     ]
     print_table("Consistency: are the uncertainties honest?", consistency)
     console.print(comparison.caption, markup=False)
+
+
+def print_differences(comparison: Comparison) -> None:
+    """Paired differences from the first method of each group, with their intervals."""
+    columns = {row["metric"]: f"{row['metric']}\n({row['unit']})" for row in comparison.differences}
+    cells = {(row["method"], row["metric"]): _interval(row) for row in comparison.differences}
+    pairs = dict.fromkeys((row["method"], row["reference"]) for row in comparison.differences)
+    rows: list[dict[str, Any]] = [
+        {"difference": f"{method} − {reference}"}
+        | {heading: cells.get((method, metric)) for metric, heading in columns.items()}
+        for method, reference in pairs
+    ]
+    if rows:
+        print_table("Paired differences on the same tracks: mean, 95 % interval; below 0 it is better", rows)
+
+
+def _interval(row: Mapping[str, Any]) -> str:
+    value = f"{row['difference']:+.3g}"
+    return value if math.isnan(row["low"]) else f"{value} [{row['low']:+.3g}, {row['high']:+.3g}]"
 
 
 def print_reliability(comparison: Comparison) -> None:

@@ -22,12 +22,12 @@ from graphtrack.behaviour import warm
 from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.cli.console import console, counted, progress_bar
 from graphtrack.cli.detections import Frame, Scenes
-from graphtrack.cli.saving import Answering, Saving, saved_setting, settings_of
+from graphtrack.cli.saving import Answering, Saving, saved_settings, settings_of
 from graphtrack.cli.state_file import StateFile
 from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour
 from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
-from graphtrack.cli.stream_names import ORIGIN, Lines, StreamNames, with_first_row
+from graphtrack.cli.stream_names import Lines, Refuse, StreamNames, with_first_row
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import CONVERSATIONS, Conversations
@@ -131,7 +131,7 @@ def track_stream(
     def answering(lines: Lines, are_detections: bool | None) -> tuple[Lines, Answering, Restore]:
         """Who answers; what the first row is decides where nobody has said it."""
         if are_detections is None:
-            lines, are_detections = _first_is_detection(lines)
+            lines, are_detections = _first_is_detection(lines, refuse)
         if not are_detections:
             ahead = None if horizon is None else times_ahead(*horizon)
             forecasts = None if ahead is None else FrameForecasts(ahead)
@@ -168,27 +168,42 @@ def track_stream(
         if copy is not None:
             copy(names.since_then(row))
 
+    nobody = People(partial(OnlineSmoother, model, **options), fps)
+
+    def refuse(number: int, line: bytes) -> None:
+        for row in nobody.answers(number, line):
+            tell(row)
+        listener.answered(nobody)
+        listener.all_answered()
+
+    def answered_by(lines: Lines, people: Answering, saving: Saving | None, there: Lines) -> tuple[int, int]:
+        """Answer the lines, after those that were refused before it was known by whom."""
+        rows, wrong = _answer(lines, people, saving, listener, tell, _is_here(there))
+        return rows + nobody.rows, wrong + nobody.rows
+
     known = {"never": False, "always": True}.get(associate)
     told = asked is not None or model.has_groups
     warm_up(model, chosen, behaviour=told, forecasts=horizon is not None)
     if state is None:
         there = lines_of(stream, 1)
-        lines, names = names.beginning(there)
+        lines, names = names.beginning(there, refuse, listener.note)
         lines, rows, _ = answering(names.native_lines(lines), known)
-        return _answer(lines, rows, None, listener, tell, _is_here(there))
+        return answered_by(lines, rows, None, there)
     with closing(StateFile(state, save_every)) as file:
         settings = settings_of(model, chosen, lag, fps, camera)
         incoming: Lines = iter(())
         lines = incoming
         if file.entries:
-            known = bool(saved_setting(file, "detections")) if known is None else known
-            origin = saved_setting(file, ORIGIN)
-            names = names.counting_from(origin if isinstance(origin, int) else 0)
+            saved = saved_settings(file)
+            known = bool(saved.get("detections")) if known is None else known
+            names = names.going_on(saved)
         else:
             incoming = lines_of(stream, 1)
-            lines, names = names.beginning(incoming)
+            lines, names = names.beginning(incoming, refuse, listener.note)
             lines = names.native_lines(lines)
         lines, rows, restore = answering(lines, known)
+        # Rows that were refused before anything was kept count.
+        rows.rows, rows.line = nobody.rows, nobody.line
         # GTSAM does not give away what iSAM2 knows: it has to see every row again.
         every = None if chosen == "isam2" else save_every
         settings |= {"detections": True} if isinstance(rows, Scenes) else {}
@@ -202,14 +217,14 @@ def track_stream(
             lines = names.native_lines(incoming)
         else:
             saving.begin()
-        answered = _answer(lines, rows, saving, listener, tell, _is_here(incoming))
+        answered = answered_by(lines, rows, saving, incoming)
         saving.finish()
     return answered
 
 
-def _first_is_detection(lines: Lines) -> tuple[Lines, bool]:
-    """The lines, and whether the first of them that can be used says nothing of whom it is."""
-    lines, given = with_first_row(lines)
+def _first_is_detection(lines: Lines, refuse: Refuse) -> tuple[Lines, bool]:
+    """The lines, and whether the first of them that can be read says nothing of whom it is."""
+    lines, given = with_first_row(lines, refuse)
     return lines, given is not None and ("end" in given or given.get("track_id") in (None, -1))
 
 

@@ -248,11 +248,11 @@ def _rows_of(entry: Any, rows: int, line: int) -> list[tuple[int, bytes]]:
     return found
 
 
-def saved_setting(file: StateFile, name: str) -> Any:
-    """A setting of the stream that a file is the state of; None where it does not say."""
+def saved_settings(file: StateFile) -> dict[str, Any]:
+    """The settings of the stream that a file is the state of; none where it does not say."""
     header = file.entries[0]
     settings = header.get("settings") if isinstance(header, dict) else None
-    return settings.get(name) if isinstance(settings, dict) else None
+    return settings if isinstance(settings, dict) else {}
 
 
 def settings_of(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
@@ -11,7 +11,9 @@ from typing import Any
 from graphtrack.cli.stream import text_of
 from graphtrack.errors import InputError
 from graphtrack.io.layout import Layout
+from graphtrack.io.options import ReadOptions
 from graphtrack.io.readers.ndjson import parse_line
+from graphtrack.io.tables.synonyms import with_synonyms
 from graphtrack.table import schema
 from graphtrack.table.moments import DAY, NANOSECONDS_IN
 
@@ -23,20 +25,28 @@ numbers are whole again."""
 ORIGIN = "time_origin"
 """The origin's name among the settings of a state."""
 
+KNOWN = "known_names"
+"""The name there of whether columns were read by their well-known names."""
+
 Lines = Iterator[tuple[int, bytes]]
 """Lines with their numbers, from 1."""
 
 
-def with_first_row(lines: Lines) -> tuple[Lines, dict[str, Any] | None]:
-    """The lines, and the cells of the first of them that can be read; None if there is none."""
-    read: list[tuple[int, bytes]] = []
-    for line in lines:
-        read.append(line)
+Refuse = Callable[[int, bytes], None]
+"""Answers a line that cannot be read, given its number, before it is settled who answers the others."""
+
+
+def with_first_row(lines: Lines, refuse: Refuse) -> tuple[Lines, dict[str, Any] | None]:
+    """The lines from the first that can be read, and its cells; None if there is none.
+
+    Those before it are refused as they come: who sends them may wait for an answer before going on.
+    """
+    for number, line in lines:
         try:
-            return chain(read, lines), dict(parse_line(text_of(line[1])))
+            return chain([(number, line)], lines), dict(parse_line(text_of(line)))
         except InputError:
-            continue
-    return iter(read), None
+            refuse(number, line)
+    return iter(()), None
 
 
 @dataclass(frozen=True)
@@ -48,11 +58,13 @@ class StreamNames:
     columns : name in the native table → name in the stream
     unit : nanoseconds of a unit of time; those of a second leave times as they are
     origin : nanoseconds at t = 0; see `beginning`
+    are_known : whether the columns were read by their well-known names, since nobody said what they are
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     unit: int = NANOSECONDS_IN["s"]
     origin: int = 0
+    are_known: bool = False
 
     @classmethod
     def of(cls, layout: Layout) -> StreamNames:
@@ -74,20 +86,53 @@ class StreamNames:
             raise InputError("--units or --crs with -", "rows in metres")
         return cls(dict(layout.columns), NANOSECONDS_IN[unit])
 
-    def beginning(self, lines: Lines) -> tuple[Lines, StreamNames]:
-        """The lines, and the names with the origin that the first of them that can be read implies.
+    def beginning(
+        self, lines: Lines, refuse: Refuse, note: Callable[[str], None]
+    ) -> tuple[Lines, StreamNames]:
+        """The lines, and the names and the origin that the first of them that can be read implies.
 
-        The seconds of a stream count from the midnight (UTC) before it. That is taken off while times are
-        whole numbers: a double that counts from 1970 has no digits left below a microsecond.
+        Columns of well-known names (`synonyms.SYNONYMS`) are read as in a file, unless it was said which
+        columns are which; ``note`` is told of it. The seconds of a stream that has another unit count from
+        the midnight (UTC) before it. That is taken off while times are whole numbers: a double that counts
+        from 1970 has no digits left below a microsecond.
+
+        Raises
+        ------
+        InputError
+            If two columns have well-known names of one meaning, or one in another unit than metres.
         """
-        if self._leaves_times:
-            return lines, self
-        lines, given = with_first_row(lines)
+        lines, given = with_first_row(lines, refuse)
         if given is None:
             return lines, self
-        time = next((given[name] for name in map(self._name, _TIMES) if _is_number(given.get(name))), 0)
-        since = time * self.unit
-        return lines, self.counting_from(int(since) // DAY * DAY if 0 < since < 2**63 else 0)
+        names = self._with_synonyms(list(given), note)
+        if names._leaves_times:
+            return lines, names
+        time = next((given[name] for name in map(names._name, _TIMES) if _is_number(given.get(name))), 0)
+        since = time * names.unit
+        return lines, names.counting_from(int(since) // DAY * DAY if 0 < since < 2**63 else 0)
+
+    def _with_synonyms(self, given: list[str], note: Callable[[str], None]) -> StreamNames:
+        if self.columns:
+            return self
+        unit = None if self._leaves_times else next(u for u, n in NANOSECONDS_IN.items() if n == self.unit)
+        found, notes = with_synonyms(given, ReadOptions(time_unit=unit))
+        for text in notes:
+            note(text)
+        layout = found.layout() if found.columns else None
+        if layout is None:
+            return self
+        if layout.units is not None:
+            raise InputError(f"column {layout.columns['x']} with -", "a column of places in metres")
+        return replace(self.of(layout), are_known=True)
+
+    def going_on(self, saved: Mapping[str, Any]) -> StreamNames:
+        """The names of a stream that goes on, given the settings of its state."""
+        names, columns, per_second = self, saved.get("columns"), saved.get("per_second")
+        if saved.get(KNOWN) is True and not self.columns and isinstance(columns, dict):
+            unit = next((n for n in NANOSECONDS_IN.values() if 1e9 / n == per_second), self.unit)
+            names = StreamNames({str(key): str(name) for key, name in columns.items()}, unit, are_known=True)
+        origin = saved.get(ORIGIN)
+        return names.counting_from(origin if isinstance(origin, int) else 0)
 
     def counting_from(self, origin: int) -> StreamNames:
         """The same, of a stream whose seconds count from so many nanoseconds."""
@@ -108,7 +153,8 @@ class StreamNames:
     def settings(self) -> dict[str, Any]:
         """What the answers depend on, for a state."""
         found: dict[str, Any] = {"columns": dict(self.columns), "per_second": 1e9 / self.unit}
-        return found | {ORIGIN: self.origin} if self.origin else found
+        found |= {ORIGIN: self.origin} if self.origin else {}
+        return found | ({KNOWN: True} if self.are_known else {})
 
     def native_lines(self, lines: Lines) -> Lines:
         """Lines with their numbers, as the native table has them."""

@@ -20,7 +20,7 @@ from graphtrack.cli.console import printable
 from graphtrack.errors import GraphtrackError
 from graphtrack.tracks import STATE, Track
 from graphtrack.viewer.behaviour import arrange_groups, show_forecasts, show_ground, show_groups
-from graphtrack.viewer.layout import Extent, layout
+from graphtrack.viewer.layout import Extent, circles_of, layout
 from graphtrack.viewer.people import ShownPeople
 from graphtrack.viewer.recording import CLOCK_TIMES, Recording, Target, recording
 
@@ -107,13 +107,17 @@ class LiveView:
         arrange_groups(self._to)
 
     def _see(self, known: list[Row]) -> None:
-        """Remember what is said, and show more of the ground where somebody leaves what is seen of it."""
-        assert self._to is not None and self._extent is not None
+        """Remember what is said, and show the ground where it is."""
         for row in known:
             self._said.setdefault(row["t"], {})[row["track_id"]] = row
         while len(self._said) > _SAID:
             self._said.popitem(last=False)
-        extent = self._extent.around(Extent.of(_places(known)), _ROOM)
+        self._reach(Extent.of(_places(known)))
+
+    def _reach(self, seen: Extent) -> None:
+        """Show more of the ground where something leaves what is seen of it."""
+        assert self._to is not None and self._extent is not None
+        extent = self._extent.around(seen, _ROOM)
         if extent is not self._extent:
             self._extent = extent
             self._people.size = extent.size
@@ -151,6 +155,7 @@ class LiveView:
         if ahead:
             names = ("track_id", "frame", "t", "ahead", "x", "y", "radius_90")
             columns = {name: np.array([step[name] for step in ahead]) for name in names}
+            self._reach(circles_of(columns))
             show_forecasts(self._to, columns, self._people.place)
 
 

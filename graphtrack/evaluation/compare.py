@@ -17,6 +17,7 @@ from graphtrack.errors import InputError
 from graphtrack.evaluation.calibration import calibration_rows
 from graphtrack.evaluation.methods import Method, make_method
 from graphtrack.evaluation.metrics import consistency
+from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from graphtrack.evaluation.scoring import METRICS, QUANTITIES, TrackScore, score
 from graphtrack.geometry.angles import BoolArray
 from graphtrack.geometry.camera import GroundCamera
@@ -28,7 +29,8 @@ from graphtrack.tracks import Track, TrackSet
 if TYPE_CHECKING:
     from graphtrack.io.given import Given
 
-METHODS = ("kf", "rts", "smoother", "chain", "isam2")
+METHODS = ("chain", "isam2", "kf", "intentional", "intentional-printed", "particle", "smoother", "rts")
+"""Compared by default: the graph, Kalman's and the papers' filters, and the smoother of the Kalman filter."""
 
 MethodGroup = Literal["online", "offline"]
 
@@ -44,6 +46,10 @@ class Comparison:
         and 84th percentile), ``mean``, ``n`` (tracks)
     nees : one a method and quantity: ``method``, ``group``, ``quantity``, ``nees``, ``dof``, ``count``
         (tracks), ``low`` and ``high`` (95 % band), ``inside``
+    differences : one a method, except the first of its group, and metric, the time a step left out:
+        ``method``, ``group``, ``reference`` (the first method of the group), ``metric``, ``unit``,
+        ``difference`` (mean over the tracks of the method's value less the reference's on the same track),
+        ``low`` and ``high`` (95 % bootstrap interval, NaN for fewer than five tracks), ``n`` (tracks)
     calibration : one a method and quantity (position, velocity, body, head): ``method``, ``group``,
         ``model``, ``quantity``, ``nees`` per degree of freedom (1 is right) and ``nees_error`` (twice its
         standard error), ``coverage_50``, ``coverage_90``, ``coverage_95`` (shares of the truth inside those
@@ -57,6 +63,7 @@ class Comparison:
     """
 
     rows: tuple[Mapping[str, Any], ...]
+    differences: tuple[Mapping[str, Any], ...]
     nees: tuple[Mapping[str, Any], ...]
     calibration: tuple[Mapping[str, Any], ...]
     per_track: tuple[TrackScore, ...]
@@ -98,6 +105,7 @@ class Comparison:
             "models": dict(self.models),
             "occlude_seconds": self.occlude_seconds,
             "rows": [dict(row) for row in self.rows],
+            "differences": [_finite(row) for row in self.differences],
             "nees": [dict(row) for row in self.nees],
             "calibration": [dict(row) for row in self.calibration],
             "per_track": [asdict(record) for record in self.per_track],
@@ -170,6 +178,7 @@ def compare(
     pooled = common_tracks(records)
     return Comparison(
         rows=tuple(_rows(made, pooled)),
+        differences=tuple(_differences(made, pooled)),
         nees=tuple(_nees(made, pooled)),
         calibration=tuple(_calibration(made, pooled)),
         per_track=tuple(records),
@@ -272,6 +281,43 @@ def _rows(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[
             }
 
 
+def _differences(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
+    """Of each method from the first of its group that has results, on the same tracks."""
+    values = {(record.method, record.track_id): record.metrics for record in records}
+    ids = sorted({record.track_id for record in records})
+    rng = np.random.default_rng(0)
+    for group in ("online", "offline"):
+        names = [m.name for m in methods if _group(m) == group and any((m.name, i) in values for i in ids)]
+        for name in names[1:]:
+            for metric, unit in METRICS.items():
+                if metric == "time a step":
+                    continue
+                own, first = (
+                    np.array([values[one, i].get(metric, np.nan) for i in ids]) for one in (name, names[0])
+                )
+                found = bootstrap(mean_difference, own, first, rng=rng)
+                if np.isfinite(found.value):
+                    yield {
+                        "method": name,
+                        "group": group,
+                        "reference": names[0],
+                        "metric": metric,
+                        "unit": unit,
+                        "difference": found.value,
+                        "low": found.low,
+                        "high": found.high,
+                        "n": int(np.isfinite(own - first).sum()),
+                    }
+
+
+def _finite(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The row with None for numbers that are not finite, which JSON does not have."""
+    return {
+        key: None if isinstance(value, float) and not np.isfinite(value) else value
+        for key, value in row.items()
+    }
+
+
 def _nees(methods: Sequence[Method], records: Sequence[TrackScore]) -> Iterator[dict[str, Any]]:
     for method in methods:
         own = [record.nees for record in records if record.method == method.name]
@@ -313,6 +359,11 @@ def _caption(
         parts.append(f"Offline, from the whole track: {used['offline']}.")
     if used["online"] and used["offline"]:
         parts.append("Compare online methods with online ones and offline with offline.")
+    if max(sum(_group(m) == group for m in methods) for group in ("online", "offline")) > 1:
+        parts.append(
+            "Differences are paired: mean over the tracks of a method's value less that of the first method "
+            "of its group, with a 95 % bootstrap interval over five tracks or more."
+        )
     parts += _models_in_words(methods)
     failed = sum(bool(record.failure) for record in records)
     if failed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -19,6 +20,13 @@ _SHORTEST, _FARTHEST = 1e-5, 1e6
 """Seconds between frames, and metres from the origin, likewise."""
 
 NOT_FINITE = "the estimate is not finite"
+
+_INDETERMINATE = re.compile(
+    r"Indetermin(?:ate|ant) linear system.*?near variable\s+\d+ \(Symbol: (\w+)\)", re.DOTALL
+)
+"""How GTSAM reports that a linear system has no unique solution, with the variable."""
+_NUMERICAL = (_INDETERMINATE, re.compile("a step of the solver is not finite"))
+"""Reasons that are what an extreme input leads to."""
 
 
 def not_finite(track: Track, model: Model) -> str:
@@ -91,5 +99,11 @@ def _of_model(model: Model) -> Iterator[tuple[float, str]]:
 
 
 def _joined(reason: str, extremes: Iterable[tuple[float, str]]) -> str:
+    """The reason and the most extreme input; of a numerical reason, which that input explains, no more."""
     worst = max(extremes, default=None)
-    return reason if worst is None else f"{reason}: {worst[1]}"
+    if worst is not None:
+        return f"{NOT_FINITE if any(one.match(reason) for one in _NUMERICAL) else reason}: {worst[1]}"
+    indeterminate = _INDETERMINATE.match(reason)
+    if indeterminate is None:
+        return reason
+    return f"the linear system has no unique solution: the factors do not determine {indeterminate[1]}"

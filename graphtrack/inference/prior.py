@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -52,6 +54,27 @@ class MarginalPrior:
             values.insert(key, np.array(point) if len(point) == 2 else gtsam.Rot2(point[0]))
         return values
 
+    def firm(self, kappa: float) -> MarginalPrior:
+        """The same, but that it holds each orientation by no less than a concentration."""
+        information, place = self.information.copy(), 0
+        for point in self.point:
+            if len(point) == 1:
+                information[place, place] = max(information[place, place], kappa)
+            place += len(point)
+        return replace(self, information=information)
+
+    def turned(self, turns: Mapping[int, float], near: float) -> MarginalPrior:
+        """The same in another basin: key of an orientation → radians to there.
+
+        ``near`` is the cosine of the turn up to which an orientation is in the same basin. What the Gaussian
+        says holds about its own basin; that it is as sure of the other one is the best guess.
+        """
+        point = tuple(
+            (there[0] + turns[key],) if len(there) == 1 and math.cos(turns[key]) < near else there
+            for key, there in zip(self.keys, self.point, strict=True)
+        )
+        return replace(self, point=point)
+
     def factor(self) -> gtsam.LinearContainerFactor:
         """The factor. A linearisation point belongs to it: without one its error would be 0 everywhere."""
         sizes = [variable_dimension(key) for key in self.keys]
@@ -79,12 +102,8 @@ class MarginalPrior:
         return gtsam.LinearContainerFactor(gtsam.HessianFactor(parts), self.values())
 
 
-def marginal_prior(
-    factor: gtsam.LinearContainerFactor | None, linearization: gtsam.Values | None
-) -> MarginalPrior | None:
-    """What a marginal says that was made at a linearisation point; None for None."""
-    if factor is None or linearization is None:
-        return None
+def marginal_prior(factor: gtsam.HessianFactor, linearization: gtsam.Values) -> MarginalPrior:
+    """The prior that a marginal is, which was made at a linearisation point."""
     keys = tuple(factor.keys())
     point = tuple(
         tuple(linearization.atVector(key).tolist())
@@ -92,10 +111,9 @@ def marginal_prior(
         else (linearization.atRot2(key).theta(),)
         for key in keys
     )
-    hessian = factor.toHessian()
-    return MarginalPrior(
-        keys, point, hessian.information(), np.ravel(hessian.linearTerm()), float(hessian.constantTerm())
-    )
+    # A copy: what GTSAM returns is a view of the factor's own memory, which goes with the factor.
+    linear = np.array(factor.linearTerm()).ravel()
+    return MarginalPrior(keys, point, factor.information(), linear, float(factor.constantTerm()))
 
 
 class StatePrior(NamedTuple):
@@ -106,9 +124,14 @@ class StatePrior(NamedTuple):
     point: FloatArray
 
 
+def variable_keys(step: Step, model: Model) -> list[int]:
+    """GTSAM keys of the variables of a step, in the order of the state."""
+    return [key for key, _ in variables(step, model)]
+
+
 def on_state(prior: MarginalPrior, step: Step, model: Model) -> StatePrior:
     """A prior on the variables of a step, on its state."""
-    parts = dict(_variables(step, model))
+    parts = dict(variables(step, model))
     rows = np.concatenate([np.arange(N)[parts[key]] for key in prior.keys])
     found = StatePrior(np.zeros((N, N)), np.zeros(N), np.zeros(N))
     found.information[np.ix_(rows, rows)] = prior.information
@@ -119,22 +142,22 @@ def on_state(prior: MarginalPrior, step: Step, model: Model) -> StatePrior:
 
 def on_variables(prior: StatePrior, step: Step, model: Model) -> MarginalPrior:
     """The inverse of `on_state`."""
-    variables = _variables(step, model)
-    rows = np.concatenate([np.arange(N)[part] for _, part in variables])
+    places = variables(step, model)
+    rows = np.concatenate([np.arange(N)[part] for _, part in places])
     return MarginalPrior(
-        tuple(key for key, _ in variables),
-        tuple(tuple(prior.point[part].tolist()) for _, part in variables),
+        tuple(key for key, _ in places),
+        tuple(tuple(prior.point[part].tolist()) for _, part in places),
         prior.information[np.ix_(rows, rows)],
         prior.linear[rows],
         0.0,
     )
 
 
-def _variables(step: Step, model: Model) -> list[tuple[int, slice]]:
+def variables(step: Step, model: Model) -> list[tuple[int, slice]]:
     """GTSAM keys of a step's variables, and their places in the state."""
-    variables = [(step.position_key, PLACES["position"]), (step.velocity_key, PLACES["velocity"])]
+    found = [(step.position_key, PLACES["position"]), (step.velocity_key, PLACES["velocity"])]
     if model.has_body:
-        variables.append((step.body_key, slice(BODY, BODY + 1)))
+        found.append((step.body_key, slice(BODY, BODY + 1)))
     if model.has_head:
-        variables.append((step.head_key, slice(HEAD, HEAD + 1)))
-    return variables
+        found.append((step.head_key, slice(HEAD, HEAD + 1)))
+    return found

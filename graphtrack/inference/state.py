@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -17,6 +18,7 @@ from graphtrack.inference.observed import checked
 from graphtrack.inference.prior import MarginalPrior
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Observation, Step
+from graphtrack.model.kernels.layout import TIME_TOLERANCE
 from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text, whole
 
 STATE_VERSION = 3
@@ -111,6 +113,14 @@ def present(model: Model) -> list[int]:
     return [0, 1, 2, 3, *([4] if model.has_body else []), *([5] if model.has_head else [])]
 
 
+def leaving(steps: Sequence[Step], lag: float) -> int:
+    """How many of a window's first steps are further back from its newest than the lag (seconds)."""
+    if not steps:
+        return 0
+    horizon = steps[-1].observation.t - lag - TIME_TOLERANCE
+    return bisect_left(steps, horizon, key=lambda step: step.observation.t)
+
+
 class Estimating(Protocol):
     """What has an estimate of each step of its window."""
 
@@ -150,6 +160,19 @@ def read_step(values: gtsam.Values, step: Step, model: Model) -> tuple[float, ..
     head = values.atRot2(step.head_key).theta() if model.has_head else math.nan
     position, velocity = values.atPoint2(step.position_key), values.atVector(step.velocity_key)
     return (*position.tolist(), *velocity.tolist(), body, head)
+
+
+def values_of(steps: Sequence[Step], states: FloatArray, model: Model) -> gtsam.Values:
+    """States (n, 6) as the variables of some steps."""
+    values = gtsam.Values()
+    for step, state in zip(steps, states.tolist(), strict=True):
+        insert_step(values, step, model, state)
+    return values
+
+
+def states_of(values: gtsam.Values, steps: Sequence[Step], model: Model) -> FloatArray:
+    """The inverse of `values_of`."""
+    return np.array([read_step(values, step, model) for step in steps])
 
 
 def finite(state: Sequence[float]) -> FloatArray:

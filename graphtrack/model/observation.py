@@ -104,6 +104,12 @@ class Step:
         return Step(self.index, self.observation, None, self.dt, self.starts, self.camera)
 
     @property
+    def is_ambiguous(self) -> bool:
+        """Whether what was seen may speak for several directions, as class likelihoods do."""
+        seen = self.observation
+        return seen.body_likelihood is not None or seen.head_likelihood is not None
+
+    @property
     def position_key(self) -> int:
         """GTSAM key of the position."""
         return gtsam.symbol_shorthand.X(self.index)

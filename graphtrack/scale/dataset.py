@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -12,7 +12,9 @@ import numpy as np
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.numbers import parse_number
+from graphtrack.io.options import ReadOptions
 from graphtrack.io.readers.native_parquet import column_values, damage_told
+from graphtrack.io.tables.synonyms import with_synonyms
 from graphtrack.table import schema
 
 BLOCK = 65_536
@@ -33,17 +35,19 @@ class DataFile:
     path : of the file
     first_row : rows in the files before it
     n_rows : its rows
-    columns : the columns of the native table that it has
+    columns : the columns of the native table that it has → their names in the file
     constants : column → its one value, from folders named ``column=value``
     foreign : (name, value) of such folders whose name is no column of the native table
+    others : its columns that are none of the native table
     """
 
     path: Path
     first_row: int
     n_rows: int
-    columns: frozenset[str]
+    columns: Mapping[str, str]
     constants: Mapping[str, float | str]
     foreign: tuple[tuple[str, str], ...]
+    others: tuple[str, ...]
 
 
 @dataclass(eq=False)
@@ -56,6 +60,8 @@ class Dataset:
     files : in the order of their names
     columns : the columns that any file has, in the order of writing
     ignored : columns that are not of the native table
+    names : column of the native table → its name in the files, where that is another well-known one
+    notes : of what was read as what
     labels : what the numbers in the column ``label`` stand for; it grows as blocks are read
     """
 
@@ -63,6 +69,8 @@ class Dataset:
     files: tuple[DataFile, ...]
     columns: tuple[str, ...]
     ignored: tuple[str, ...]
+    names: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
     labels: list[str] = field(default_factory=lambda: [""])
 
     def __post_init__(self) -> None:
@@ -90,7 +98,7 @@ class Dataset:
     def _blocks_of(self, file: DataFile, columns: Sequence[str]) -> Iterator[FloatArray]:
         import pyarrow.parquet as pq
 
-        stored = [name for name in columns if name in file.columns]
+        stored = [file.columns[name] for name in columns if name in file.columns]
         row = 0
         with damage_told(file.path):
             # Without pre_buffer=False a row group's columns are fetched whole, whatever the buffer's size.
@@ -109,7 +117,7 @@ class Dataset:
                 block = np.full((n, len(columns) + 1), np.nan)
                 for place, name in enumerate(columns):
                     if name in file.columns:
-                        values = column_values(batch.column(name), name, file.path, row)
+                        values = column_values(batch.column(file.columns[name]), name, file.path, row)
                         block[:, place] = self._coded(values) if name == "label" else values
                     elif name in file.constants:
                         value = file.constants[name]
@@ -145,27 +153,52 @@ def open_dataset(path: str | Path) -> Dataset:
     """A Parquet file, or a folder with its subfolders, as one table.
 
     Files without a row are left out, and files and folders whose names begin with ``.`` or ``_``. Folders
-    named ``column=value`` give their files a column.
+    named ``column=value`` give their files a column. Columns of well-known names (`synonyms.SYNONYMS`) are
+    read as in a single file.
 
     Raises
     ------
     InputError
-        If nothing is there, a file is not Parquet or has a column twice, or no file has rows.
+        If nothing is there, a file is not Parquet or has a column twice, no file has rows, or a well-known
+        name says another unit than seconds or metres.
     """
     path = Path(path)
     files: list[DataFile] = []
-    ignored: dict[str, None] = {}
+    others: dict[str, None] = {}
     first_row = 0
     for place in _places(path):
-        file, others = _open(place, path, first_row)
-        ignored |= dict.fromkeys(others)
+        file, more = _open(place, path, first_row)
+        others |= dict.fromkeys(more)
         if file.n_rows:
             files.append(file)
             first_row += file.n_rows
     if not files:
         raise InputError("no rows", "at least one row", path=path)
-    known = frozenset().union(*(file.columns.union(file.constants) for file in files))
-    return Dataset(path, tuple(files), schema.in_order(known), tuple(ignored))
+    known = {name for file in files for name in (*file.columns, *file.constants)}
+    of_files = dict.fromkeys(name for file in files for name in file.others)
+    names, notes = _well_known([*schema.in_order(known), *of_files], path)
+    own = {name: key for key, name in names.items()}
+    files = [
+        replace(file, columns={**file.columns, **{own[name]: name for name in file.others if name in own}})
+        for file in files
+    ]
+    ignored = tuple(name for name in others if name not in own)
+    return Dataset(path, tuple(files), schema.in_order(known | {*names}), ignored, names, notes)
+
+
+def _well_known(names: list[str], path: Path) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Column of the native table → its name, where that is another well-known one; and what to say of it."""
+    found, notes = with_synonyms(names, ReadOptions(), path)
+    if not isinstance(found.columns, Mapping):
+        return {}, notes
+    for unit, key in ((found.time_unit, "t"), (found.units, "x")):
+        if unit not in (None, "s", "m"):
+            raise InputError(
+                f"column {found.columns[key]} when streaming",
+                "seconds and metres; --no-stream reads other units",
+                path=path,
+            )
+    return dict(found.columns), notes
 
 
 def _places(path: Path) -> list[Path]:
@@ -191,6 +224,7 @@ def _places(path: Path) -> list[Path]:
 
 
 def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]:
+    """A file, and the names of its columns, and of its folders, that are none of the native table."""
     import pyarrow.parquet as pq
 
     with damage_told(place), pq.ParquetFile(place) as parquet:
@@ -215,6 +249,7 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
             if number is None:
                 raise InputError(f"the folder {part}", f"a number after {name}=", path=place)
             constants[name] = number
-    columns = frozenset(filter(schema.is_column, names))
-    others = schema.unknown(names) + [name for name, _ in foreign]
-    return DataFile(place, first_row, n_rows, columns, constants, tuple(foreign)), others
+    columns = {name: name for name in names if schema.is_column(name)}
+    others = schema.unknown(names)
+    file = DataFile(place, first_row, n_rows, columns, constants, tuple(foreign), tuple(others))
+    return file, others + [name for name, _ in foreign]

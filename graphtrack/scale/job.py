@@ -166,8 +166,8 @@ def _write(
     speeds = Speeds()
     failures: list[Failure] = []
     unconverged: list[tuple[int, int]] = []
-    said = dict.fromkeys(notes)
-    with ShardWriter(path, possible_columns(dataset, work.model)) as writer:
+    said = dict.fromkeys((*dataset.notes, *notes))
+    with ShardWriter(path, possible_columns(dataset, work.model), dataset.names) as writer:
         try:
             for shard in shards:
                 writer.add(shard.columns)

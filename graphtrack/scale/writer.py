@@ -22,14 +22,16 @@ class ShardWriter:
     path : file to write, which the caller puts in its place
     columns : the columns that may come. Those that no shard had are left out in the end, which takes another
         file of the same size for a moment.
+    names : of columns that have another name in the file
     """
 
-    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+    def __init__(self, path: Path, columns: Sequence[str], names: Mapping[str, str]) -> None:
         import pyarrow as pa
 
         self.path = path
         self.n_rows = 0
-        self._schema = pa.schema([(name, _type_of(name)) for name in columns])
+        self._columns = columns
+        self._schema = pa.schema([(names.get(name, name), _type_of(name)) for name in columns])
         self._seen: set[str] = set()
         self._waiting: list[Any] = []
         self._n_waiting = 0
@@ -55,9 +57,9 @@ class ShardWriter:
             return
         self._seen |= columns.keys()
         arrays = []
-        for field in self._schema:
-            values = columns.get(field.name)
-            if values is None and field.name == "label":
+        for name, field in zip(self._columns, self._schema, strict=True):
+            values = columns.get(name)
+            if values is None and name == "label":
                 values = np.full(n, "", dtype=object)
             if values is None:
                 arrays.append(pa.nulls(n, field.type))
@@ -83,7 +85,8 @@ class ShardWriter:
         if self._n_waiting:
             self._write(self._n_waiting)
         self._file.close()
-        names = [name for name in self._schema.names if name in self._seen]
+        own = zip(self._columns, self._schema.names, strict=True)
+        names = [name for column, name in own if column in self._seen]
         if names and names != self._schema.names:
             self._leave_out_the_rest(names)
 

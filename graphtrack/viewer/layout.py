@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.viewer.people import GROUND, SERIES
@@ -31,12 +32,20 @@ class Extent:
     high: FloatArray
 
     @classmethod
-    def of(cls, position: FloatArray) -> Extent:
-        """Around the finite ones of positions (n, 2), with a margin."""
-        there = position[np.isfinite(position).all(axis=1)]
+    def of(cls, position: FloatArray, radius: FloatArray | float = 0.0) -> Extent:
+        """Around the finite ones of positions (n, 2), or of circles about them, with a margin.
+
+        Parameters
+        ----------
+        position : metres
+        radius : (n,) or one for all, metres
+        """
+        around = np.broadcast_to(radius, len(position))[:, None]
+        there = np.column_stack([position - around, position + around])
+        there = there[np.isfinite(there).all(axis=1)]
         if not len(there):
-            there = np.zeros((1, 2))
-        return cls(there.min(axis=0) - _MARGIN, there.max(axis=0) + _MARGIN)
+            there = np.zeros((1, 4))
+        return cls(there[:, :2].min(axis=0) - _MARGIN, there[:, 2:].max(axis=0) + _MARGIN)
 
     @property
     def size(self) -> float:
@@ -49,6 +58,12 @@ class Extent:
             return self
         low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         return Extent(low - room * (high - low), high + room * (high - low))
+
+
+def circles_of(forecasts: Mapping[str, NDArray[np.generic]]) -> Extent:
+    """The ground that forecasts' circles cover; columns as of `viewer.behaviour.show_forecasts`."""
+    there = np.column_stack([forecasts["x"], forecasts["y"]]).astype(float)
+    return Extent.of(there, forecasts["radius_90"].astype(float))
 
 
 def layout(

@@ -14,7 +14,7 @@ from graphtrack.report.behaviour.given import behaviour_of
 from graphtrack.report.pairing import finite_rows, observed_angle
 from graphtrack.tracks import TrackSet
 from graphtrack.viewer.behaviour import arrange_groups, show_forecasts, show_ground, show_groups
-from graphtrack.viewer.layout import Extent, layout
+from graphtrack.viewer.layout import Extent, circles_of, layout
 from graphtrack.viewer.people import ShownPeople
 from graphtrack.viewer.pictures import FrameTimes, PersonBoxes, open_frames, show_boxes, show_frames
 from graphtrack.viewer.recording import CLOCK_TIMES, Target, recording
@@ -69,6 +69,8 @@ def view(
     given = behaviour_of(tracks, groups=groups, forecast=forecast)
     frames = None if video is None else open_frames(Path(video))
     where = Extent.of(np.concatenate([track.position for track in placed]))
+    if given is not None and given.forecasts is not None:
+        where = where.around(circles_of(given.forecasts), 0.0)
     end = max(float(track.t[-1]) for track in placed)
     clock = min(float(track.t[0]) for track in placed) >= CLOCK_TIMES
     arranged = layout(where, chosen, series=_series(tracks, chosen), video=bool(frames or boxes))

@@ -23,7 +23,7 @@ from graphtrack.evaluation.reproduce.experiment import (
     Settings,
     Table,
 )
-from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference
+from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from perception.evaluation.joint_effect import LAG, METHODS, ObservedPerson, people_of, scores
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models

@@ -17,7 +17,7 @@ from graphtrack.evaluation.reproduce.experiment import (
     Settings,
     Table,
 )
-from graphtrack.evaluation.reproduce.resampling import bootstrap
+from graphtrack.evaluation.resampling import bootstrap
 from perception.reproduce.side_by_side import run_all
 from perception.reproduce.sigma_pi_runs import (
     FIXED,

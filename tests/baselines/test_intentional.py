@@ -333,6 +333,15 @@ def test_without_a_rate_it_is_the_kalman_filter_of_the_model(missing: str) -> No
     np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-9)
 
 
+def test_the_rate_is_the_parameters_unless_another_is_given() -> None:
+    track = walk(30, uneven=True)
+    for rate in (0.4, 3.0):
+        own = replace(PARAMETERS, motion=replace(PARAMETERS.motion, head_rate=rate))
+        found, expected = intentional_tracker(track, own), intentional_tracker(track, PARAMETERS, rate)
+        np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
+        np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
+
+
 def test_the_world_may_be_turned() -> None:
     track = walk(30, uneven=True)
     for angle in (0.4, 2.0):

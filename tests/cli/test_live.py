@@ -5,6 +5,7 @@ import io
 import json
 import os
 import re
+import select
 import shutil
 import subprocess
 import sys
@@ -438,3 +439,54 @@ def test_a_stream_may_have_names_and_a_unit_of_time_of_its_own(track, tmp_path, 
 def test_what_a_row_alone_cannot_be_read_by_is_refused(track, options, told):
     code, answers, said = track([], *options)
     assert code == 2 and not answers and told in said
+
+
+def test_a_row_that_cannot_be_read_is_answered_before_the_next_comes():
+    """Who waits for each answer before the next row would else wait for ever."""
+    command = [*TRACK_STREAM, "--model", "position", "--fps", "10"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        for line, expected in (
+            (b"no JSON\n", "error"),
+            (b"{}}\n", "error"),
+            (b'{"track_id": 1, "frame": 0, "x": 1, "y": 2}\n', "status"),
+            (b"no JSON\n", "error"),
+        ):
+            process.stdin.write(line)
+            process.stdin.flush()
+            ready, _, _ = select.select([process.stdout], [], [], 120.0)
+            assert ready, f"no answer to {line!r}"
+            assert expected in json.loads(process.stdout.readline())
+        process.stdin.close()
+        assert process.wait(60) == 2
+
+
+def test_rows_that_were_refused_before_the_first_count_where_a_stream_goes_on(track, tmp_path):
+    rows = [b'{"track_id": 1, "frame": %d, "x": 1, "y": 2}\n' % k for k in range(4)]
+    options = ("--model", "position", "--fps", "10", "--state", tmp_path / "state")
+    status, answers, said = track([b"no JSON\n", b"\n", b"nor this\n", *rows[:2]], *options)
+    assert status == 2 and "2 of 4 rows could not be used" in said
+    assert [json.loads(answer).get("line") for answer in answers] == [1, 3, None, None]
+    status, answers, said = track([*rows[2:], b"no JSON\n"], *options)
+    assert "after 4 rows (the last is line 5)" in said and len(answers) == 3
+    assert json.loads(answers[-1])["line"] == 8
+
+
+def test_well_known_names_last_as_long_as_the_stream(track, tmp_path):
+    def rows(frames):
+        return [
+            json.dumps({"id": 7, "time": 0.1 * k, "frame": k, "x": k, "y": 2}).encode() + b"\n"
+            for k in frames
+        ]
+
+    native = [line.replace(b'"id"', b'"track_id"').replace(b'"time"', b'"t"') for line in rows(range(6))]
+    options = ("--model", "position")
+    _, expected, _ = track(native, *options)
+    status, whole, said = track(rows(range(6)), *options)
+    assert status == 0 and said.startswith("note: read columns 'id' as track_id, 'time' as t")
+    assert [{"id": 7, **json.loads(answer)} for answer in whole] == [json.loads(answer) for answer in whole]
+    back = [answer.replace('"id"', '"track_id"').replace('"time"', '"t"') for answer in whole]
+    assert back == expected
+    options += ("--state", tmp_path / "state")
+    _, first, _ = track(rows(range(3)), *options)
+    _, second, said = track(rows(range(3, 6)), *options)
+    assert first + second == whole and "going on" in said

@@ -81,6 +81,32 @@ def test_methods_that_do_not_estimate_angles_have_no_rows_for_them(comparison: C
     )
 
 
+def test_differences_are_paired_with_the_first_method_of_each_group(comparison: Comparison) -> None:
+    by_track = {(record.method, record.track_id): record.metrics for record in comparison.per_track}
+    assert {(row["group"], row["reference"]) for row in comparison.differences} == {
+        ("online", "chain"),
+        ("offline", "smoother"),
+    }
+    ids = sorted({i for _, i in by_track})
+    for row in comparison.differences:
+        assert row["method"] != row["reference"] and row["metric"] != "time a step"
+        apart = [
+            by_track[row["method"], i][row["metric"]] - by_track[row["reference"], i][row["metric"]]
+            for i in ids
+        ]
+        assert row["difference"] == pytest.approx(np.mean(apart), abs=1e-12) and row["n"] == len(ids)
+        assert row["low"] <= row["difference"] <= row["high"]
+        assert min(apart) <= row["low"] and row["high"] <= max(apart)
+
+
+def test_the_same_method_twice_differs_by_nothing_and_few_tracks_have_no_interval(tracks: TrackSet) -> None:
+    few = tracks.with_tracks(list(tracks)[:3])
+    found = compare(few, (Echo("first"), Echo("second")))
+    (row,) = (row for row in found.differences if row["metric"] == "position RMSE")
+    assert row["difference"] == 0.0 and np.isnan(row["low"]) and np.isnan(row["high"]) and row["n"] == 3
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
 def test_the_linear_methods_are_consistent_on_their_own_model(comparison: Comparison) -> None:
     rows = {row["method"]: row for row in comparison.nees if row["quantity"] == "position"}
     assert rows["kf"]["inside"] and rows["rts"]["inside"]
@@ -110,7 +136,8 @@ def test_everything_is_ready_for_json(comparison: Comparison) -> None:
 
 def test_online_and_offline_stand_apart_and_the_caption_says_what_was_used(comparison: Comparison) -> None:
     groups = {name: {row["method"] for row in comparison.group(name)} for name in ("online", "offline")}
-    assert groups == {"online": {"kf", "chain", "isam2"}, "offline": {"rts", "smoother"}}
+    online = {"chain", "isam2", "kf", "intentional", "intentional-printed", "particle"}
+    assert groups == {"online": online, "offline": {"rts", "smoother"}}
     order = [row["group"] for row in comparison.rows]
     assert order == sorted(order, reverse=True), "online rows stand together, and first"
     for method, used in comparison.information.items():

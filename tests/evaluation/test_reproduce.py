@@ -23,7 +23,7 @@ from graphtrack.evaluation.reproduce.experiment import evenly, thinned
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.occlusion_methods import ONLINE, error_of
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
-from graphtrack.evaluation.reproduce.resampling import bootstrap, deviation, mean_difference, reduction
+from graphtrack.evaluation.resampling import bootstrap, deviation, mean_difference, reduction
 from graphtrack.inference import track_online
 from graphtrack.model import Model, MotionParameters, Parameters
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour

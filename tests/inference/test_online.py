@@ -16,7 +16,8 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth_track, track_online
-from graphtrack.inference.graph.batch import anchors, build_graph, variable_keys
+from graphtrack.inference.graph.batch import anchors, build_graph
+from graphtrack.inference.prior import marginal_prior, variable_keys
 from graphtrack.inference.recorded import as_track
 from graphtrack.inference.solution import stated
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
@@ -334,6 +335,21 @@ def test_duplicates_and_what_comes_too_late_change_nothing(engine: Any) -> None:
         assert oldest - 1e-9 <= window[0] <= oldest + 0.1 + 1e-9
 
 
+def test_a_marginal_prior_owns_its_numbers() -> None:
+    """GTSAM's linear term is a view of the factor: once that is gone, other data would stand there."""
+    step = next(iter(chain(walk(3, seed=1))))
+    values, linear = gtsam.Values(), np.array([1.0, -2.0])
+    values.insert(step.position_key, np.array([3.0, 4.0]))
+    factor = gtsam.HessianFactor(step.position_key, 5.0 * np.eye(2), linear, 0.5)
+    prior = marginal_prior(factor, values)
+    assert not np.shares_memory(prior.linear, factor.linearTerm())
+    np.testing.assert_array_equal(prior.linear, linear)
+    # ½·dᵀ·Λ·d − ηᵀ·d + ½·c, at d = (0.2, 0.1).
+    away = gtsam.Values()
+    away.insert(step.position_key, np.array([3.2, 4.1]))
+    assert prior.factor().error(away) == pytest.approx(0.5 * 5.0 * 0.05 - 0.0 + 0.5 * 0.5)
+
+
 # Failures.
 
 
@@ -416,6 +432,55 @@ def test_a_failure_after_a_gap_longer_than_the_lag_loses_nobody(engine: Any, way
     assert smoother.update(Observation(t=later, frame=way, position=seen[19].position)).status == "failed"
     for observation in seen[20:]:
         assert_same(smoother.update(observation), plain.update(observation), REBUILT[engine])
+
+
+class FailingAgain(Term):
+    """Pulls to (20, 0) at the frames 90 and up, and fails there when it is linearised a second time."""
+
+    uses: ClassVar[frozenset[Variable]] = frozenset({"body", "head"})
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        times, strength = 0, 10.0 if step.observation.frame >= 90 else 1e-3
+
+        def residual(values: gtsam.Values) -> np.ndarray:
+            return strength * (values.atPoint2(step.position_key) - np.array([20.0, 0.0]))
+
+        def linearised(values: gtsam.Values) -> tuple[np.ndarray, list[np.ndarray]]:
+            nonlocal times
+            times += 1
+            if times > 1 and step.observation.frame >= 90:
+                raise RuntimeError("once was enough")
+            return residual(values), [strength * np.eye(2)]
+
+        return [custom_factor([step.position_key], 2, residual, linearised)]
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        return 0.0
+
+
+@pytest.mark.parametrize("preset", ["joint", "full"])
+@pytest.mark.parametrize("gap", [0.1, 5.0], ids=["no gap", "a gap"])
+@pytest.mark.parametrize(("engine", "lag"), [("fixed-lag", 1.0), ("isam2", 1.0), ("isam2", None)])
+def test_a_failure_when_a_factor_is_linearised_again_leaves_no_trace(
+    engine: Any, lag: float | None, gap: float, preset: str
+) -> None:
+    """By then all steps have left the window, after a gap longer than the lag."""
+    model, seen = Model(preset, terms=[FailingAgain]), list(observations(walk(30, seed=14)))
+    smoother, plain = (OnlineSmoother(model, engine=engine, lag=lag) for _ in range(2))
+    before = run(smoother, seen[:20])[-1]
+    run(plain, seen[:20])
+    x, y = before.position + gap * before.velocity
+    failed = smoother.update(Observation(t=seen[19].t + gap, frame=90, position=(x, y)))
+    assert failed.status == "failed" and "once was enough" in failed.reason
+    assert_same(failed, before, 0.0)
+    assert smoother.window == plain.window
+    for (t, state), (expected_t, expected) in zip(smoother.history(), plain.history(), strict=True):
+        assert t == expected_t
+        np.testing.assert_allclose(state, expected, atol=1e-12)
+    exactly = lag is not None
+    for observation in seen[20:]:
+        found, expected = smoother.update(observation), plain.update(observation)
+        assert_same(found, expected, 0.0 if exactly else REBUILT[engine])
 
 
 @GTSAM_ENGINES
@@ -592,9 +657,9 @@ def damage(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
         lambda state: state["prior"].update(information=[[1.0]]),
         lambda state: state["last"].pop("covariance"),
         lambda state: state.update(next_index=None),
-        lambda state: state["arrays"].pop("states"),
-        lambda state: state["arrays"].update(states="AAAA"),
-        lambda state: state["arrays"].update(point="?"),
+        lambda state: state["arrays"].pop("search_from"),
+        lambda state: state["arrays"].update(search_from="AAAA"),
+        lambda state: state["arrays"].update(search_from="?"),
     ],
 )
 def test_damaged_states_are_refused(change: Callable[[dict[str, Any]], Any]) -> None:

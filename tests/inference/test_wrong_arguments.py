@@ -75,7 +75,21 @@ def test_an_estimate_that_is_not_finite_names_the_input_that_made_it_so() -> Non
     assert "1e-09 s between the frames 9 and 10" in with_extreme("failed", track(t), model)
     assert with_extreme("failed", track(), model) == "failed"
     (failed,) = gt.solve(track(np.arange(N) * 1e-9), model, engine="gtsam")
-    assert "1e-09 s between the frames" in failed.reason
+    named = "the estimate is not finite: 1e-09 s between the frames 9 and 10, expected at least 1e-05 s"
+    assert failed.reason == named
+
+
+def test_a_linear_system_without_a_solution_is_told_in_a_few_words() -> None:
+    """GTSAM's own text is a paragraph; a reason of somebody's own factor stays."""
+    said = "Indeterminate linear system detected while working near variable\n70616 (Symbol: b8).\n\nThrown"
+    model = gt.Model("joint")
+    assert with_extreme(said, track(), model) == (
+        "the linear system has no unique solution: the factors do not determine b8"
+    )
+    t = np.arange(N) * 0.1
+    t[10] = t[9] + 1e-9
+    assert with_extreme(said, track(t), model).startswith("the estimate is not finite: 1e-09 s between")
+    assert with_extreme("my factor failed", track(t), model).startswith("my factor failed: 1e-09 s between")
 
 
 def test_an_online_estimate_that_fails_names_the_input_that_made_it_so() -> None:
@@ -83,7 +97,9 @@ def test_an_online_estimate_that_fails_names_the_input_that_made_it_so() -> None
     estimates = [
         smoother.update(gt.Observation(t=1e-9 * k, frame=k, position=(k * 0.1, 0.0))) for k in range(6)
     ]
-    assert "1e-09 s between the frames 0 and 1" in next(e.reason for e in estimates if e.status == "failed")
+    assert next(e.reason for e in estimates if e.status == "failed") == (
+        "the estimate is not finite: 1e-09 s between the frames 0 and 1, expected at least 1e-05 s"
+    )
 
 
 def test_interrupts_at_any_time_end_quietly(tmp_path: Path) -> None:

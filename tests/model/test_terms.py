@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,12 +85,13 @@ def motion_density(states: States, track: Track, parameters: Parameters) -> floa
 
 def steered_density(states: States, track: Track, parameters: Parameters) -> float:
     """The noise of position and velocity about an aim that holds for the step, by the matrix exponential."""
-    rate, epsilon = parameters.motion.head_rate, 0.01
+    epsilon, given = 0.01, track.inputs.get("head_rate", np.full(len(track), np.nan))
     drift, diffusion = np.zeros((6, 6)), np.zeros((6, 6))
-    drift[:2, 2:4], drift[2:4, 2:4], drift[2:4, 4:] = np.eye(2), -rate * np.eye(2), rate * np.eye(2)
     diffusion[2:4, 2:4] = parameters.motion.acceleration_density * np.eye(2)
     total = np.sum(stats.norm.logpdf(states.velocity[0], scale=parameters.motion.initial_speed_std))
     for k, dt in enumerate(np.diff(track.t)):
+        rate = given[k + 1] if np.isfinite(given[k + 1]) else parameters.motion.head_rate
+        drift[:2, 2:4], drift[2:4, 2:4], drift[2:4, 4:] = np.eye(2), -rate * np.eye(2), rate * np.eye(2)
         both = expm(np.block([[-drift, diffusion], [np.zeros((6, 6)), drift.T]]) * dt)
         transition = both[6:, 6:].T
         noise = (transition @ both[:6, 6:])[:4, :4]
@@ -158,6 +160,7 @@ class Case:
     term, parameters : what is tested
     density : the log density up to a constant, stated independently; None: not stated
     channels : the channels of the track that the term sees
+    inputs : further inputs of the three frames
     """
 
     name: str
@@ -165,6 +168,7 @@ class Case:
     parameters: Parameters = Parameters()  # noqa: RUF009
     density: DensityOf | None = None
     channels: tuple[str, ...] = ("position",)
+    inputs: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
 
 def likelihood(**values: Any) -> Parameters:
@@ -197,6 +201,18 @@ CASES = [
     Case("intentional motion, strong", IntentionalMotion, steering(20.0), density=steered_density),
     Case("intentional motion, weak", IntentionalMotion, steering(1e-3), density=steered_density),
     Case("intentional motion, none", IntentionalMotion, steering(0.0), density=motion_density),
+    Case(
+        "intentional motion, a rate for each step",
+        IntentionalMotion,
+        density=steered_density,
+        inputs=(("head_rate", (9.0, 0.0, 4.0)),),
+    ),
+    Case(
+        "intentional motion, a rate for one step",
+        IntentionalMotion,
+        density=steered_density,
+        inputs=(("head_rate", (math.nan, 0.3, math.nan)),),
+    ),
     Case("body dynamics", BodyDynamics, density=turning_density("body")),
     Case("head dynamics", HeadDynamics, density=turning_density("head")),
     Case("body follows motion", BodyFollowsMotion),
@@ -300,7 +316,8 @@ def every_situation(case: Case, count: int = 16) -> Iterator[tuple[States, Track
 def seen_by(case: Case, track: Track) -> Track:
     """The track with no orientations but those that the case sees."""
     channels = ("pixel", "body", "head", "body_likelihood", "head_likelihood")
-    return replace(track, **{name: None for name in channels if name not in case.channels})
+    inputs = {**track.inputs, **{name: np.array(values) for name, values in case.inputs}}
+    return replace(track, inputs=inputs, **{name: None for name in channels if name not in case.channels})
 
 
 def values_of(states: States) -> gtsam.Values:

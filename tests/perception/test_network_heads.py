@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from sklearn.linear_model import LogisticRegression
 
 from graphtrack.evaluation.reproduce import Settings
 from graphtrack.io.readers.caviar import LOBBY_HEIGHT, lobby_camera
+from graphtrack.tracks import Track
 from perception.evaluation.last_layer import softmax_layer, split_scores
 from perception.models import load_classifier
 from perception.pose.head_pose import DeepBelief
 from perception.reproduce.baxter_network import EXPERIMENT, network_heads, rates
 from perception.reproduce.caviar_heads import PersonWithHeads, head_size, people_with_heads, upright_head
+from perception.reproduce.street_heads import (
+    APART,
+    BEFORE,
+    FEWEST,
+    HIDDEN,
+    concentration,
+    street_people,
+    windows,
+)
 from perception.synthetic import make_heads
 
 
@@ -114,3 +126,45 @@ def test_the_experiment_has_the_papers_gain_beside_ours(data_dir, people: list[P
     rows = found.tables[-1].records()
     assert {row["heads"] for row in rows} == {"labelled", "network"}
     assert [row["paper: CLL gain"] for row in rows if row["detection %"] == 100].count(1.158) == 2
+
+
+def test_a_window_hides_all_positions_that_follow_and_its_heads_are_seen_from_the_last_one() -> None:
+    camera, n = lobby_camera(), 18
+    position = np.column_stack([1.0 + 0.3 * np.arange(n), 2.0 + 0.1 * np.arange(n)])
+    track = Track(1, np.arange(n), 0.4 * np.arange(n), position, true_position=position)
+    pan = np.linspace(-1.0, 2.0, n)
+    found = windows(track, pan, camera)
+    assert len(found) == len(range(BEFORE, n - HIDDEN + 1, APART))
+    for part, window in found:
+        begin = len(part) - HIDDEN
+        np.testing.assert_array_equal(np.flatnonzero(window), np.arange(begin, begin + HIDDEN))
+        np.testing.assert_array_equal(np.isnan(part.position).all(axis=1), window)
+        np.testing.assert_allclose(part.true_position, position[: len(part)])
+        assert part.head is not None
+        before = camera.world_angle(pan[:begin], position[:begin])
+        np.testing.assert_allclose(part.head[:begin], before)
+        held = np.repeat(position[begin - 1 : begin], HIDDEN, axis=0)
+        np.testing.assert_allclose(part.head[begin:], camera.world_angle(pan[begin : len(part)], held))
+
+
+@pytest.mark.parametrize("kappa", [0.5, 2.0, 8.0])
+def test_the_concentration_of_errors_is_that_of_their_von_mises(kappa: float) -> None:
+    drawn = np.random.default_rng(0).vonmises(0.0, kappa, 40_000)
+    assert concentration(np.where(np.arange(40_000) % 3, drawn, np.nan)) == pytest.approx(kappa, rel=0.1)
+
+
+def test_people_of_the_street_are_those_of_its_pictures(data_dir: Path) -> None:
+    folder = data_dir / "towncentre"
+    if not (folder / "boxes.csv").is_file():
+        pytest.skip("no Town Centre among the recordings")
+    people, _ = street_people(folder)
+    assert len(people) > 40
+    for person in people:
+        track = person.track
+        assert len(track) == len(person.images) == len(person.size) >= FEWEST
+        np.testing.assert_array_equal(np.diff(track.frame), 1)
+        assert track.frame[0] >= 1 and track.frame[-1] <= 150 and track.t[-1] < 60.0
+        speed = np.linalg.norm(np.diff(track.position, axis=0), axis=1) / np.diff(track.t)
+        assert np.median(speed) < 3.0
+    sizes = np.concatenate([person.size for person in people])
+    assert 15.0 < np.median(sizes) < 35.0

@@ -23,8 +23,9 @@ from scipy import special
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.graph.batch import anchors, insert_state
+from graphtrack.inference.graph.batch import anchors
 from graphtrack.inference.offline import smooth_track
+from graphtrack.inference.state import insert_step
 from graphtrack.model import Model, States, Step
 from graphtrack.model.observation import chain
 from graphtrack.model.parameters import Parameters
@@ -174,10 +175,11 @@ def state_hybrid(track: Track, model: Model, camera: GroundCamera | None = None)
     start = smooth_track(track, separate, camera).track
     assert start.velocity is not None and start.body is not None and start.head is not None
     states = States(start.position, start.velocity, start.body, start.head)
+    rows = np.column_stack([states.position, states.velocity, states.body, states.head])
     offsets = difference(states.body, direction(states.velocity)), difference(states.head, states.body)
     steps, values, plain, leaves = chain(track, camera), gtsam.Values(), [], []
     for k, step in enumerate(steps):
-        insert_state(values, step, separate, states, k)
+        insert_step(values, step, separate, rows[k])
         for key, offset in zip((O(k), P(k)), offsets, strict=True):
             values.insert(key, gtsam.Rot2(float(offset[k])))
         plain.append(separate.factors(step))

@@ -14,7 +14,8 @@ from hybrid import ALIGNED, ANEW, FREE, MODES, Course, HybridTrack, state_hybrid
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.graph.batch import optimize, variable_keys
+from graphtrack.inference.graph.batch import optimize
+from graphtrack.inference.prior import variable_keys
 from graphtrack.inference.solution import SolverOptions
 from graphtrack.model import Model, States
 from graphtrack.tracks import Track

@@ -89,6 +89,35 @@ def test_the_bytes_of_the_in_memory_result(table, layout, batch_frames, model, t
     ]
 
 
+def test_well_known_names_are_read_and_written_as_of_one_file(table, tmp_path):
+    named = table.rename(columns={"track_id": "ped_id", "t": "time", "x": "pos_x", "y": "pos_y"})
+    folder = tmp_path / "data"
+    folder.mkdir()
+    half = len(named) // 2
+    for k, part in enumerate((named[:half], named[half:])):
+        part.to_parquet(folder / f"{k}.parquet")
+    named.to_parquet(tmp_path / "whole.parquet")
+    outcome = smooth_dataset(folder, tmp_path / "streamed.parquet", "joint")
+    expected = in_memory(tmp_path / "whole.parquet", tmp_path / "expected.parquet", "joint")
+    assert (tmp_path / "streamed.parquet").read_bytes() == expected.read_bytes()
+    assert {"ped_id", "time", "pos_x", "pos_y"} <= set(pq.read_schema(expected).names)
+    assert outcome.notes[0] == "read columns 'ped_id' as track_id, 'time' as t, 'pos_x' as x, 'pos_y' as y"
+    assert not any("ignored" in note for note in outcome.notes)
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        ({"t": "time_ms"}, "column time_ms when streaming.*--no-stream"),
+        ({"x": "pos_x_cm", "y": "pos_y_cm"}, "column pos_x_cm when streaming.*--no-stream"),
+    ],
+)
+def test_well_known_names_with_another_unit_are_one_error(table, names, told, tmp_path):
+    table.rename(columns=names).to_parquet(tmp_path / "data.parquet")
+    with pytest.raises(InputError, match=told):
+        open_dataset(tmp_path / "data.parquet")
+
+
 def test_a_part_of_large_work_is_solved_as_the_whole_is(table, tmp_path, monkeypatch):
     path = tmp_path / "in.parquet"
     table.to_parquet(path, index=False)

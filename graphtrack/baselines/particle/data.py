@@ -16,7 +16,12 @@ from graphtrack.later import special
 from graphtrack.model import Model
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
-from graphtrack.model.terms.intentional_motion import IntentionalMotion, steered_step
+from graphtrack.model.terms.intentional_motion import (
+    HEAD_RATE,
+    IntentionalMotion,
+    head_rates,
+    steered_step,
+)
 from graphtrack.model.terms.motion import Motion
 from graphtrack.model.terms.pose import BodyLikelihood, HeadLikelihood
 from graphtrack.model.terms.position import PositionLikelihood
@@ -139,7 +144,8 @@ def _motion(track: Track, model: Model) -> PackedMotion:
     parameters = model.parameters
     dt = track.dt
     q = parameters.motion.acceleration_density
-    moments = steered_step(dt, parameters.motion.head_rate if IntentionalMotion in kinds else 0.0)
+    rate = parameters.motion.head_rate if IntentionalMotion in kinds else 0.0
+    moments = steered_step(dt, head_rates(track.input(HEAD_RATE), rate))
     with np.errstate(divide="ignore", invalid="ignore"):
         place = np.sqrt(q * moments.place)
         cross = q * moments.cross / place

@@ -35,7 +35,7 @@ from graphtrack.evaluation.reproduce.occlusion_methods import (
     error_of,
     fitted,
 )
-from graphtrack.evaluation.reproduce.resampling import bootstrap, reduction
+from graphtrack.evaluation.resampling import bootstrap, reduction
 from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour
 from graphtrack.simulation.degrade import TURN_SECONDS, add_noise, occlude, turning, withhold

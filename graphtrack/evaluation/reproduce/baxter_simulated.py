@@ -24,7 +24,7 @@ from graphtrack.evaluation.reproduce.experiment import (
 )
 from graphtrack.evaluation.reproduce.fitting import fit, with_coupling, with_density, with_head_rate
 from graphtrack.evaluation.reproduce.prediction import from_the_past, one_step_ahead
-from graphtrack.evaluation.reproduce.resampling import deviation
+from graphtrack.evaluation.resampling import bootstrap, deviation, mean_difference
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import track_online
 from graphtrack.inference.online_engines import OnlineEngine
@@ -42,6 +42,9 @@ METHODS = (
     *("printed", "consistent", "kf fitted", "intentional", *GRAPHS),
     *(f"{name}{ISAM2}" for name in GRAPHS),
 )
+RIVAL = "intentional"
+"""The fitted tracker that the graphs are compared with, track by track."""
+
 FIT_UNITS = {"graph joint": 20, "graph joint-intentional": 30}
 """Evaluations of the search for the parameters of each graph, two of them and three; half with ``quick``."""
 
@@ -65,13 +68,20 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """Gains over the Kalman filter of Baxter et al. 2014, one number a track."""
+    """Gains over the Kalman filter of Baxter et al. 2014, one number a track.
+
+    Attributes
+    ----------
+    error, likelihood : ratios of the squared errors and of the cumulative log-likelihoods
+    nats : mean log-likelihood of an innovation
+    """
 
     behaviour: int
     rate: float
     method: str
     error: FloatArray
     likelihood: FloatArray
+    nats: FloatArray
 
 
 def tracks_of_graph(settings: Settings) -> int:
@@ -141,6 +151,7 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
     reference = intentional_filter(corpus.position, None)
     error = squared_error(reference.predicted_mean[..., :2], corpus.truth)
     likelihood = np.nansum(reference.log_likelihood, axis=1)
+    count = np.isfinite(reference.log_likelihood).sum(axis=1)
     runs = {
         method: intentional_filter(corpus.position, corpus.head, parameters)
         for method, parameters in OWN_FILTERS.items()
@@ -154,6 +165,7 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
             method,
             error / squared_error(run.predicted_mean[..., :2], corpus.truth),
             likelihood / np.nansum(run.log_likelihood, axis=1),
+            np.nansum(run.log_likelihood, axis=1) / count,
         )
         for method, run in runs.items()
     ]
@@ -167,7 +179,14 @@ def gains(corpus: Corpus, rate: float, fitted: Fitted, people: int, progress: Pr
             progress(1)
         errors, sums = np.array(by_graph).T
         found.append(
-            Gain(corpus.behaviour, rate, method + suffix, error[:people] / errors, likelihood[:people] / sums)
+            Gain(
+                corpus.behaviour,
+                rate,
+                method + suffix,
+                error[:people] / errors,
+                likelihood[:people] / sums,
+                sums / count[:people],
+            )
         )
     return found
 
@@ -196,7 +215,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     joint, steered = (fitted.graphs[method].parameters.motion for method in GRAPHS)
     return Reproduction(
         "baxter-simulated",
-        (detail, _beside(found)),
+        (detail, *paired(found, names, settings.rng(98)), _beside(found)),
         _figure(examples, found),
         (
             "MSE: one-step predictions against true positions. CLL: cumulative log-likelihood of the "
@@ -205,6 +224,9 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             "tracks: q of the "
             f"graphs {joint.acceleration_density:.3g} and {steered.acceleration_density:.3g} m²/s³, λ of the "
             f"tracker {fitted.rate:.3g} 1/s and of joint-intentional {steered.head_rate:.3g} 1/s.",
+            "Graphs against the fitted tracker: on the tracks that the graphs follow. Ratio of the squared "
+            "errors: geometric mean over the tracks, below 1 the graph is better; nats a detection: above 0 "
+            "the graph is better. A cell is a behaviour at a detection rate; clearly: by its 95 % interval.",
             "Who is not detected shows no head either. All see positions and head, but the Kalman filters "
             "positions only. In joint-intentional the head steers the velocity as it does in the tracker; in "
             "joint it does not.",
@@ -222,6 +244,68 @@ def _record(gain: Gain, name: str) -> dict[str, Cell]:
         "MSE gain, std": deviation(gain.error),
         "CLL gain, median": float(np.median(gain.likelihood)),
         "CLL gain, std": deviation(gain.likelihood),
+    }
+
+
+def paired(found: Sequence[Gain], names: Sequence[str], rng: np.random.Generator) -> tuple[Table, Table]:
+    """The graphs against `RIVAL` on the same tracks: each behaviour and rate, and how many of them are won.
+
+    Parameters
+    ----------
+    names : of the behaviours
+    rng : source of the intervals' resampling
+    """
+    cells: list[dict[str, Cell]] = []
+    for own in found:
+        if not own.method.startswith("graph"):
+            continue
+        (rival,) = (
+            one for one in found if (one.behaviour, one.rate, one.method) == (own.behaviour, own.rate, RIVAL)
+        )
+        tracks = len(own.error)
+        ratio = bootstrap(mean_difference, np.log(rival.error[:tracks]), np.log(own.error), rng=rng)
+        nats = bootstrap(mean_difference, own.nats, rival.nats[:tracks], rng=rng)
+        cells.append(
+            {
+                "behaviour": names[own.behaviour],
+                "detection %": round(100 * own.rate),
+                "method": own.method,
+                "squared error / tracker's": float(np.exp(ratio.value)),
+                "ratio: low": float(np.exp(ratio.low)),
+                "ratio: high": float(np.exp(ratio.high)),
+                "nats a detection − tracker's": nats.value,
+                "nats: low": nats.low,
+                "nats: high": nats.high,
+            }
+        )
+    methods = dict.fromkeys(str(cell["method"]) for cell in cells)
+    counts = [_counted(method, [cell for cell in cells if cell["method"] == method]) for method in methods]
+    return (
+        Table.of("Graphs against the fitted tracker on the same tracks, 95 % intervals", cells),
+        Table.of("Graphs against the fitted tracker: cells won and lost", counts),
+    )
+
+
+def _counted(method: str, cells: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
+    """How many of the cells a method wins and loses, and in how many the interval says so."""
+
+    def column(name: str) -> FloatArray:
+        return np.array([cell[name] for cell in cells], dtype=float)
+
+    ratio, nats = column("squared error / tracker's"), column("nats a detection − tracker's")
+    return {
+        "method": method,
+        "cells": len(cells),
+        "squared error: better": int((ratio < 1.0).sum()),
+        "squared error: clearly better": int((column("ratio: high") < 1.0).sum()),
+        "squared error: clearly worse": int((column("ratio: low") > 1.0).sum()),
+        "ratio, least": float(ratio.min()),
+        "ratio, greatest": float(ratio.max()),
+        "likelihood: better": int((nats > 0.0).sum()),
+        "likelihood: clearly better": int((column("nats: low") > 0.0).sum()),
+        "likelihood: clearly worse": int((column("nats: high") < 0.0).sum()),
+        "nats, least": float(nats.min()),
+        "nats, greatest": float(nats.max()),
     }
 
 

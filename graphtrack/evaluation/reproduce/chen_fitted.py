@@ -1,5 +1,8 @@
-"""Chen et al.'s coupling of the head to the body, κ₂, as strong as is best for each method, on other
-people."""
+"""Chen et al.'s separate and joint filtering, each method with the parameters that are best for it.
+
+The methods share five parameters: q, D_body, D_head, κ₁ and κ₂. They are fitted for each method and for both
+presets alike, on people who are not reported.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from graphtrack.evaluation.reproduce.experiment import Cell, Progress, Table
+from graphtrack.evaluation.reproduce.experiment import ISAM2, Cell, Progress, Table
 from graphtrack.evaluation.reproduce.fitting import fit
-from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference
+from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from graphtrack.geometry.angles import FloatArray, mean_absolute_error
 from graphtrack.model import Model
 from graphtrack.tracks import Track, TrackSet
@@ -20,46 +23,92 @@ ANGLES: tuple[Literal["body", "head"], ...] = ("body", "head")
 PAPER = {"observation": (41.7, 30.3), "separate": (32.9, 25.8), "joint": (21.9, 17.6)}
 """Chen et al. 2011, Table 2: mean errors of body and head in degrees."""
 
+SHARED: Mapping[str, tuple[str, str]] = {
+    "q (m²/s³)": ("motion", "acceleration_density"),
+    "D_body (rad²/s)": ("orientation", "body_diffusion"),
+    "D_head (rad²/s)": ("orientation", "head_diffusion"),
+    "κ₁ ((m/s)⁻²)": ("coupling", "motion_body_kappa"),
+    "κ₂": ("coupling", "head_body_kappa"),
+}
+"""Parameters that all methods have: name in tables → group and key."""
+
+FITTED = {"joint-body": tuple(SHARED)[:-1], "joint": tuple(SHARED)}
+"""Preset → the parameters that are fitted: the paper's separate filtering has no κ₂."""
+
+PAIRS = (("graph", "particle"), (f"graph{ISAM2}", "particle"), ("smoother", "ffbs"))
+"""Methods that are compared on the same people, the first less the second."""
+
 Estimator = Callable[[Track, Model], Track]
 
 Errors = Mapping[tuple[str, str, str], FloatArray]
 """(data, method, angle) → mean errors (n,) in degrees of the people."""
 
+Models = Mapping[tuple[str, str], Model]
+"""(preset, method) → the model with the parameters fitted for that method."""
 
-def with_head_coupling(model: Model, kappa: float) -> Model:
-    """The model with another κ₂."""
+
+def shared_values(model: Model) -> dict[str, float]:
+    """The values of `SHARED` in a model."""
     parameters = model.parameters
-    return model.with_parameters(
-        replace(parameters, coupling=replace(parameters.coupling, head_body_kappa=kappa))
-    )
+    return {name: float(getattr(getattr(parameters, group), key)) for name, (group, key) in SHARED.items()}
 
 
-def fitted_kappas(
+def with_shared(model: Model, values: Mapping[str, float]) -> Model:
+    """The model with other values of some of `SHARED`."""
+    parameters = model.parameters
+    for name, value in values.items():
+        group, key = SHARED[name]
+        changed = replace(getattr(parameters, group), **{key: value})
+        parameters = replace(parameters, **{group: changed})
+    return model.with_parameters(parameters)
+
+
+def fitted_models(
     tracks: TrackSet,
     methods: Mapping[str, tuple[str, Estimator]],
     evaluations: int,
     progress: Progress,
-) -> dict[str, float]:
-    """κ₂ of `joint` with which each method has the smallest mean error of body and head.
+) -> dict[tuple[str, str], Model]:
+    """Models of `FITTED`'s presets with which each method has the smallest mean error of body and head.
+
+    iSAM2 solves the graph that the compiled chain solves, and has its parameters.
 
     Parameters
     ----------
     tracks : people who are not reported
     methods : group and estimator by name
-    evaluations : of each method on all of them, at most
+    evaluations : of each method and preset on all of them, at most
     """
-    joint = Model("joint")
     found = {}
-    for name, (_, estimator) in methods.items():
+    for preset, names in FITTED.items():
+        start = Model(preset)
+        for method, (_, estimator) in methods.items():
+            if method.endswith(ISAM2):
+                continue
 
-        def error(kappa: float, estimator: Estimator = estimator) -> float:
-            model = with_head_coupling(joint, kappa)
-            errors = [errors_of(estimator(track, model), track) for track in tracks]
-            progress(len(tracks))
-            return float(np.mean(errors))
+            def error(
+                *values: float,
+                estimator: Estimator = estimator,
+                start: Model = start,
+                names: tuple[str, ...] = names,
+            ) -> float:
+                model = with_shared(start, dict(zip(names, values, strict=True)))
+                errors = [errors_of(estimator(track, model), track) for track in tracks]
+                progress(len(tracks))
+                return float(np.mean(errors))
 
-        (found[name],) = fit(error, [joint.parameters.coupling.head_body_kappa], evaluations=evaluations)
+            before = shared_values(start)
+            best = fit(error, [before[name] for name in names], evaluations=evaluations)
+            found[preset, method] = with_shared(start, dict(zip(names, best, strict=True)))
+        for method in methods:
+            if method.endswith(ISAM2):
+                found[preset, method] = found[preset, method.removesuffix(ISAM2)]
     return found
+
+
+def fits(methods: Mapping[str, object]) -> int:
+    """Searches that `fitted_models` makes."""
+    return len(FITTED) * sum(not method.endswith(ISAM2) for method in methods)
 
 
 def errors_of(estimate: Track, track: Track) -> list[float]:
@@ -73,53 +122,98 @@ def errors_of(estimate: Track, track: Track) -> list[float]:
 def fitted_errors(
     people: Mapping[str, TrackSet],
     methods: Mapping[str, tuple[str, Estimator]],
-    kappas: Mapping[str, float],
+    models: Models,
     progress: Progress,
-) -> dict[tuple[str, str, str], FloatArray]:
-    """The errors of every method, each with its κ₂, by source of the people."""
-    found: dict[tuple[str, str, str], FloatArray] = {}
+) -> dict[str, dict[tuple[str, str, str], FloatArray]]:
+    """The errors of every method with the parameters fitted for it: preset → errors by source, method and
+    angle."""
+    found: dict[str, dict[tuple[str, str, str], FloatArray]] = {preset: {} for preset in FITTED}
     for data, tracks in people.items():
-        for name, (_, estimator) in methods.items():
-            model = with_head_coupling(Model("joint"), kappas[name])
-            errors = np.array([errors_of(estimator(track, model), track) for track in tracks])
-            found |= {(data, name, angle): errors[:, i] for i, angle in enumerate(ANGLES)}
-            progress(len(tracks))
+        for preset, by_method in found.items():
+            for name, (_, estimator) in methods.items():
+                model = models[preset, name]
+                errors = np.array([errors_of(estimator(track, model), track) for track in tracks])
+                by_method |= {(data, name, angle): errors[:, i] for i, angle in enumerate(ANGLES)}
+                progress(len(tracks))
     return found
+
+
+def parameter_table(models: Models) -> Table:
+    """The parameters fitted for each method, with the package's own in the first row."""
+    records: list[dict[str, Cell]] = [
+        {"preset": "joint", "method": "default", **shared_values(Model("joint"))}
+    ]
+    for (preset, method), model in models.items():
+        own = shared_values(model)
+        if not method.endswith(ISAM2):
+            given = {name: own[name] if name in FITTED[preset] else None for name in SHARED}
+            records.append({"preset": preset, "method": method, **given})
+    return Table.of("Parameters fitted for each method, on other people", records)
 
 
 def fitted_table(
     scores: Mapping[str, Errors],
-    fitted: Errors,
+    fitted: Mapping[str, Errors],
     methods: Mapping[str, tuple[str, Estimator]],
-    kappas: Mapping[str, float],
     rng: np.random.Generator,
 ) -> Table:
-    """What the fitted κ₂ is worth beside the default one, by source, angle and method.
+    """Errors with the default parameters and with those fitted, by source, angle and method.
 
-    ``scores`` are those of the default parameters, by source: (preset, method, angle) → errors.
+    Parameters
+    ----------
+    scores : with the default parameters: source → (preset, method, angle) → errors
+    fitted : of `fitted_errors`
+    rng : source of the intervals' resampling
     """
-    default = Model("joint").parameters.coupling.head_body_kappa
     records: list[dict[str, Cell]] = []
     for data, errors in scores.items():
         for i, angle in enumerate(ANGLES):
             for method, (group, _) in methods.items():
-                own, before = fitted[data, method, angle], errors["joint", method, angle]
-                body = errors["joint-body", method, angle]
-                against = bootstrap(mean_difference, own, body, rng=rng)
+                joint, body = (fitted[preset][data, method, angle] for preset in ("joint", "joint-body"))
+                coupled = bootstrap(mean_difference, joint, body, rng=rng)
                 records.append(
                     {
                         "data": data,
                         "angle": angle,
                         "group": group,
                         "method": method,
-                        "κ₂ fitted": kappas[method],
                         "paper: joint (°)": PAPER["joint"][i],
-                        f"joint, κ₂ = {default:g} (°)": float(before.mean()),
-                        "joint, κ₂ fitted (°)": float(own.mean()),
-                        "fitted − default (°)": float((own - before).mean()),
-                        "fitted − joint-body (°)": against.value,
-                        "low": against.low,
-                        "high": against.high,
+                        "joint, default (°)": float(errors["joint", method, angle].mean()),
+                        "joint, fitted (°)": float(joint.mean()),
+                        "joint-body, fitted (°)": float(body.mean()),
+                        "joint − joint-body, fitted (°)": coupled.value,
+                        "low": coupled.low,
+                        "high": coupled.high,
                     }
                 )
-    return Table.of("κ₂ fitted for each method, on other people", records)
+    return Table.of("Errors with the parameters fitted for each method", records)
+
+
+def pair_table(
+    scores: Mapping[str, Errors],
+    fitted: Mapping[str, Errors],
+    rng: np.random.Generator,
+) -> Table:
+    """Paired differences of `PAIRS` with `joint`, with the default parameters and with those fitted.
+
+    Parameters
+    ----------
+    scores, fitted, rng : as in `fitted_table`
+    """
+    records: list[dict[str, Cell]] = []
+    for data, errors in scores.items():
+        for angle in ANGLES:
+            for first, second in PAIRS:
+                record: dict[str, Cell] = {"data": data, "angle": angle, "difference": f"{first} − {second}"}
+                for which, one, other in (
+                    ("default", errors["joint", first, angle], errors["joint", second, angle]),
+                    ("fitted", fitted["joint"][data, first, angle], fitted["joint"][data, second, angle]),
+                ):
+                    apart = bootstrap(mean_difference, one, other, rng=rng)
+                    record |= {
+                        f"{which} (°)": apart.value,
+                        f"{which}: low": apart.low,
+                        f"{which}: high": apart.high,
+                    }
+                records.append(record)
+    return Table.of("Methods compared on the same people, joint, 95 % intervals", records)

@@ -10,7 +10,7 @@ import numpy as np
 
 from graphtrack.evaluation.reproduce.chen_joint import ANGLES, PRESETS, Scores
 from graphtrack.evaluation.reproduce.experiment import Cell, Table
-from graphtrack.evaluation.reproduce.resampling import bootstrap
+from graphtrack.evaluation.resampling import bootstrap
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.tracks import Track
 

@@ -20,7 +20,7 @@ from graphtrack.evaluation.reproduce.experiment import (
     evenly,
     quietly,
 )
-from graphtrack.evaluation.reproduce.resampling import bootstrap, mean_difference
+from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import smooth, track_online
 from graphtrack.simulation.degrade import add_noise

@@ -12,8 +12,10 @@ from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.inference import Solution, solve
 from graphtrack.model import Model
 from graphtrack.model.terms.intentional_motion import (
+    HEAD_RATE,
     STANDSTILL,
     IntentionalMotion,
+    head_rates,
     smooth_speed,
     steered_step,
 )
@@ -56,7 +58,8 @@ def one_step_ahead(estimate: Track, observed: Track, model: Model) -> tuple[Floa
         return predicted, log_likelihood
     dt, velocity = np.diff(observed.t), estimate.velocity[:-1]
     steered = any(isinstance(term, IntentionalMotion) for term in model.terms)
-    moments = steered_step(dt, motion.head_rate if steered else 0.0)
+    rates = head_rates(observed.input(HEAD_RATE), motion.head_rate if steered else 0.0)
+    moments = steered_step(dt, rates[1:])
     reach = moments.reach[:, None]
     predicted[1:] = estimate.position[:-1] + reach * velocity
     slope = np.zeros((n - 1, 2, 6))

@@ -150,8 +150,8 @@ def advance(
 ) -> None:
     """Take one observation more, or what was changed, into each of some windows of a block.
 
-    Predict the new frame, infer the coupling modes, solve the window, report its newest frame, and marginalise
-    the oldest ones.
+    Predict the new frame, infer the coupling modes, solve the window, report its newest frame, and
+    marginalise the oldest ones.
 
     Parameters
     ----------

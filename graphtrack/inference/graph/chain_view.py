@@ -23,7 +23,7 @@ from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.initial import pack, problem_of, seen_in
 from graphtrack.inference.prior import MarginalPrior, on_state
 from graphtrack.model import Model, Step
-from graphtrack.model.factors.derived import COUPLED
+from graphtrack.model.factors.derived import couplings_of
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import ROW, gait_of
@@ -40,13 +40,13 @@ class _View:
     ----------
     couplings : index of a step → what its factors read the couplings from
     modes : (n, 2) as in `chain.result.Result`; NaN until `renew`
+    before : (2, ROW) probabilities of both couplings' modes in the frame before
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, couplings: dict[int, Sequence[float]] | None = None) -> None:
         self._model, self._program = model, program_of(model)
-        self.couplings: dict[int, Sequence[float]] = {}
-
-        self._before = np.zeros((2, ROW))
+        self.couplings = {} if couplings is None else couplings
+        self.before = np.zeros((2, ROW))
 
     def _start(self, problem: Problem, n: int) -> None:
         """Take a problem of n frames, of whose modes nothing is known yet."""
@@ -74,7 +74,7 @@ class _View:
         gait = gait_of(self._model.parameters.gait)
         here, n = self._here(states), len(states)
         memory = mode_memory(n)
-        memory.before[:] = self._before
+        memory.before[:] = self.before
         classified = is_classified(self._problem, 0)
         renew_couplings(self._problem, 0, n, float(n), here, gait, classified, True, memory)
         report_modes(n, 0, memory.held, self.modes)
@@ -138,22 +138,10 @@ class WindowView(_View):
     """
 
     def __init__(self, model: Model, couplings: dict[int, Sequence[float]] | None) -> None:
-        super().__init__(model)
-        if couplings is not None:
-            self.couplings = couplings
+        super().__init__(model, couplings)
         self._frames = FrameRows(model)
         self._steps: list[Step] = []
-        self._filtered = np.empty((2, 0, ROW))
         self._room = 0
-
-    @property
-    def before(self) -> FloatArray:
-        """(2, ROW) probabilities of both couplings' modes in the frame before the window."""
-        return self._before.copy()
-
-    @before.setter
-    def before(self, probabilities: FloatArray) -> None:
-        self._before = probabilities.copy()
 
     def follow(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
         """Take these steps, with states (n, 6), and what is known about the first, from now on."""
@@ -161,7 +149,7 @@ class WindowView(_View):
         gone = known.index(steps[0].index) if steps[0].index in known else len(known)
         kept = self._steps[gone:]
         if 0 < gone <= self._filtered.shape[1]:
-            self._before = self._filtered[:, gone - 1].copy()
+            self.before = self._filtered[:, gone - 1].copy()
         if len(kept) > len(steps) or not all(map(_is_same, kept, steps)):
             kept = []
         self._take(steps, gone, len(kept))
@@ -201,28 +189,6 @@ class WindowView(_View):
         for step, row in zip(self._steps[1:], rows[1:], strict=True):
             self.couplings[step.index] = row
         self.couplings.setdefault(self._steps[0].index, rows[0])
-
-
-def couplings_of(records: np.ndarray) -> list[tuple[float, ...]]:
-    """The `COUPLED` fields of packed frames, a row for each.
-
-    A step that nothing steers is one of white-noise acceleration, for which the chain has another kernel;
-    here it has the same moments.
-    """
-    rows = np.stack([records[name] for name in COUPLED], axis=1)
-    unsteered = (rows[:, COUPLED.index("steer_gain")] == 0.0) & (records["motion_information"] > 0.0)
-    if unsteered.any():
-        dt, information = records["dt"][unsteered], records["motion_information"][unsteered]
-        moments = (dt, 12.0 * information / dt**3, -6.0 * information / dt**2, 4.0 * information / dt)
-        for name, values in zip(COUPLED[-4:], moments, strict=True):
-            rows[unsteered, COUPLED.index(name)] = values
-    return list(map(tuple, rows.tolist()))
-
-
-def is_ambiguous(step: Step) -> bool:
-    """Whether what was seen may speak for several directions, as class likelihoods do."""
-    seen = step.observation
-    return seen.body_likelihood is not None or seen.head_likelihood is not None
 
 
 def _is_same(known: Step, step: Step) -> bool:

@@ -2,69 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.graph.batch import anchors, variable_keys
-from graphtrack.inference.prior import MarginalPrior, marginal_prior
-from graphtrack.inference.state import Angles, Newest, Window, finite, insert_step, present, read_step
+from graphtrack.inference.graph.batch import beginning, descend, graph_of, joint_covariance
+from graphtrack.inference.prior import MarginalPrior, marginal_prior, variable_keys
+from graphtrack.inference.state import Newest, Window, finite, leaving, states_of, values_of
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import Couplings
-from graphtrack.model.kernels.layout import TIME_TOLERANCE
 
-_MAX_HALVINGS = 20
 # Metres, m/s or radians. Only larger steps can overshoot; the others are spared two evaluations of the cost.
 _LARGE_CHANGE = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class _Link:
-    """A step with its keys and factors: those on its own variables, and those that reach the step before."""
-
-    step: Step
-    keys: list[int]
-    own: gtsam.NonlinearFactorGraph
-    back: gtsam.NonlinearFactorGraph
-
-    @classmethod
-    def of(cls, step: Step, model: Model, couplings: Couplings | None) -> _Link:
-        keys = variable_keys(step, model)
-        own, back, inside = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph(), frozenset(keys)
-        for factor in model.factors(step, couplings):
-            (own if inside.issuperset(factor.keys()) else back).push_back(factor)
-        return cls(step, keys, own, back)
-
-
-@dataclass(frozen=True, eq=False)
-class _Chain:
-    """A window between two observations; never changed, so that going back is to keep the one before.
-
-    Attributes
-    ----------
-    links, values : the steps, oldest first, and the current estimates of their variables
-    marginal : what was let go says this about the first step; linearised at ``marginal_point``
-    anchor : else the angles (radians) that hold the first step
-    """
-
-    links: tuple[_Link, ...] = ()
-    values: gtsam.Values = field(default_factory=lambda: gtsam.Values())
-    marginal: gtsam.LinearContainerFactor | None = None
-    marginal_point: gtsam.Values | None = None
-    anchor: Angles | None = None
-
-    def start(self, model: Model) -> gtsam.NonlinearFactorGraph:
-        """The factors that hold the first step."""
-        graph = gtsam.NonlinearFactorGraph()
-        if self.marginal is not None:
-            graph.push_back(self.marginal)
-        elif self.anchor is not None:
-            for factor in anchors(self.links[0].step, model, *self.anchor):
-                graph.push_back(factor)
-        return graph
+# Metres, m/s or radians: length of a step that is halved no further.
+_SHORTEST = 1e-6
 
 
 class FixedLag:
@@ -102,196 +56,129 @@ class FixedLag:
     ) -> None:
         self._model, self._lag, self._couplings = model, lag, couplings
         self._step_tolerance, self._max_iterations = step_tolerance, max_iterations
-        self._chain = _Chain()
+        # All there is to know: it is replaced, never changed.
+        self._window = Window((), {}, None, None)
+        # Of the window's steps, so that they need not be made again.
+        self._factors: dict[Step, gtsam.NonlinearFactorGraph] = {}
 
     @property
     def steps(self) -> tuple[Step, ...]:
         """The steps of the window, oldest first."""
-        return tuple(link.step for link in self._chain.links)
+        return self._window.steps
 
     def state(self, step: Step) -> tuple[float, ...]:
         """x, y, vx, vy, body, head of a step of the window."""
-        return read_step(self._chain.values, step, self._model)
+        return self._window.values[step.index]
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
         """Add a step whose variables start at ``state``; what is known about it then."""
-        before = self._chain
-        values = gtsam.Values(before.values)
-        insert_step(values, step, self._model, state)
-        anchor = before.anchor if before.links else (state[4], state[5])
-        links = (*before.links, _Link.of(step, self._model, self._couplings))
-        return self._solve(replace(before, links=links, values=values, anchor=anchor))
+        before = self._window
+        steps, values = (*before.steps, step), {**before.values, step.index: tuple(state)}
+        anchor = before.anchor if before.steps else (state[4], state[5])
+        return self._solve(replace(before, steps=steps, values=values, anchor=anchor))
 
     def rework(self, window: Window) -> Newest:
         """Take over a window that was changed; what is known about its newest step then."""
-        return self._solve(self._from_window(window))
+        return self._solve(window)
 
     def recoupled(self, steps: Sequence[Step]) -> Newest:
         """What is known about the newest step now that the couplings of some steps are others."""
         del steps  # all are linearised anew
-        return self._solve(self._chain)
+        return self._solve(self._window)
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Leave the smoother as it is at the beginning if anything inside raises."""
+        before = self._window
+        try:
+            yield
+        except BaseException:
+            self._window = before
+            raise
 
     def prior(self) -> MarginalPrior | None:
         """What has left the window says about its first step."""
-        return marginal_prior(self._chain.marginal, self._chain.marginal_point)
-
-    def restore(self, window: Window) -> None:
-        """Take over a window as it stands."""
-        self._chain = self._from_window(window)
+        return self._window.prior
 
     def window(self) -> Window:
         """What another smoother needs to go on from here."""
-        chain = self._chain
-        return Window(
-            self.steps,
-            {link.step.index: self.state(link.step) for link in chain.links},
-            self.prior(),
-            chain.anchor,
-        )
+        return self._window
 
-    def arrays(self) -> dict[str, FloatArray]:
-        """What makes the next estimates the same to the last bit, beside the window; see `resume`."""
-        chain = self._chain
-        kept = {"states": _exactly(chain.values, [link.step for link in chain.links], self._model)}
-        if chain.marginal_point is not None:
-            kept["point"] = _exactly(chain.marginal_point, [chain.links[0].step], self._model)
-        return kept
+    def restore(self, window: Window) -> None:
+        """Take over a window as it stands."""
+        self._window = window
 
-    def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
-        """Go on where `window` and `arrays` were taken, as if nothing had happened.
-
-        Raises
-        ------
-        KeyError, ValueError
-            If the arrays do not fit the window.
-        """
-        chain = self._from_window(window)
-        values = _values(arrays["states"], window.steps, self._model)
-        marginal, point = chain.marginal, chain.marginal_point
-        if marginal is not None:
-            point = _values(arrays["point"], window.steps[:1], self._model)
-            marginal = gtsam.LinearContainerFactor(marginal.toHessian(), point)
-        self._chain = replace(chain, values=values, marginal=marginal, marginal_point=point)
-
-    def _from_window(self, window: Window) -> _Chain:
-        known = {link.step: link for link in self._chain.links}
-        links = tuple(
-            known.get(step) or _Link.of(step, self._model, self._couplings) for step in window.steps
-        )
-        values = gtsam.Values()
-        for step in window.steps:
-            insert_step(values, step, self._model, window.values[step.index])
-        prior = window.prior
-        if prior is None:
-            return _Chain(links, values, anchor=window.anchor)
-        return _Chain(links, values, prior.factor(), prior.values())
-
-    def _solve(self, chain: _Chain) -> Newest:
-        graph = chain.start(self._model)
-        for link in chain.links:
-            graph.push_back(link.own)
-            graph.push_back(link.back)
-        newest = chain.links[-1]
-        values, bayes_net = self._optimize(graph, chain.values, chain.links)
-        state = finite(read_step(values, newest.step, self._model))
-        covariance = _covariance_of_last(bayes_net, newest.keys, self._model)
-        self._chain = self._slide(replace(chain, values=values))
-        return state, covariance
+    def _solve(self, window: Window) -> Newest:
+        steps, made = window.steps, self._factors
+        self._factors = {
+            step: made[step] if step in made else graph_of(self._model.factors(step, self._couplings))
+            for step in steps
+        }
+        start = graph_of(beginning(window, self._model))
+        graph = gtsam.NonlinearFactorGraph(start)
+        for step in steps:
+            graph.push_back(self._factors[step])
+        begun = values_of(steps, np.array([window.values[step.index] for step in steps]), self._model)
+        values, bayes_net = self._optimize(graph, begun, steps)
+        states = states_of(values, steps, self._model)
+        newest = steps[-1]
+        last = gtsam.Marginals(_last(bayes_net, variable_keys(newest, self._model)), values)
+        known = finite(states[-1]), joint_covariance(last, newest, self._model)
+        estimates = {step.index: tuple(state) for step, state in zip(steps, states.tolist(), strict=True)}
+        self._window = self._slide(replace(window, values=estimates), values, start)
+        return known
 
     def _optimize(
-        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, links: Sequence[_Link]
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, steps: Sequence[Step]
     ) -> tuple[gtsam.Values, gtsam.GaussianBayesNet]:
-        ordering = gtsam.Ordering([key for link in links for key in link.keys])
+        ordering = gtsam.Ordering([key for step in steps for key in variable_keys(step, self._model)])
         for _ in range(self._max_iterations):
             bayes_net = graph.linearize(values).eliminateSequential(ordering)
             step = bayes_net.optimize()
             change = float(np.abs(step.vector()).max())
             if not np.isfinite(change):
                 raise ArithmeticError("a step of the solver is not finite")
-            if change <= self._step_tolerance:
-                return values.retract(step), bayes_net
-            if change <= _LARGE_CHANGE:
+            if change <= max(self._step_tolerance, _LARGE_CHANGE):
                 values = values.retract(step)
-                continue
-            descended = _descend(graph, values, step)
-            if descended is None:
+            elif (lower := descend(graph, values, step, graph.error(values), _SHORTEST)) is not None:
+                values = lower[0]
+            else:
                 break
-            values = descended
+            if change <= self._step_tolerance:
+                break
         return values, bayes_net
 
-    def _slide(self, chain: _Chain) -> _Chain:
-        horizon = chain.links[-1].step.observation.t - self._lag - TIME_TOLERANCE
-        while chain.links[0].step.observation.t < horizon:
-            gone, first, *rest = chain.links
-            graph = gtsam.NonlinearFactorGraph(gone.own)
-            graph.push_back(first.back)
-            graph.push_back(chain.start(self._model))
-            linear = graph.linearize(chain.values)
-            _, remaining = linear.eliminatePartialSequential(gtsam.Ordering(gone.keys))
-            marginal = gtsam.LinearContainerFactor(gtsam.HessianFactor(remaining), chain.values)
-            values = gtsam.Values(chain.values)
-            for key in gone.keys:
-                values.erase(key)
-            # Its link to the step before is part of the marginal now: the chain begins here.
-            first = replace(first, step=first.step.alone(), back=gtsam.NonlinearFactorGraph())
-            chain = _Chain((first, *rest), values, marginal, chain.values)
-        return chain
+    def _slide(self, window: Window, values: gtsam.Values, graph: gtsam.NonlinearFactorGraph) -> Window:
+        """The window once the steps that leave it are marginalised, linearised at the values.
+
+        ``graph`` has what holds the first of them; it gets their factors.
+        """
+        n = leaving(window.steps, self._lag)
+        if not n:
+            return window
+        gone, first = window.steps[:n], window.steps[n].alone()
+        keys = [key for step in gone for key in variable_keys(step, self._model)]
+        for step in gone:
+            graph.push_back(self._factors[step])
+        # Its links to the step before are part of the marginal now: the chain begins here.
+        newer, past = self._factors[window.steps[n]], frozenset(keys)
+        self._factors[first] = own = gtsam.NonlinearFactorGraph()
+        for factor in map(newer.at, range(newer.size())):
+            (own if past.isdisjoint(factor.keys()) else graph).push_back(factor)
+        _, remaining = graph.linearize(values).eliminatePartialSequential(gtsam.Ordering(keys))
+        steps = (first, *window.steps[n + 1 :])
+        left = {step.index: window.values[step.index] for step in steps}
+        return Window(steps, left, marginal_prior(gtsam.HessianFactor(remaining), values), None)
 
 
-def _exactly(values: gtsam.Values, steps: Sequence[Step], model: Model) -> FloatArray:
-    """The variables of some steps (n, 8): position, velocity, cosine and sine of body and head.
-
-    An angle would lose the last digit of both.
-    """
-    rows = np.full((len(steps), 8), np.nan)
-    for row, step in zip(rows, steps, strict=True):
-        row[:2], row[2:4] = values.atPoint2(step.position_key), values.atVector(step.velocity_key)
-        for has, key, place in ((model.has_body, step.body_key, 4), (model.has_head, step.head_key, 6)):
-            if has:
-                rotation = values.atRot2(key)
-                row[place], row[place + 1] = rotation.c(), rotation.s()
-    return rows
-
-
-def _values(rows: FloatArray, steps: Sequence[Step], model: Model) -> gtsam.Values:
-    """The inverse of `_exactly`."""
-    values = gtsam.Values()
-    for row, step in zip(rows.reshape(len(steps), 8), steps, strict=True):
-        values.insert(step.position_key, row[:2])
-        values.insert(step.velocity_key, row[2:4])
-        for has, key, place in ((model.has_body, step.body_key, 4), (model.has_head, step.head_key, 6)):
-            if has:
-                values.insert(key, gtsam.Rot2.fromCosSin(*row[place : place + 2].tolist()))
-    return values
-
-
-def _descend(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, step: gtsam.VectorValues
-) -> gtsam.Values | None:
-    """The values after a step, halved until the cost does not rise; None if it always does."""
-    cost = graph.error(values)
-    for halvings in range(_MAX_HALVINGS):
-        candidate = values.retract(step.scale(0.5**halvings))
-        if graph.error(candidate) <= cost:
-            return candidate
-    return None
-
-
-def _covariance_of_last(bayes_net: gtsam.GaussianBayesNet, keys: Sequence[int], model: Model) -> FloatArray:
-    """Joint covariance (6, 6) of the variables that were eliminated last; NaN for what the model lacks."""
+def _last(bayes_net: gtsam.GaussianBayesNet, keys: Sequence[int]) -> gtsam.GaussianFactorGraph:
+    """The conditionals of the variables that were eliminated last."""
     # By key: where the graph falls into parts, GTSAM eliminates them one after another.
-    wanted, last = set(keys), gtsam.GaussianFactorGraph()
+    last = gtsam.GaussianFactorGraph()
     for i in reversed(range(bayes_net.size())):
         conditional = bayes_net.at(i)
-        frontal = conditional.keys()[0]
-        if frontal in wanted:
-            wanted.remove(frontal)
+        if conditional.keys()[0] in keys:
             last.push_back(conditional)
-            if not wanted:
+            if last.size() == len(keys):
                 break
-    square_root = last.jacobian(gtsam.Ordering(keys))[0]
-    root = np.linalg.inv(square_root)
-    rows = present(model)
-    covariance = np.full((6, 6), np.nan)
-    covariance[np.ix_(rows, rows)] = root @ root.T
-    return covariance
+    return last

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END
-from graphtrack.inference.graph.batch import anchors, optimize, variable_keys
-from graphtrack.inference.graph.chain_view import WindowView, is_ambiguous
+from graphtrack.inference.graph.batch import beginning, graph_of, optimize
+from graphtrack.inference.graph.chain_view import WindowView
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam import Isam2
-from graphtrack.inference.prior import MarginalPrior
+from graphtrack.inference.prior import MarginalPrior, variable_keys
 from graphtrack.inference.solution import SolverOptions
-from graphtrack.inference.state import FAILURES, Newest, Window, insert_step, read_step
+from graphtrack.inference.state import FAILURES, Newest, Window, leaving, read_step, values_of
 from graphtrack.inference.warm import ONLINE, graph_rehearsal
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
-from graphtrack.model.factors.custom import variable_dimension
-from graphtrack.model.factors.derived import COUPLED
-from graphtrack.model.kernels.layout import TIME_TOLERANCE
+from graphtrack.model.factors.derived import COUPLED, is_recoupled
 from graphtrack.readiness import make_ready
 
 _LAG = 5.0
@@ -55,6 +54,11 @@ class Guided:
     model : its terms
     lag : seconds of the smoother's window; infinite: all history
     couplings : what the graph's factors read the couplings from; None for a model without modes
+
+    Attributes
+    ----------
+    graph : the smoother
+    modes : probability of an aligned body, and its offset from the motion, in the newest frame; or NaN
     """
 
     def __init__(
@@ -64,126 +68,132 @@ class Guided:
         lag: float,
         couplings: dict[int, Sequence[float]] | None = None,
     ) -> None:
-        self._graph, self._whole, self._couplings = graph, model, couplings
+        self.graph, self._whole, self._couplings = graph, model, couplings
         self._model = model.compiled
         self._lag = _LAG if lag == math.inf else lag
         self._outliers = model.parameters.likelihood.outlier_probability > 0.0
-        self._view: WindowView | None = None
-        self._searches, self._search_from = False, -math.inf
-        if self._model.has_modes:
-            self._begin()
-
-    @property
-    def modes(self) -> tuple[float, float]:
-        """Probability of an aligned body, and its offset from the motion, in the newest frame; or NaN."""
-        if self._view is None or self._couplings is None or not self.steps:
-            return math.nan, math.nan
-        aligned, offset = self._view.modes[-1].tolist()
-        return aligned, offset
-
-    @property
-    def graph(self) -> FixedLag | Isam2:
-        """The smoother."""
-        return self._graph
+        self._view: WindowView | None
+        self._searches: bool
+        self._search_from: float
+        self._take(Window((), {}, None, None))
 
     @property
     def steps(self) -> Sequence[Step]:
         """The steps of the window, oldest first."""
-        return self._graph.steps
+        return self.graph.steps
 
     def state(self, step: Step) -> tuple[float, ...]:
         """x, y, vx, vy, body, head of a step."""
-        return self._graph.state(step)
+        return self.graph.state(step)
 
     def extend(self, step: Step, state: Sequence[float]) -> Newest:
         """Add a step whose variables start at ``state``; what is known about it then."""
-        self._notice([step])
-        if self._view is None:
-            return self._graph.extend(step, state)
-        if self._couplings is not None:
-            recent = self._recent()
-            states = np.array([*map(self.state, recent), tuple(state)])
-            self._view.follow([*recent, step], states, self._prior(recent))
-            self._view.renew(states)
-        return self._guided(self._graph.extend(step, state))
+        with self._kept():
+            self._notice([step])
+            if self._couplings is not None:
+                recent = self._recent(self.steps)
+                states = np.array([*map(self.state, recent), tuple(state)])
+                self._infer([*recent, step], states, self._prior(recent))
+            return self._guided(self.graph.extend(step, state))
 
     def rework(self, window: Window) -> Newest:
         """Take over a window that was changed; what is known about its newest step then."""
-        self._notice(window.steps)
-        if self._view is None:
-            return self._graph.rework(window)
-        if self._couplings is not None:
+        with self._kept():
+            self._notice(window.steps)
             self._couple(window)
-        return self._guided(self._graph.rework(window))
+            return self._guided(self.graph.rework(window))
+
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        """Leave the smoother as it is at the beginning if anything inside raises."""
+        before, couplings = dict(vars(self)), dict(self._couplings or {})
+        modes = None if self._view is None else self._view.before
+        try:
+            with self.graph.kept():
+                yield
+        except BaseException:
+            vars(self).update(before)
+            if self._couplings is not None:
+                self._couplings.clear()
+                self._couplings.update(couplings)
+            if self._view is not None:
+                self._view = self._look(modes)
+            raise
 
     def _couple(self, window: Window) -> None:
         """Infer the modes of a window's recent steps, and of all since the first without couplings."""
-        assert self._view is not None and self._couplings is not None
         steps, couplings = window.steps, self._couplings
-        first = len(steps) - len(self._recent_of(steps))
+        if couplings is None or not steps:
+            return
+        first = len(steps) - len(self._recent(steps))
         first = next((k for k, step in enumerate(steps[:first]) if step.index not in couplings), first)
         states = np.array([window.values[step.index] for step in steps[first:]])
-        self._view.follow(steps[first:], states, None if first else window.prior)
-        self._view.renew(states)
+        self._infer(steps[first:], states, None if first else window.prior)
+
+    def _infer(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
+        """Set the couplings of some steps, if there are any, by the modes that their states (n, 6) imply."""
+        assert self._view is not None
+        self._view.follow(steps, states, prior)
+        if self._couplings is not None:
+            self._view.renew(states)
+            aligned, offset = self._view.modes[-1].tolist()
+            self.modes = aligned, offset
 
     def _notice(self, steps: Sequence[Step]) -> None:
         """Search from the first step on that may speak for several directions."""
-        if not self._searches and (self._outliers or any(map(is_ambiguous, steps))):
+        if not self._searches and (self._outliers or any(step.is_ambiguous for step in steps)):
             self._searches = True
-            if self._view is None:
-                self._begin()
+            self._view = self._view or self._look()
 
-    def _begin(self) -> None:
+    def _look(self, modes: FloatArray | None = None) -> WindowView:
+        """A view of the window, with the modes before it."""
         make_ready(ONLINE, graph_rehearsal(self._model))
-        self._view = WindowView(self._model, self._couplings)
+        view = WindowView(self._model, self._couplings)
+        view.before = view.before if modes is None else modes
+        return view
 
-    def _recent(self) -> Sequence[Step]:
-        return self._recent_of(self.steps)
-
-    def _recent_of(self, steps: Sequence[Step]) -> Sequence[Step]:
+    def _recent(self, steps: Sequence[Step]) -> Sequence[Step]:
         """The steps that are looked at: with a lag all there are."""
-        if not steps:
-            return steps
-        begin, first = steps[-1].observation.t - self._lag - TIME_TOLERANCE, len(steps) - 1
-        while first > 0 and steps[first - 1].observation.t >= begin:
-            first -= 1
-        return steps[first:]
+        return steps[leaving(steps, self._lag) :]
 
     def _prior(self, recent: Sequence[Step]) -> MarginalPrior | None:
         """What the graph knows about the first of the recent steps beside its factors."""
-        return self._graph.prior() if len(recent) == len(self.steps) else None
+        return self.graph.prior() if len(recent) == len(self.steps) else None
+
+    def _states(self, steps: Sequence[Step]) -> FloatArray:
+        return np.array([self.state(step) for step in steps])
 
     def _guided(self, newest: Newest) -> Newest:
         """What is known about the newest step once the couplings, and the basin, are those of the states."""
-        view = self._view
-        assert view is not None
-        recent = self._recent()
-        states = np.array([self.state(step) for step in recent])
-        view.follow(recent, states, self._prior(recent))
-        if self._couplings is not None and len(recent) == len(self.steps):
-            for index in self._couplings.keys() - {step.index for step in recent}:
-                del self._couplings[index]
+        if self._view is None:
+            return newest
+        recent = self._recent(self.steps)
+        states, couplings = self._states(recent), {} if self._couplings is None else self._couplings
+        if len(recent) == len(self.steps):
+            for index in couplings.keys() - {step.index for step in recent}:
+                del couplings[index]
         try:
-            if self._couplings is not None:
-                before = [self._couplings.get(step.index) for step in recent]
-                view.renew(states)
+            with self._kept():
+                before = dict(couplings)
+                self._infer(recent, states, self._prior(recent))
                 changed = [
                     step
-                    for step, old in zip(recent, before, strict=True)
-                    if is_recoupled(old, self._couplings[step.index], _RECOUPLED)
+                    for step in recent
+                    if step.index in couplings
+                    and is_recoupled(before.get(step.index), couplings[step.index], _RECOUPLED)
                 ]
                 if changed:
-                    newest = self._graph.recoupled(changed)
-                    states = np.array([self.state(step) for step in recent])
-            if self._searches and (found := self._moved(recent, states)) is not None:
-                newest, states = found
+                    newest = self.graph.recoupled(changed)
+                    states = self._states(recent)
+                if self._searches and (found := self._moved(recent, states)) is not None:
+                    newest, states = found
         except FAILURES:
             # It is where the observation itself has led to.
             return newest
         if self._couplings is None:
             return newest
         covariance = np.zeros((len(recent), 6, 6))
-        view.widen(states, covariance)
+        self._view.widen(states, covariance)
         return newest[0], newest[1] + covariance[-1]
 
     def _moved(self, recent: Sequence[Step], states: FloatArray) -> tuple[Newest, FloatArray] | None:
@@ -196,14 +206,14 @@ class Guided:
         other = None if t < self._search_from else self._view.other(states, AT_END)
         if other is None:
             return None
-        window = self._graph.window()
-        turn = other[0] - states[0]
-        prior = None if window.prior is None else _turned(window.prior, recent[0], turn)
+        window = self.graph.window()
+        body, head = (other[0] - states[0])[4:].tolist()
+        turns = {recent[0].body_key: body, recent[0].head_key: head}
+        prior = None if window.prior is None else window.prior.turned(turns, AT_END)
         here = replace(window, steps=tuple(recent))
-        there = replace(here, prior=prior)
         # From here, too: one or two Gauss–Newton steps an observation may be far from their end.
         values, costs = self._descent(here, states)
-        values_there, costs_there = self._descent(there, other)
+        values_there, costs_there = self._descent(replace(here, prior=prior), other)
         if costs_there[-1] < costs[-1]:
             window, values = replace(window, prior=prior), values_there
         least = min(costs[-1], costs_there[-1])
@@ -212,53 +222,42 @@ class Guided:
             return None
         known = {step.index: self.state(step) for step in window.steps}
         known |= {step.index: read_step(values, step, self._whole) for step in recent}
-        newest = self._graph.rework(replace(window, values=known))
-        return newest, np.array([self.state(step) for step in recent])
+        return self.graph.rework(replace(window, values=known)), self._states(recent)
 
     def _descent(self, window: Window, states: FloatArray) -> tuple[gtsam.Values, list[float]]:
-        """The window's variables where a descent from some states (n, 6) ends, and the cost at each step."""
-        keys = [key for step in window.steps for key in variable_keys(step, self._whole)]
-        begun = _values(window.steps, states, self._whole)
-        values, costs, _ = optimize(self._problem(window), begun, gtsam.Ordering(keys), _SEARCH)
-        return values, costs
+        """Where a descent from some states (n, 6) of a window ends, and the cost at each step.
 
-    def _problem(self, window: Window) -> gtsam.NonlinearFactorGraph:
-        """The factors of a window's steps and what is known of the first; what came before is as it is."""
-        first, graph = window.steps[0], gtsam.NonlinearFactorGraph()
-        if window.prior is not None:
-            graph.push_back(window.prior.factor())
-        elif first.dt is None and window.anchor is not None:
-            for factor in anchors(first, self._whole, *window.anchor):
-                graph.push_back(factor)
-        for k, step in enumerate(window.steps):
-            inside = {
-                key for one in window.steps[max(0, k - 1) : k + 1] for key in variable_keys(one, self._whole)
-            }
-            for factor in self._whole.factors(step, self._couplings):
-                if inside.issuperset(factor.keys()):
-                    graph.push_back(factor)
-        return graph
+        What came before the window is as it is.
+        """
+        steps, factors = window.steps, beginning(window, self._whole)
+        for step in steps:
+            factors += self._whole.factors(step, self._couplings)
+        keys = [key for step in steps for key in variable_keys(step, self._whole)]
+        inside = frozenset(keys)
+        graph = graph_of(factor for factor in factors if inside.issuperset(factor.keys()))
+        begun = values_of(steps, states, self._whole)
+        values, costs, _ = optimize(graph, begun, gtsam.Ordering(keys), _SEARCH)
+        return values, costs
 
     # -- saved states --------------------------------------------------------------------------------------
 
     def window(self) -> Window:
         """What another smoother needs to go on from here."""
-        window = self._graph.window()
+        window = self.graph.window()
         return window if self._view is None else replace(window, modes=self._view.before)
 
     def restore(self, window: Window) -> None:
         """Take over a window as it stands."""
         self._take(window)
-        if self._view is not None and self._couplings is not None and window.steps:
-            self._couple(window)
-        self._graph.restore(window)
+        self._couple(window)
+        self.graph.restore(window)
 
     def arrays(self) -> dict[str, FloatArray]:
         """What makes the next estimates the same beside the window; see `resume`."""
-        own = self._graph.arrays()
+        own = {"search_from": np.array([self._search_from])}
         if self._couplings is not None:
             own["couplings"] = np.array([self._couplings[step.index] for step in self.steps])
-        return own | {"search_from": np.array([self._search_from])}
+        return own
 
     def resume(self, window: Window, arrays: Mapping[str, FloatArray]) -> None:
         """Go on where `window` and `arrays` were taken, as if nothing had happened.
@@ -274,52 +273,12 @@ class Guided:
             for step, row in zip(window.steps, rows, strict=True):
                 self._couplings[step.index] = tuple(row)
         (self._search_from,) = arrays["search_from"].tolist()
-        self._graph.resume(window, arrays)
-        if self._view is not None and window.steps:
-            recent = self._recent()
-            self._view.follow(recent, np.array([self.state(step) for step in recent]), None)
+        self.graph.restore(window)
 
     def _take(self, window: Window) -> None:
+        """Begin with a window: nothing is known about its couplings, nor where to search."""
         if self._couplings is not None:
             self._couplings.clear()
-        self._view, self._searches, self._search_from = None, False, -math.inf
+        self.modes, self._searches, self._search_from = (math.nan, math.nan), False, -math.inf
+        self._view = self._look(window.modes) if self._model.has_modes else None
         self._notice(window.steps)
-        if self._view is None and self._model.has_modes:
-            self._begin()
-        if self._view is not None and window.modes is not None:
-            self._view.before = window.modes
-
-
-def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: float) -> bool:
-    """Whether a coupling, the steering or a doubt differs by more than a share; rows as in `COUPLED`."""
-    if old is None:
-        return True
-    for kappa, cos, sin in ((0, 1, 2), (3, 4, 5)):
-        a, b = old[kappa], new[kappa]
-        change = math.hypot(b * new[cos] - a * old[cos], b * new[sin] - a * old[sin])
-        if change > threshold * max(a, b):
-            return True
-    if abs(new[6] - old[6]) > threshold:
-        return True
-    return abs(new[7] - old[7]) > threshold * max(new[7], old[7])
-
-
-def _values(steps: Sequence[Step], states: FloatArray, model: Model) -> gtsam.Values:
-    """States (n, 6) as the variables of some steps."""
-    values = gtsam.Values()
-    for step, state in zip(steps, states.tolist(), strict=True):
-        insert_step(values, step, model, state)
-    return values
-
-
-def _turned(prior: MarginalPrior, step: Step, turn: FloatArray) -> MarginalPrior:
-    """A prior whose step went to another basin by ``turn`` (6,).
-
-    What the Gaussian says holds about its own basin; that it is as sure of the other one is the best guess.
-    """
-    turns = {step.body_key: turn[4], step.head_key: turn[5]}
-    point = tuple(
-        (there[0] + turns[key],) if variable_dimension(key) == 1 and math.cos(turns[key]) < AT_END else there
-        for key, there in zip(prior.keys, prior.point, strict=True)
-    )
-    return replace(prior, point=point)

@@ -72,6 +72,36 @@ _SCRATCH = {
 """What a kernel is given to read states from and to add to, in the order of `_Evaluation`'s arrays."""
 
 
+def couplings_of(records: np.ndarray) -> list[tuple[float, ...]]:
+    """The `COUPLED` fields of packed frames, a row for each.
+
+    A step that nothing steers is one of white-noise acceleration, for which the chain has another kernel;
+    here it has the same moments.
+    """
+    rows = np.stack([records[name] for name in COUPLED], axis=1)
+    unsteered = (rows[:, COUPLED.index("steer_gain")] == 0.0) & (records["motion_information"] > 0.0)
+    if unsteered.any():
+        dt, information = records["dt"][unsteered], records["motion_information"][unsteered]
+        moments = (dt, 12.0 * information / dt**3, -6.0 * information / dt**2, 4.0 * information / dt)
+        for name, values in zip(COUPLED[-4:], moments, strict=True):
+            rows[unsteered, COUPLED.index(name)] = values
+    return list(map(tuple, rows.tolist()))
+
+
+def is_recoupled(old: Sequence[float] | None, new: Sequence[float], threshold: float) -> bool:
+    """Whether a coupling, the steering or a doubt differs by more than a share; rows as in `COUPLED`."""
+    if old is None:
+        return True
+    for kappa, cos, sin in ((0, 1, 2), (3, 4, 5)):
+        a, b = old[kappa], new[kappa]
+        change = math.hypot(b * new[cos] - a * old[cos], b * new[sin] - a * old[sin])
+        if change > threshold * max(a, b):
+            return True
+    if abs(new[6] - old[6]) > threshold:
+        return True
+    return abs(new[7] - old[7]) > threshold * max(new[7], old[7])
+
+
 def derived_factors(
     term: Term, step: Step, couplings: Couplings | None = None
 ) -> Sequence[gtsam.NonlinearFactor]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.later import gtsam
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
 SMALL_TURN = 1e-3
 """λΔt below which the closed forms of a steered step cancel; there, their series."""
+
+HEAD_RATE = "head_rate"
+"""The input: λ in 1/s of the step that leads to a frame, where it is not the parameters'."""
 
 STANDSTILL = 0.01
 """m/s: the speed that the head steers has no kink at 0; it is rounded off over about so much."""
@@ -68,6 +72,24 @@ def steered_step(dt: FloatArray | float, rate: FloatArray | float) -> SteeredSte
         np.where(small, dt**2 / 2.0 * (1.0 - x + 7.0 * x**2 / 12.0), once**2 / (2.0 * safe**2)),
         np.where(small, dt * (1.0 - x + 2.0 * x**2 / 3.0), -twice / (2.0 * safe)),
     )
+
+
+def head_rates(given: FloatArray, rate: float) -> FloatArray:
+    """λ (n,) in 1/s of the steps that lead to n frames.
+
+    Parameters
+    ----------
+    given : (n,) the input `HEAD_RATE`, NaN where there is none
+    rate : λ of the parameters, which holds there; 0: no step is steered, whatever is given
+
+    Raises
+    ------
+    InputError
+        If a given rate is negative.
+    """
+    if (given < 0.0).any():
+        raise InputError(f"an input {HEAD_RATE} of {np.nanmin(given):g}", "a rate in 1/s, at least 0")
+    return np.where(np.isfinite(given), given, rate) if rate > 0.0 else np.zeros(len(given))
 
 
 def smooth_speed(velocity: FloatArray) -> FloatArray:
@@ -205,9 +227,10 @@ class IntentionalMotion(Motion):
     """White-noise acceleration about a velocity that turns towards where the head points.
 
     Over a step, v_t = (1 − a)·v_{t−1} + a·‖v_{t−1}‖·u(α_{t−1}) + noise with a = 1 − e^−λΔt, and the position
-    is its exact integral (Baxter et al. 2014, eq. 3–5 in continuous time). λ = 0 is `Motion`. Otherwise the
+    is its exact integral (Baxter et al. 2014, eq. 4–6 in continuous time). λ = 0 is `Motion`. Otherwise the
     prior on the first velocity stands at the first frame of the track, whether a position was seen there or
-    not: steering forgets a velocity, so that later frames may not determine it.
+    not: steering forgets a velocity, so that later frames may not determine it. The input `HEAD_RATE` has λ
+    of single steps, such as one that grows with the deviation of the head (eq. 2–3, `GrowingRate`).
     """
 
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
@@ -235,7 +258,8 @@ class IntentionalMotion(Motion):
         if motion.head_rate == 0.0:
             return super().cost(states, track, camera)
         dt, before = np.diff(track.t)[:, None], states.velocity[:-1]
-        keep, reach, place, cross, spread = steered_step(dt, motion.head_rate)
+        rate = head_rates(track.input(HEAD_RATE), motion.head_rate)[1:, None]
+        keep, reach, place, cross, spread = steered_step(dt, rate)
         aim = smooth_speed(before)[:, None] * unit(states.head[:-1])
         off = np.diff(states.position, axis=0) - reach * before - (dt - reach) * aim
         turn = states.velocity[1:] - keep * before - (1.0 - keep) * aim
@@ -248,7 +272,8 @@ class IntentionalMotion(Motion):
     def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
         """½·log det 2πQ(Δt, λ) of each step, and the same of the first velocity."""
         motion = self.parameters.motion
-        moments = steered_step(np.diff(track.t), motion.head_rate)
+        rate = head_rates(track.input(HEAD_RATE), motion.head_rate)[1:]
+        moments = steered_step(np.diff(track.t), rate)
         determinant = moments.place * moments.spread - moments.cross**2
         steps = np.log((2.0 * np.pi * motion.acceleration_density) ** 2 * determinant)
         return float(steps.sum() + np.log(2.0 * np.pi * motion.initial_speed_std**2))
@@ -263,13 +288,14 @@ class IntentionalMotion(Motion):
         motion, records = self.parameters.motion, packed.records
         if motion.head_rate == 0.0:
             return
-        records["steer_rate"] = motion.head_rate
+        rates = head_rates(packed.input(HEAD_RATE), motion.head_rate)
+        records["steer_rate"] = rates
         records["velocity_information"] = np.where(packed.is_first, motion.initial_speed_std**-2, 0.0)
-        dt = packed.dt[~packed.is_first]
-        moments = steered_step(dt, motion.head_rate)
+        dt, rate = packed.dt[~packed.is_first], rates[~packed.is_first]
+        moments = steered_step(dt, rate)
         scale = motion.acceleration_density * (moments.place * moments.spread - moments.cross**2)
         for name, values in (
-            ("steer_gain", -np.expm1(-motion.head_rate * dt)),
+            ("steer_gain", -np.expm1(-rate * dt)),
             ("steer_reach", moments.reach),
             ("steer_place", moments.spread / scale),
             ("steer_cross", -moments.cross / scale),
