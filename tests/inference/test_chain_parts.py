@@ -11,24 +11,25 @@ from walks import walk
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference import OnlineSmoother
 from graphtrack.inference.chain.advance import carry_over
+from graphtrack.inference.chain.basin_search import greatest_gain
+from graphtrack.inference.chain.coupling_modes import mode_memory, renew_couplings
 from graphtrack.inference.chain.elimination import workspace
-from graphtrack.inference.chain.grid import greatest_gain
-from graphtrack.inference.chain.modes import renew_couplings
 from graphtrack.inference.chain.start import fill
 from graphtrack.inference.chain.window_kernels import predict_newest, from_frame
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import Model, Parameters
 from graphtrack.model.kernels.layout import BODY, HEAD
-from graphtrack.model.kernels.program import add_own, note_turns
+from graphtrack.model.kernels.program import add_frame
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.gait import ROW, gait_of
+from graphtrack.model.terms.gait import gait_of
 
 
 def own_cost(problem: object, state: FloatArray) -> float:
     """What the first frame costs by itself."""
-    states, turns = state[None], np.zeros((1, 4))
-    note_turns(0, states, turns)
-    return float(add_own(problem, 0, 0, state, states, True, turns, np.zeros(6), np.zeros((6, 6))))
+    vectors, matrices = np.zeros((2, 6)), np.zeros((3, 6, 6))
+    ways = True, False, True  # exact, links, own
+    memory = np.zeros((1, 4)), *vectors, *matrices
+    return float(add_frame(problem, 0, 0, state, state[None], *ways, *memory))
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -44,7 +45,7 @@ def test_in_a_single_frame_the_greatest_gain_is_that_of_the_best_turn(seed: int)
             other = state.copy()
             other[places] += q * np.pi / 2.0
             turned.append(own_cost(problem, state) - own_cost(problem, other))
-    assert greatest_gain(problem, 0, state[None]) == pytest.approx(max(0.0, *turned), abs=1e-9)
+    assert greatest_gain(problem, 0, 1, state[None], workspace(1)) == pytest.approx(max(0.0, *turned), abs=1e-9)
 
 
 def test_what_was_not_seen_is_taken_from_the_nearest_in_time() -> None:
@@ -91,11 +92,12 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
     # The step that the newest frame asks for, and then the modes.
     carry_over(records[end - 1], records[end], gait.head_rate_seen)
     predict_newest(problem, states[begin:], from_frame(memory, begin))
-    filtered = np.empty((2, n, ROW))
-    renew_couplings(
-        problem, 0, states[begin:], gait, False, before, filtered, np.empty((n, 2)), np.empty((n, 2))
-    )
-    np.testing.assert_allclose(window.modes_before, filtered[:, 0], rtol=1e-9, atol=1e-15)
+    modes = mode_memory(n)
+    modes.before[:] = before
+    renew_couplings(problem, 0, n, float(n), states[begin:], gait, False, True, modes)
+    oldest = np.stack([modes.filtered_body[0], modes.filtered_head[0]])
+    oldest /= oldest.sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(window.modes_before, oldest, rtol=1e-9, atol=1e-15)
 
 
 def test_each_coupling_has_its_own_lead() -> None:
@@ -109,8 +111,7 @@ def test_each_coupling_has_its_own_lead() -> None:
         states = np.zeros((n, 6))
         states[:, 2:4] = np.gradient(track.true_position, track.t, axis=0)
         states[:, BODY], states[:, HEAD] = track.true_body, track.true_head
-        before, filtered, modes = np.zeros((2, ROW)), np.empty((2, n, ROW)), np.empty((n, 2))
-        renew_couplings(problem, 0, states, gait_of(gait), False, before, filtered, modes, np.empty((n, 2)))
+        renew_couplings(problem, 0, n, float(n), states, gait_of(gait), False, True, mode_memory(n))
         found[leads] = problem.records.copy()
     same, other = found[0.1, 0.1], found[0.1, 0.6]
     np.testing.assert_array_equal(same["motion_body_kappa"], other["motion_body_kappa"])

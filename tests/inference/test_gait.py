@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gaits import FPS, people
+from mode_recursions import both_ways, transition
 from scipy import special
 
 import graphtrack as gt
@@ -21,13 +22,19 @@ from graphtrack.geometry.angles import (
     wrap,
 )
 from graphtrack.inference import smooth_track, solve
-from graphtrack.inference.chain.modes import leading_angles, loosened
+from graphtrack.inference.chain.coupling_modes import (
+    AHEAD_BODY,
+    AHEAD_VX,
+    AHEAD_VY,
+    look_ahead,
+    loosened,
+)
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.recorded import track_online
 from graphtrack.model import GaitParameters, Model, MotionParameters, Parameters
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.program import FRAME, add_frame
+from graphtrack.model.kernels.program import add_frame
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import (
     BINS,
@@ -36,9 +43,6 @@ from graphtrack.model.terms.gait import (
     angle_information,
     class_information,
     gait_of,
-    infer_modes,
-    switch,
-    switch_back,
 )
 from graphtrack.model.terms.intentional_motion import steer
 from graphtrack.simulation.degrade import add_noise, withhold
@@ -292,34 +296,22 @@ def steer_all(records: np.ndarray, rate: float) -> None:
 
 
 @compiled
-def loosen(records: np.ndarray, kappa: float, excess: float, missing: float, diffusion: float) -> float:
-    return loosened(records[0], kappa, excess, missing, diffusion)
-
-
-def transition(modes: object, dt: float) -> np.ndarray:
-    """Matrix P[i, j] from state i to j, from the definition: diffusion, and a change drawn anew."""
-    eye = np.eye(ROW)
-    columns = []
-    for i in range(ROW):
-        row = eye[i].copy()
-        switch(row, modes, dt, np.empty(BINS))
-        columns.append(row)
-    return np.array(columns)
+def loosen(kappa: float, excess: float, missing: float, weight: float, diffusion: float) -> float:
+    return kappa * loosened(kappa, excess, missing, weight, diffusion)
 
 
 @pytest.mark.parametrize("dt", [1e-3, 1 / 30, 1.0, 100.0])
-def test_switching_keeps_probability_and_its_adjoint_is_its_transpose(dt: float) -> None:
+def test_switching_is_diffusion_and_a_change_drawn_from_the_long_run(dt: float) -> None:
     matrix = transition(GAIT.body, dt)
     np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-12)
     assert (matrix >= 0.0).all()
-    ahead = np.random.default_rng(0).random(ROW)
-    back = ahead.copy()
-    switch_back(back, GAIT.body, dt, np.empty(BINS))
-    np.testing.assert_allclose(back, matrix @ ahead, rtol=1e-12)
-    # What is drawn anew is what there is in the long run, but for the drift of what was drawn.
     longrun = np.r_[(1 - GAIT.body.aligned) * GAIT.body.anywhere, GAIT.body.aligned * GAIT.body.share]
-    still = transition(GAIT.body._replace(drift=0.0), dt)
-    np.testing.assert_allclose(longrun @ still, longrun, rtol=1e-12)
+    still, kept = transition(GAIT.body._replace(drift=0.0), dt), np.exp(-GAIT.body.switching * dt)
+    np.testing.assert_allclose(still, kept * np.eye(ROW) + (1.0 - kept) * longrun, atol=1e-12)
+    # Diffusion is symmetric, and leaves the aligned mode alone.
+    drifted = (matrix - (1.0 - kept) * longrun) / kept
+    np.testing.assert_allclose(drifted, drifted.T, atol=1e-9 / kept)
+    np.testing.assert_allclose(drifted[BINS:], np.eye(ROW)[BINS:], atol=1e-9 / kept)
 
 
 @pytest.mark.parametrize("kappa", [0.0, 0.7, 5.0])
@@ -345,14 +337,11 @@ def test_a_step_that_is_steered_anew_is_as_one_that_was_packed(dt: float, rate: 
 
 
 def test_a_lead_that_is_not_known_adds_its_variance() -> None:
-    record = np.zeros(1, FRAME)
-    record["coupling_weight"] = 1.0
-    missing = loosen(record, 8.0, 1.0, 0.5, 0.2)
+    missing = loosen(8.0, 1.0, 0.5, 1.0, 0.2)
     assert 1.0 / missing == pytest.approx(1.0 / 8.0 + 0.5 * 0.2)
-    assert loosen(record, 8.0, 1.0, 0.0, 0.2) == 8.0
+    assert loosen(8.0, 1.0, 0.0, 1.0, 0.2) == 8.0
     # The weight of a frame scales what it counts, not how certain it is.
-    record["coupling_weight"] = 0.1
-    assert loosen(record, 0.8, 1.0, 0.5, 0.2) == pytest.approx(0.1 * missing)
+    assert loosen(0.8, 1.0, 0.5, 0.1, 0.2) == pytest.approx(0.1 * missing)
 
 
 def test_drift_has_the_variance_it_says() -> None:
@@ -376,31 +365,29 @@ def test_modes_are_those_of_summing_over_all_courses() -> None:
     backward = [np.ones(ROW)]
     for k in range(n - 1, 0, -1):
         backward.insert(0, matrices[k - 1] @ (np.exp(logs[k]) * backward[0]))
-    filtered, smoothed_p = np.empty((n, ROW)), np.empty((n, ROW))
-    infer_modes(dt, logs.copy(), modes, np.zeros(ROW), filtered, smoothed_p)
+    filtered, smoothed_p = both_ways(dt, logs, modes, np.zeros(ROW))
     for k in range(n):
         np.testing.assert_allclose(filtered[k], forward[k] / forward[k].sum(), rtol=1e-9)
         both = forward[k] * backward[k]
         np.testing.assert_allclose(smoothed_p[k], both / both.sum(), rtol=1e-9)
     # In two parts, the second from what the first has filtered.
-    second, ignored = np.empty((3, ROW)), np.empty((3, ROW))
-    infer_modes(dt[3:], logs[3:].copy(), modes, filtered[2], second, ignored)
+    second, _ = both_ways(dt[3:], logs[3:], modes, filtered[2])
     np.testing.assert_allclose(second, filtered[3:], rtol=1e-9)
 
 
 @pytest.mark.parametrize("lead", [0.0, 0.2, 1.7, -0.4, 50.0])
-def test_leading_angles_are_interpolated_and_end_with_the_last(lead: float) -> None:
+def test_states_a_lead_later_are_interpolated_and_end_with_the_last(lead: float) -> None:
     rng = np.random.default_rng(2)
     dt = np.r_[0.0, rng.uniform(0.02, 0.5, 30)]
     t, states = np.cumsum(dt), rng.normal(0.0, 0.5, (31, 6))
     smooth = states[:, 4].copy()
     states[:, 4] += 2.0 * np.pi * rng.integers(-1, 2, 31)
-    body, motion = np.empty(31), np.empty(31)
-    leading_angles(dt, states, lead, False, body)
-    leading_angles(dt, states, lead, True, motion)
-    np.testing.assert_allclose(difference(body, np.interp(t + lead, t, smooth)), 0.0, atol=1e-9)
+    ahead = np.empty((31, 3))
+    look_ahead(31, 31.0, states, lead, False, dt, ahead)
+    look_ahead(31, 31.0, states, lead, True, dt, ahead)
+    np.testing.assert_allclose(difference(ahead[:, AHEAD_BODY], np.interp(t + lead, t, smooth)), 0.0, atol=1e-9)
     velocity = np.stack([np.interp(t + lead, t, states[:, 2 + axis]) for axis in range(2)], axis=1)
-    np.testing.assert_allclose(difference(motion, direction(velocity)), 0.0, atol=1e-9)
+    np.testing.assert_allclose(ahead[:, [AHEAD_VX, AHEAD_VY]], velocity, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -419,7 +406,20 @@ def test_gradient_and_hessian_of_couplings_about_an_offset(seed: int) -> None:
         memory = np.zeros((1, 4))
         start = state[0].copy()
         cost = add_frame(
-            problem, 0, 0, start, at, True, memory, np.zeros(6), gradient, none.copy(), hessian, none
+            problem,
+            0,
+            0,
+            start,
+            at,
+            True,
+            True,
+            True,
+            memory,
+            np.zeros(6),
+            gradient,
+            none.copy(),
+            hessian,
+            none,
         )
         lower = np.tril(hessian)
         return cost, gradient, lower + np.tril(hessian, -1).T

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mode_recursions import both_ways
 from gaits import people
 from scipy import special
 
@@ -12,7 +13,7 @@ from graphtrack.inference import smooth, track_online
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import GaitParameters, Model
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.gait import BINS, NEAR, ROW, gait_of, infer_modes
+from graphtrack.model.terms.gait import BINS, NEAR, ROW, gait_of
 from graphtrack.model.terms.pose_classes import (
     add_class_quarter_turns,
     add_classes,
@@ -84,10 +85,7 @@ def test_the_classifiers_share_of_an_offset_is_bayes() -> None:
     still = GaitParameters(head_drift=0.0, head_switching=0.0)
     both = gait_of(replace(still, head_class_bias=share, head_class_bias_kappa=kappa))
     row = rng.normal(0.0, 2.0, (5, ROW))
-    filtered, smoothed = np.empty((5, ROW)), np.empty((5, ROW))
-    infer_modes(
-        np.r_[0.0, np.full(4, 0.1)], row.copy(), both.classified_head, np.zeros(ROW), filtered, smoothed
-    )
+    _, smoothed = both_ways(np.r_[0.0, np.full(4, 0.1)], row, both.classified_head, np.zeros(ROW))
 
     evidence, circle = np.exp(row.sum(axis=0)), 2.0 * np.pi * np.arange(BINS) / BINS
     turned = np.exp(kappa * np.cos(circle)) / (BINS * special.i0(kappa))

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import gtsam
 import numpy as np
+from calibrated import calibrated
 import pytest
 from selection import others_slow
 from walks import walk, without
@@ -19,7 +20,6 @@ from graphtrack.inference import Estimate, OnlineSmoother, SolverOptions, smooth
 from graphtrack.inference.graph.batch import anchors, build_graph
 from graphtrack.inference.prior import marginal_prior, variable_keys
 from graphtrack.inference.recorded import as_track
-from graphtrack.inference.solution import stated
 from graphtrack.model import Model, Observation, States, Step, Term, custom_factor
 from graphtrack.model.observation import chain, observations
 from graphtrack.model.term import Variable
@@ -81,7 +81,7 @@ def gauss_newton_covariance(smoothed: Track, track: Track, model: Model) -> np.n
     graph, values = build_graph(steps, model, states)
     keys = [key for step in steps for key in variable_keys(step, model)]
     information = graph.linearize(values).hessian(gtsam.Ordering(keys))[0]
-    return stated(np.linalg.inv(information)[-6:, -6:].copy(), smoothed.velocity[-1], model.parameters)
+    return calibrated(np.linalg.inv(information)[-6:, -6:].copy(), smoothed.velocity[-1], model.parameters)
 
 
 # Against independent solutions.

@@ -87,15 +87,20 @@ def test_at_the_prompt_it_compiles() -> None:
 
 
 def test_the_folder_changes_with_every_source_of_compiled_functions(monkeypatch, tmp_path: Path) -> None:
-    sources = tmp_path / "package" / "model" / "kernels"
-    sources.mkdir(parents=True)
-    monkeypatch.setattr(module, "__file__", str(sources / "compiled.py"))
-    digests = []
-    for text in ("a = 1", "from graphtrack.model.kernels.compiled import compiled\na = 1"):
-        for path in (sources / "one.py", tmp_path / "package" / "two.py"):
-            path.write_text(text)
-            digests.append(module._digest.__wrapped__())
-    assert digests[0] == digests[1] and len(set(digests[1:])) == 3
+    kernels, others = tmp_path / "package" / "model" / "kernels", tmp_path / "package"
+    kernels.mkdir(parents=True)
+    monkeypatch.setattr(module, "__file__", str(kernels / "compiled.py"))
+    plain, compiling = "a = 1", "from graphtrack.model.kernels.compiled import compiled\na = 1"
+    digests = [module._digest.__wrapped__()]
+    for path, text in (
+        (others / "two.py", plain),
+        (others / "two.py", compiling),
+        (kernels / "one.py", plain),
+        (kernels / "one.py", "a = 2"),
+    ):
+        path.write_text(text)
+        digests.append(module._digest.__wrapped__())
+    assert digests[0] == digests[1] and len(set(digests)) == 4
 
 
 def test_nothing_stands_on_undocumented_parts_of_numba() -> None:

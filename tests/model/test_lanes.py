@@ -1,4 +1,4 @@
-"""Vectors of numbers in compiled code: elementary functions, and what stands in place of branches."""
+"""Lanes: numbers of several tracks in one vector, in functions that are written once for floats and lanes."""
 
 from __future__ import annotations
 
@@ -8,89 +8,74 @@ import numpy as np
 import pytest
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.lanes import any_of, choose
-from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.elementary import exp, log
-from graphtrack.model.kernels.lane_singles import softness
-from graphtrack.model.kernels.lanes import LANES, load, masked, row_of, store
-from graphtrack.model.kernels.vector_math import cos_sin, exp2, expm1
+from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.elementary import cos_sin, direction_of, exp, expm1, log
+from graphtrack.model.kernels.lanes import (
+    any_of,
+    choose,
+    lane_array,
+    lane_count,
+    lane_of,
+    lane_records,
+    lane_rows,
+    masked,
+    negate,
+    only_lane,
+)
+from graphtrack.model.kernels.layout import LANES
 
 
 @compiled
 def each(x: FloatArray, found: FloatArray) -> None:
-    """eˣ, its logarithm, cosine, sine and log(1 + x²) of all lanes, (5, n, LANES)."""
-    for k in range(len(x)):
-        lanes = load(x, k)
-        cos, sin = cos_sin(lanes)
-        store(found[0], k, math.exp(lanes))
-        store(found[1], k, math.log(math.exp(lanes)))
-        store(found[2], k, cos)
-        store(found[3], k, sin)
-        store(found[4], k, math.log1p(lanes * lanes))
-
-
-def test_elementary_functions_are_those_of_numpy_within_what_they_state() -> None:
-    rng = np.random.default_rng(0)
-    for reach in (1e-3, 1.0, 20.0, 690.0):
-        x = np.concatenate([rng.uniform(-reach, reach, (500, LANES)), np.zeros((1, LANES))])
-        x[0] = np.arange(LANES) * math.pi / 4.0
-        found = np.empty((5, *x.shape))
-        each(x, found)
-        size = np.maximum(1.0, np.abs(x))
-        assert np.abs(found[0] / np.exp(x) - 1.0).max() < 5e-14
-        assert (np.abs(found[1] - np.log(found[0])) / size).max() < 4e-16
-        assert (np.abs(found[2] - np.cos(x)) / size).max() < 4e-16
-        assert (np.abs(found[3] - np.sin(x)) / size).max() < 4e-16
-        assert (np.abs(found[4] - np.log1p(x * x)) / size).max() < 4e-16
+    """Elementary functions of all numbers (n,), of floats or lanes; ``found`` is (n, 6)."""
+    for k in range(len(found)):
+        cos, sin = cos_sin(x[k])
+        found[k, 0], found[k, 1], found[k, 2] = exp(x[k]), log(exp(x[k])), expm1(x[k])
+        found[k, 3], found[k, 4], found[k, 5] = cos, sin, direction_of(x[k], 1.0)[1]
 
 
 @compiled
-def of_floats(x: FloatArray, found: FloatArray) -> None:
-    """eˣ and its logarithm, (2, n)."""
-    for k in range(len(x)):
-        found[0, k] = exp(x[k])
-        found[1, k] = log(exp(x[k]))
+def each_of_lanes(x: FloatArray, found: FloatArray, shape: FloatArray) -> None:
+    lanes, into = lane_array(x), lane_array(found)
+    for k in range(len(shape)):
+        cos, sin = cos_sin(lanes[k])
+        into[k, 0], into[k, 1], into[k, 2] = math.exp(lanes[k]), math.log(math.exp(lanes[k])), expm1(lanes[k])
+        into[k, 3], into[k, 4], into[k, 5] = cos, sin, math.log1p(lanes[k] * lanes[k])
 
 
-def test_those_of_floats_are_those_of_numpy_too_and_leave_nan_alone() -> None:
-    x = np.concatenate([np.random.default_rng(0).uniform(-690.0, 690.0, 500), [0.0, 1e-300, -1e-9]])
-    found = np.empty((2, len(x)))
-    of_floats(x, found)
-    np.testing.assert_allclose(found[0], np.exp(x), rtol=5e-14)
-    assert (np.abs(found[1] - np.log(found[0])) / np.maximum(1.0, np.abs(x))).max() < 4e-16
-    of_floats(np.array([np.nan, -1e4]), found[:, :2])
-    assert np.isnan(found[:, 0]).all() and found[0, 1] == pytest.approx(math.exp(-700.0))
+def numbers(reach: float) -> np.ndarray:
+    """(n, LANES) up to a size, with 0 and quarters of a turn."""
+    x = np.random.default_rng(0).uniform(-reach, reach, (500, LANES))
+    x[0], x[1] = 0.0, np.arange(LANES) * math.pi / 4.0
+    return x
 
 
-@compiled
-def powers(x: FloatArray, found: FloatArray) -> None:
-    """2ˣ, eˣ − 1, and twice what a softened angle costs beyond, of all lanes, (4, n, LANES)."""
-    for k in range(len(x)):
-        lanes = load(x, k)
-        store(found[0], k, exp2(lanes))
-        store(found[1], k, expm1(lanes))
-        one, other = softness(lanes, 0.5 * lanes)
-        store(found[2], k, one)
-        store(found[3], k, other)
+@pytest.mark.parametrize("reach", [1e-6, 1.0, 20.0, 690.0])
+def test_elementary_functions_are_those_of_numpy_within_what_they_state(reach: float) -> None:
+    x = numbers(reach)
+    size = np.maximum(1.0, np.abs(x))
+    of_lanes, of_floats = np.empty((len(x), 6, LANES)), np.empty((x.size, 6))
+    each_of_lanes(x, of_lanes, x)
+    each(x.ravel(), of_floats)
+    for found in (of_lanes, of_floats.reshape(len(x), LANES, 6).transpose(0, 2, 1)):
+        np.testing.assert_allclose(found[:, 0], np.exp(x), rtol=5e-14)
+        assert (np.abs(found[:, 1] - np.log(found[:, 0])) / size).max() < 4e-16
+        np.testing.assert_allclose(found[:, 2], np.expm1(x), rtol=5e-14)
+        assert (np.abs(found[:, 3] - np.cos(x)) / size).max() < 4e-16
+        assert (np.abs(found[:, 4] - np.sin(x)) / size).max() < 4e-16
+    assert (np.abs(of_lanes[:, 5] - np.log1p(x * x)) / size).max() < 4e-16
 
 
-def test_powers_are_those_of_numpy_within_what_they_state() -> None:
-    rng = np.random.default_rng(1)
-    for reach in (1e-6, 1.0, 30.0, 690.0):
-        x = np.concatenate([rng.uniform(-reach, reach, (500, LANES)), np.zeros((1, LANES))])
-        found = np.empty((4, *x.shape))
-        powers(x, found)
-        np.testing.assert_allclose(found[0], np.exp2(x), rtol=3e-14)
-        np.testing.assert_allclose(found[1], np.expm1(x), rtol=5e-14)
-        np.testing.assert_allclose(found[2], np.logaddexp2(0.0, -np.abs(x)), atol=2e-7)
-        np.testing.assert_allclose(found[3], np.logaddexp2(0.0, -0.5 * np.abs(x)), atol=2e-7)
+def test_what_is_no_number_stays_so_and_what_is_too_small_is_bounded() -> None:
+    found = np.empty((2, 6))
+    each(np.array([np.nan, -1e4]), found)
+    assert np.isnan(found[0, :2]).all() and found[1, 0] == pytest.approx(math.exp(-700.0))
 
 
 @compiled
 def straight(x: float) -> float:
-    """`branch` of a float."""
     chosen = choose(x > 0.5, x, -1.0)
-    return chosen if any_of(x < 0.75) else 7.0
+    return chosen if any_of(negate(x >= 0.75)) else 7.0
 
 
 def test_floats_choose_as_branches_would() -> None:
@@ -100,8 +85,8 @@ def test_floats_choose_as_branches_would() -> None:
 @compiled
 def branch(x: FloatArray, found: FloatArray) -> bool:
     """x where it is more than ½, put into the lanes where it is less than ¾; whether any is more than 1."""
-    lanes = load(x, 0)
-    masked(row_of(found, 0), lanes < 0.75)[0] = choose(lanes > 0.5, lanes, -1.0)
+    lanes = lane_array(x)[0]
+    masked(lane_array(found)[0], lanes < 0.75)[0] = choose(lanes > 0.5, lanes, -1.0)
     return bool(any_of(lanes > 1.0))
 
 
@@ -111,3 +96,70 @@ def test_lanes_choose_and_are_put_each_for_itself() -> None:
     np.testing.assert_array_equal(found[0, 0], np.where(x[0] < 0.75, np.where(x[0] > 0.5, x[0], -1.0), 7.0))
     assert (found[0, 1:] == 7.0).all()
     assert branch(x + 0.5, found)
+
+
+@compiled
+def one_by_one(x: FloatArray, found: FloatArray) -> int:
+    """Twice each lane's number into row 1, lane by lane; returns how many lanes there are."""
+    lanes, into = lane_array(x)[0], lane_array(found)
+    for lane in range(lane_count(lanes)):
+        masked(into, only_lane(lanes > 0.0, lane))[1] = 2.0 * lane_of(lanes, lane)
+    return lane_count(lanes)
+
+
+def test_lanes_can_be_taken_and_put_one_by_one() -> None:
+    x, found = np.random.default_rng(0).normal(size=(1, LANES)), np.zeros((2, LANES))
+    assert one_by_one(x, found) == LANES
+    np.testing.assert_array_equal(found, [np.zeros(LANES), 2.0 * x[0]])
+
+
+@compiled
+def one_float(x: float) -> tuple[int, float, bool]:
+    return lane_count(x), lane_of(x, 0), only_lane(x > 0.0, 0)
+
+
+def test_a_float_is_its_only_lane() -> None:
+    assert one_float(-2.5) == (1, -2.5, True)
+
+
+@compiled
+def through_views(matrices: FloatArray, rows: FloatArray, frames: FloatArray, records: np.ndarray) -> None:
+    """What stands in one view of lanes into others."""
+    blocks, short, seen = lane_array(matrices), lane_rows(rows, 3), lane_records(frames, records)
+    for k in range(2):
+        block = blocks[k]
+        block[1, 2] = short[k, 0] + seen[k].y
+        short[k, 2] += block[5, 5]
+        seen[k].x = blocks[k, 0, 1]
+
+
+def test_views_are_indexed_as_arrays_and_records_of_floats_are() -> None:
+    rng, kind = np.random.default_rng(1), np.dtype([("x", float), ("y", float)])
+    matrices, rows = rng.normal(size=(2, 6, 6, LANES)), rng.normal(size=(2, 3, LANES))
+    frames = rng.normal(size=(2, 2, LANES))
+    before = [one.copy() for one in (matrices, rows, frames)]
+    through_views(matrices, rows, frames, np.zeros(1, kind))
+    expected = [one.copy() for one in before]
+    expected[0][:, 1, 2] = before[1][:, 0] + before[2][:, 1]
+    expected[1][:, 2] += before[0][:, 5, 5]
+    expected[2][:, 0] = before[0][:, 0, 1]
+    for found, known in zip((matrices, rows, frames), expected, strict=True):
+        np.testing.assert_array_equal(found, known)
+
+
+@allocating
+def put_masked(n: int) -> float:
+    """Through a mask of floats, which is the array itself, in a function that counts references."""
+    values, total = np.zeros(n), 0.0
+    for k in range(n):
+        masked(values, k >= 0)[k] = 1.0 + k
+    for value in values:
+        total += value
+    return total
+
+
+def test_a_masked_array_of_floats_is_not_freed_too_early() -> None:
+    others = []
+    for n in range(1, 400):
+        assert put_masked(n) == n * (n + 1) / 2
+        others.append(np.full(n, np.nan))

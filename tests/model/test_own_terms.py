@@ -20,11 +20,12 @@ from graphtrack.geometry.angles import difference, direction, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track, track_online
 from graphtrack.inference.chain.frame_rows import FrameRows
-from graphtrack.inference.chain.programs import OF_PRESETS, program_of
+from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.initial import initial_states, pack
 from graphtrack.learning.fit import fit
 from graphtrack.model import Model, States, Term
 from graphtrack.model.kernels import HEAD, Field, Kernel, compiled
+from graphtrack.model.kernels.frame_program import OF_PRESETS
 from graphtrack.model.kernels.generator import Program
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.packing import PackedTracks

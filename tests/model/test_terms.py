@@ -21,7 +21,7 @@ from walks import scores
 
 from graphtrack.geometry.angles import class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.programs import OF_PRESETS
+from graphtrack.inference.chain.newton import note_turns
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import (
     CouplingParameters,
@@ -33,9 +33,9 @@ from graphtrack.model import (
     Term,
     presets,
 )
-from graphtrack.model.kernels import lane_program, program
+from graphtrack.model.kernels import program
+from graphtrack.model.kernels.frame_program import OF_PRESETS
 from graphtrack.model.kernels.generator import Program
-from graphtrack.model.kernels.lane_generator import LaneProgram
 from graphtrack.model.kernels.layout import BODY, HEAD, PLACES
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.model import every_term
@@ -473,10 +473,10 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
         program.add_grid_costs(
             problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"]
         )
-        rows_of_quarters = np.empty((n, 12))
-        program.set_quarter_turns(problem, 0, local, rows_of_quarters)
+        memory = (np.zeros((n, 4)), np.zeros(6), np.zeros((6, 6)))
         for k in range(n):
-            quarters = {"body": rows_of_quarters[k, :4], "head": rows_of_quarters[k, 4:8]}
+            quarters = {"body": np.empty(4), "head": np.empty(4)}
+            program.set_quarter_turns(problem, 0, k, local, *memory, *quarters.values())
             for name, place in (("body", BODY), ("head", HEAD)):
                 if not any(kernel.orientation == name for kernel in searched):
                     assert not found[name].any() and not quarters[name].any()
@@ -545,9 +545,8 @@ def test_every_kernel_of_every_preset_is_in_the_battery() -> None:
 
 
 def test_the_frame_program_is_the_one_of_the_terms() -> None:
-    for kind, written in ((Program, program), (LaneProgram, lane_program)):
-        source = kind(every_term(), "the presets' terms").source
-        assert Path(written.__file__).read_text(encoding="utf-8") == source
+    source = Program(every_term(), "the presets' terms").source
+    assert Path(program.__file__).read_text(encoding="utf-8") == source
 
 
 @pytest.mark.parametrize("preset", presets)
@@ -564,8 +563,8 @@ def test_the_engine_adds_up_the_terms_of_a_model(preset: str) -> None:
         gradients, hessians, turns = np.zeros((2, 6)), np.zeros((3, 6, 6)), np.zeros((2, 4))
         out = (gradients[0], gradients[1], hessians[0], hessians[1], hessians[2])
         start = local[0].copy()
-        program.note_turns(0, local, turns)
-        cost = program.add_frame(problem, 0, 1, start, local, True, turns, *out)
+        note_turns(0, local, turns)
+        cost = program.add_frame(problem, 0, 1, start, local, True, True, True, turns, *out)
         expected = [0.0, np.zeros(12), np.zeros((12, 12))]
         for term in model.terms:
             if term.kernels:

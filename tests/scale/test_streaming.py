@@ -20,7 +20,7 @@ from walks import walk, without
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.inference.chain import side_by_side
+from graphtrack.inference.chain import engine
 from graphtrack.io.readers import native_parquet
 from graphtrack.scale import open_dataset, smooth_dataset, writer
 from graphtrack.scale.grouping import Index, batches, index_tracks
@@ -121,12 +121,12 @@ def test_well_known_names_with_another_unit_are_one_error(table, names, told, tm
 def test_a_part_of_large_work_is_solved_as_the_whole_is(table, tmp_path, monkeypatch):
     path = tmp_path / "in.parquet"
     table.to_parquet(path, index=False)
-    monkeypatch.setattr(side_by_side, "LARGE", len(table))
+    monkeypatch.setattr(engine, "LARGE", len(table))
     expected = in_memory(path, tmp_path / "expected.parquet", "joint")
     smooth_dataset(path, tmp_path / "out.parquet", "joint", batch_frames=50)
     assert (tmp_path / "out.parquet").read_bytes() == expected.read_bytes()
     # The rest: not all of them have classes.
-    monkeypatch.setattr(side_by_side, "LARGE", len(table) + 1)
+    monkeypatch.setattr(engine, "LARGE", len(table) + 1)
     other = in_memory(path, tmp_path / "other.parquet", "joint")
     assert other.read_bytes() != expected.read_bytes()
 

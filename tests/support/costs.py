@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from calibrated import calibrated
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.solution import seconds_to_ends, stated
+from graphtrack.inference.solution import seconds_to_ends
 from graphtrack.model import Model, States
 from graphtrack.tracks import Track
 
@@ -82,4 +83,4 @@ def stated_blocks(
     blocks = np.full((len(estimate), 6, 6), np.nan)
     for k in range(len(estimate)):
         blocks[k][used] = covariance[k * m : (k + 1) * m, k * m : (k + 1) * m]
-    return stated(blocks, estimate.velocity, model.parameters, seconds_to_ends(estimate.t))
+    return calibrated(blocks, estimate.velocity, model.parameters, seconds_to_ends(estimate.t))

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from walks import walk
 
+from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
+from graphtrack.inference.chain.covariance import back_from, pull_apart, sweep_pulls
 from graphtrack.inference.chain.elimination import eliminate, invert_cholesky, workspace
-from graphtrack.inference.chain.mode_spread import back_from, pull_apart, sweep_pulls
-from graphtrack.inference.chain.modes import BODY_MODE, HEAD_MODE
 from graphtrack.inference.offline import smooth_track
 from graphtrack.inference.recorded import track_online
 from graphtrack.model import Model
 
 
 def test_the_sweeps_solve_the_chain() -> None:
-    rng, n, begin = np.random.default_rng(0), 5, 2
+    rng, n = np.random.default_rng(0), 5
     blocks = [m @ m.T + 8.0 * np.eye(6) for m in rng.normal(size=(n, 6, 6))]
     links = rng.normal(size=(n - 1, 6, 6))
     dense = np.zeros((6 * n, 6 * n))
@@ -24,29 +24,28 @@ def test_the_sweeps_solve_the_chain() -> None:
     for k in range(n - 1):
         dense[6 * k : 6 * k + 6, 6 * k + 6 : 6 * k + 12] = links[k]
         dense[6 * k + 6 : 6 * k + 12, 6 * k : 6 * k + 6] = links[k].T
-    memory, hessians = workspace(n + begin), [block.copy() for block in blocks]
+    memory, hessians = workspace(n), [block.copy() for block in blocks]
     for k in range(n - 1):
-        row = begin + k
         assert eliminate(
             hessians[k],
             np.zeros(6),
             links[k],
             hessians[k + 1],
             np.zeros(6),
-            memory.inverse[row],
-            memory.link[row],
-            memory.solution[row],
+            memory.inverse[k],
+            memory.link[k],
+            memory.solution[k],
         )
-    assert invert_cholesky(hessians[-1], memory.inverse[begin + n - 1])
+    assert invert_cholesky(hessians[-1], memory.inverse[n - 1])
     states, spread = rng.normal(0.0, 1.5, (n, 6)), rng.uniform(0.1, 2.0, (n, 2))
     for coupling in (BODY_MODE, HEAD_MODE):
         right = np.zeros((n, 6))
         for k in range(n):
             pull_apart(states[k], coupling, spread[k], 0.1, right[k])
-        sweep_pulls(states, coupling, spread, 0.1, begin, memory)
+        sweep_pulls(n, states, coupling, spread, 0.1, memory)
         for k in range(n - 1, -1, -1):
-            back_from(begin + k, k == n - 1, memory)
-        found = memory.step[begin : begin + n].ravel()
+            back_from(k, k == n - 1, memory)
+        found = memory.step[:n].ravel()
         assert found == pytest.approx(np.linalg.solve(dense, right.ravel()), abs=1e-12)
 
 

@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibrated import calibrated
 from scipy import integrate
 
 from graphtrack.geometry.angles import UNIFORM_STD, von_mises_log_density, wrap
+from graphtrack.inference.chain.calibration import calibration_of, lag_variances, seconds_behind
 from graphtrack.inference.chain.engine import solve_packed
-from graphtrack.inference.chain.stating import state_uncertainty, stating_of
 from graphtrack.inference.initial import pack
-from graphtrack.inference.solution import seconds_to_ends, stated
+from graphtrack.inference.solution import seconds_to_ends
 from graphtrack.model import Model, Parameters
 from graphtrack.model.parameters import MotionParameters, OrientationParameters, steady
-from graphtrack.model.sway import kept_shares, lagging, seconds_behind, swaying, turn_lags
+from graphtrack.model.sway import kept_shares, swaying
 from graphtrack.model.terms.motion import process_noise, transition_matrix
 from graphtrack.tracks import Track
 
@@ -30,7 +31,7 @@ def of_angle(variance: float) -> np.ndarray:
 
 @pytest.mark.parametrize("variance", [1e-4, 0.01, 0.1, 0.5, 1.0, 3.0, 50.0])
 def test_an_angle_states_the_root_mean_square_of_its_von_mises(variance: float) -> None:
-    found = stated(of_angle(variance), RESTING, STILL)
+    found = calibrated(of_angle(variance), RESTING, STILL)
     reach = min(np.pi, 12.0 * np.sqrt(variance))
 
     def weighted(angle: float) -> float:
@@ -46,35 +47,31 @@ def test_an_angle_states_the_root_mean_square_of_its_von_mises(variance: float) 
 @pytest.mark.parametrize("variance", [1e5, 1e12])
 def test_nothing_is_less_certain_than_the_uniform_density(variance: float) -> None:
     covariance = np.diag([1.0, 1.0, 1.0, 1.0, variance, 0.1])
-    assert stated(covariance, RESTING, Parameters())[4, 4] == pytest.approx(UNIFORM_STD**2, rel=2e-3)
+    assert calibrated(covariance, RESTING, Parameters())[4, 4] == pytest.approx(UNIFORM_STD**2, rel=2e-3)
 
 
 def test_what_a_model_does_not_have_stays_unknown() -> None:
     covariance = np.full((3, 6, 6), np.nan)
     covariance[:, :4, :4] = 0.1 * np.eye(4)
-    found = stated(covariance, np.ones((3, 2)), Parameters(), np.zeros(3))
+    found = calibrated(covariance, np.ones((3, 2)), Parameters(), np.zeros(3))
     assert np.isnan(found[:, 4:]).all() and np.isfinite(found[:, :4, :4]).all()
 
 
-@pytest.mark.parametrize("lasting", [0.0, 0.4])
 @pytest.mark.parametrize("missing", [[], [4], [5], [4, 5]])
-def test_the_newest_frame_states_the_same(missing: list[int], lasting: float) -> None:
+def test_a_frame_is_calibrated_by_itself(missing: list[int]) -> None:
+    """Whatever frames stand beside it, in whatever number; also where something is known for certain."""
     rng, parameters = np.random.default_rng(0), Parameters()
-    parameters = replace(parameters, motion=replace(parameters.motion, lasting_std=lasting))
+    parameters = replace(parameters, motion=replace(parameters.motion, lasting_std=0.4))
     for scale in (1e-3, 0.1, 1.0, 30.0, 1e4):
-        for root in scale * rng.normal(size=(40, 6, 6)):
-            covariance, velocity = root @ root.T, rng.normal(size=2)
-            covariance[missing] = covariance[:, missing] = np.nan
-            expected, found = stated(covariance.copy(), velocity, parameters), covariance.copy()
-            state = np.array([[0.0, 0.0, *velocity, 0.0, 0.0]])
-            state_uncertainty(found[None], state, 0, 0.0, stating_of(parameters))
-            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * scale**2)
-    # Where something is known for certain, too.
-    with np.errstate(all="ignore"):
-        nothing = stated(np.zeros((6, 6)), RESTING, parameters)
-        found = np.zeros((6, 6))
-        state_uncertainty(found[None], np.zeros((1, 6)), 0, 0.0, stating_of(parameters))
-        np.testing.assert_array_equal(found, nothing)
+        roots, velocity = scale * rng.normal(size=(150, 6, 6)), rng.normal(size=(150, 2))
+        covariance, ends = roots @ np.swapaxes(roots, 1, 2), rng.uniform(0.0, 3.0, 150)
+        covariance[:, missing] = covariance[:, :, missing] = np.nan
+        together = calibrated(covariance, velocity, parameters, ends)
+        for k in (0, 1, 63, 64, 149):
+            alone = calibrated(covariance[k], velocity[k], parameters, ends[k])
+            np.testing.assert_allclose(together[k], alone, rtol=1e-12, atol=1e-12 * scale**2)
+    nothing = calibrated(np.zeros((6, 6)), RESTING, steady(parameters))
+    np.testing.assert_array_equal(nothing[:4, 4:], 0.0)
 
 
 def test_sway_is_that_of_a_sine() -> None:
@@ -110,8 +107,10 @@ def test_angles_lag_behind_turns_as_a_filter_and_a_smoother_do() -> None:
     behind, around = (angle - past)[inner].var(), (angle - 0.5 * (past + future))[inner].var()
     # A smoother, which is twice as sure, looks as far to both sides.
     for share, ends, found in ((1.0, 0.0, behind), (0.5, 1e3, around)):
-        body, head = turn_lags(np.full(2, share * seconds), orientation, ends)
-        assert float(head) == pytest.approx(found, rel=0.1)
+        calibration = calibration_of(replace(Parameters(), orientation=orientation))
+        turns = calibration.body_turns, calibration.head_turns
+        body, head = (lag_variances(share * seconds, lasting, ends)[1] for lasting in turns)
+        assert head == pytest.approx(found, rel=0.1)
         assert body == pytest.approx(4.0 * head)
 
 
@@ -136,7 +135,10 @@ def test_an_estimate_is_so_many_seconds_behind_somebody_who_turns(preset: str, p
     model = Model(preset)
     found = solve_packed(pack([track], model), model)
     covariance, velocity = found.covariance[-1], found.states[-1, 2:4]
-    behind = seconds_behind(covariance, velocity, model.parameters)
+    calibration, (vx, vy) = calibration_of(model.parameters), velocity.tolist()
+    behind = [
+        seconds_behind(row[3] * vx - row[2] * vy, row[4], row[5], calibration) for row in covariance[4:]
+    ]
     off = np.abs(wrap(heading[-1] - found.states[-1, 4:])) / rate
     assert behind == pytest.approx(off, rel=0.1)
 
@@ -166,14 +168,17 @@ def test_velocity_and_position_lag_behind_an_acceleration_as_the_filter_does() -
         mean, spread = mean + gain @ (truth[:2] - mean[:2]), spread - gain @ spread[:2]
     whole = np.full((6, 6), np.nan)
     whole[:4, :4] = spread
-    motion = MotionParameters(acceleration_density=q, lasting_std=acceleration, lasting_time=1e3)
-    added = lagging(whole.copy(), motion, 0.0) - whole
+    motion = MotionParameters(
+        acceleration_density=q, lasting_std=acceleration, lasting_time=1e3, sway_std=0.0
+    )
+    parameters = replace(Parameters(), motion=motion)
+    added = calibrated(whole, RESTING, parameters) - whole
     off = truth - mean
     assert added[2, 2] == pytest.approx(off[2] ** 2, rel=0.05)
     assert added[0, 0] == pytest.approx(off[0] ** 2, rel=0.05)
     assert added[0, 2] == pytest.approx(off[0] * off[2], rel=0.05)
     # In the middle of a track the two sides balance.
-    assert lagging(whole.copy(), motion, 1e3)[2, 2] - whole[2, 2] < 0.1 * added[2, 2]
+    assert calibrated(whole, RESTING, parameters, 1e3)[2, 2] - whole[2, 2] < 0.1 * added[2, 2]
 
 
 def test_the_presets_state_more_than_steady_ones_and_stay_positive_definite() -> None:
@@ -185,8 +190,8 @@ def test_the_presets_state_more_than_steady_ones_and_stay_positive_definite() ->
         ends = rng.uniform(0.0, 2.0, 50)
         velocity = rng.normal(size=(50, 2))
         found, least = (
-            stated(covariance.copy(), velocity, parameters, ends),
-            stated(covariance, velocity, steady(parameters), ends),
+            calibrated(covariance, velocity, parameters, ends),
+            calibrated(covariance, velocity, steady(parameters), ends),
         )
         assert np.linalg.eigvalsh(found).min() > 0.0
         assert np.linalg.eigvalsh((found - least)[:, :4, :4]).min() > -1e-9

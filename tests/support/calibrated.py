@@ -1,0 +1,23 @@
+"""Calibrated covariances of estimates, for frames one by one or whole tracks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graphtrack.inference.chain.calibration import calibrate, calibration_of
+from graphtrack.model import Parameters
+
+
+def calibrated(
+    covariance: np.ndarray, velocity: np.ndarray, parameters: Parameters, ends: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Covariances (..., 6, 6), the inverse curvature, as estimates report them; ``velocity`` is (..., 2).
+
+    ``ends`` (...): seconds to the nearer end of the track.
+    """
+    blocks = np.array(covariance, float).reshape(-1, 6, 6)
+    states = np.zeros((len(blocks), 6))
+    states[:, 2:4] = np.reshape(velocity, (-1, 2))
+    seconds = np.broadcast_to(np.asarray(ends, float), len(blocks)).copy()
+    calibrate(blocks, states, seconds, calibration_of(parameters))
+    return blocks.reshape(covariance.shape)
