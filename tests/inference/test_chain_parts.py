@@ -15,7 +15,7 @@ from graphtrack.inference.chain.basin_search import greatest_gain
 from graphtrack.inference.chain.coupling_modes import mode_memory, renew_couplings
 from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.start import fill
-from graphtrack.inference.chain.window_kernels import predict_newest, from_frame
+from graphtrack.inference.chain.window_kernels import from_frame, predict_newest
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import Model, Parameters
 from graphtrack.model.kernels.layout import BODY, HEAD
@@ -45,7 +45,9 @@ def test_in_a_single_frame_the_greatest_gain_is_that_of_the_best_turn(seed: int)
             other = state.copy()
             other[places] += q * np.pi / 2.0
             turned.append(own_cost(problem, state) - own_cost(problem, other))
-    assert greatest_gain(problem, 0, 1, state[None], workspace(1)) == pytest.approx(max(0.0, *turned), abs=1e-9)
+    assert greatest_gain(problem, 0, 1, state[None], workspace(1)) == pytest.approx(
+        max(0.0, *turned), abs=1e-9
+    )
 
 
 def test_what_was_not_seen_is_taken_from_the_nearest_in_time() -> None:

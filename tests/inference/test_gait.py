@@ -385,7 +385,9 @@ def test_states_a_lead_later_are_interpolated_and_end_with_the_last(lead: float)
     ahead = np.empty((31, 3))
     look_ahead(31, 31.0, states, lead, False, dt, ahead)
     look_ahead(31, 31.0, states, lead, True, dt, ahead)
-    np.testing.assert_allclose(difference(ahead[:, AHEAD_BODY], np.interp(t + lead, t, smooth)), 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        difference(ahead[:, AHEAD_BODY], np.interp(t + lead, t, smooth)), 0.0, atol=1e-9
+    )
     velocity = np.stack([np.interp(t + lead, t, states[:, 2 + axis]) for axis in range(2)], axis=1)
     np.testing.assert_allclose(ahead[:, [AHEAD_VX, AHEAD_VY]], velocity, atol=1e-9)
 

@@ -1,44 +1,38 @@
-"""Tracks solved side by side: which are, each as if it were alone, and as by the scalar engine."""
+"""Tracks solved in lanes: which are, each as if it were alone, and as one by one."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from calibrated import calibrated
 from random_tracks import contradicted, random_parameters, random_track
 from walks import walk
 
 import graphtrack as gt
 from graphtrack.geometry.angles import FloatArray, difference
 from graphtrack.inference import Solution, solve
-from graphtrack.inference.chain import side_by_side
-from graphtrack.inference.chain.engine import solve_packed
-from graphtrack.inference.chain.lane_mode_memory import mode_memory
-from graphtrack.inference.chain.lane_modes import renew_lanes
-from graphtrack.inference.chain.lane_newton import lane_memory
-from graphtrack.inference.chain.lane_stating import state_tracks
-from graphtrack.inference.chain.modes import renew_tracks
-from graphtrack.inference.chain.result import Result
-from graphtrack.inference.chain.side_by_side import LARGE, LONGEST, has_lanes, those_beside
-from graphtrack.inference.chain.stating import stating_of
-from graphtrack.inference.initial import empty_result, pack, pack_to_solve, problem_of
-from graphtrack.inference.solution import seconds_to_ends, stated
+from graphtrack.inference.chain import engine
+from graphtrack.inference.chain.calibration import calibration_of
+from graphtrack.inference.chain.coupling_modes import mode_memory, renew_couplings
+from graphtrack.inference.chain.engine import LARGE, LONGEST, fit_lanes, has_lanes, solve_packed
+from graphtrack.inference.chain.solver import LaneArrays, gather, lane_arrays, lane_group
+from graphtrack.inference.initial import pack, pack_to_solve, problem_of
+from graphtrack.inference.solution import seconds_to_ends
 from graphtrack.inference.warm import lane_rehearsal, offline_rehearsal, solver_rehearsals
 from graphtrack.model import (
     GaitParameters,
     LikelihoodParameters,
     Model,
     MotionParameters,
-    OrientationParameters,
     Parameters,
 )
-from graphtrack.model.kernels.lanes import LANES
+from graphtrack.model.kernels.compiled import allocating
+from graphtrack.model.kernels.layout import LANES, number_rows
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import ROW, Gait, gait_of
+from graphtrack.model.terms.gait import Gait, gait_of
 from graphtrack.model.terms.place import PlacePrior
 from graphtrack.tracks import Track, TrackSet
 
@@ -66,13 +60,13 @@ def relative(covariance: FloatArray, other: FloatArray) -> float:
 def test_the_size_of_the_work_decides_and_what_a_track_is_like() -> None:
     model, track = Model("full"), walk(25)
     few, many = [track] * (LARGE // 25 - 1), [track] * (LARGE // 25)
-    assert not any(those_beside(few, model))
-    assert all(those_beside(many, model))
+    assert not any(fit_lanes(few, model))
+    assert all(fit_lanes(many, model))
     # A part of the work goes the way of the whole.
-    assert those_beside([track], model, LARGE) == [True]
-    assert those_beside(many, model, LARGE - 1) == [False] * len(many)
+    assert fit_lanes([track], model, LARGE) == [True]
+    assert fit_lanes(many, model, LARGE - 1) == [False] * len(many)
     mixed = [walk(30, classes=True), walk(LONGEST + 1), walk(LONGEST)]
-    assert those_beside(mixed, model, LARGE) == [False, False, True]
+    assert fit_lanes(mixed, model, LARGE) == [False, False, True]
 
 
 class Uphill(PlacePrior):
@@ -83,7 +77,7 @@ class Uphill(PlacePrior):
 
 def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
     assert all(has_lanes(Model(preset)) for preset in ("position", "separate", "joint-body", "joint", "full"))
-    assert not has_lanes(Model("joint", terms=[PlacePrior]))
+    assert has_lanes(Model("joint", terms=[PlacePrior]))
     assert not has_lanes(Model("joint", terms=[Uphill]))
 
 
@@ -96,26 +90,11 @@ def test_each_way_makes_ready_what_it_calls() -> None:
     assert len(solver_rehearsals(model, "gtsam", beside=(True, False))) == 1
 
 
-def test_small_work_imports_nothing_of_lanes() -> None:
-    code = """
-import sys, graphtrack as gt
-gt.smooth(gt.simulate("full", n_tracks=2, n_steps=9), "full")
-gt.OnlineSmoother("full")
-print(*sorted(name.rpartition(".")[2] for name in sys.modules if name.startswith("graphtrack.")))
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    imported = done.stdout.split()
-    assert "side_by_side" in imported
-    # What machine code on disk is for is told by types, those of lanes among them.
-    of_lanes = {one for one in imported if one.startswith("lane")} - {"lane_types"}
-    assert not of_lanes and "vector_math" not in imported
-
-
 @pytest.mark.parametrize("preset", ["joint", "full"])
 def test_a_track_is_solved_to_the_last_bit_as_if_it_were_alone(
     preset: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(side_by_side, "LARGE", 0)
+    monkeypatch.setattr(engine, "LARGE", 0)
     model, tracks = Model(preset), scene(1)
     together = solve(TrackSet(tuple(replace(track, track_id=k) for k, track in enumerate(tracks))), model)
     for k in (0, 3, len(tracks) - 1):
@@ -132,7 +111,7 @@ def test_a_track_is_solved_to_the_last_bit_as_if_it_were_alone(
 def test_what_lanes_find_is_what_the_scalar_engine_finds(preset: str, seed: int) -> None:
     tracks, rng = scene(seed), np.random.default_rng(seed)
     model = Model(preset, random_parameters(rng) if seed > 2 else None)
-    beside = solve_packed(pack(tracks, model), model, side_by_side=True)
+    beside = solve_packed(pack(tracks, model), model, in_lanes=True)
     by_itself = solve_packed(pack(tracks, model), model)
     np.testing.assert_array_equal(beside.status, by_itself.status)
     sound = np.repeat(beside.status == 0, [len(track) for track in tracks])
@@ -147,7 +126,7 @@ def test_what_lanes_find_is_what_the_scalar_engine_finds(preset: str, seed: int)
 def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     tracks = tuple(walk(5 + k, seed=k, track_id=k, classes=k % 3 == 1) for k in range(2 * LANES))
     one_by_one, done = gt.smooth(TrackSet(tracks), "joint"), []
-    monkeypatch.setattr(side_by_side, "LARGE", 1)
+    monkeypatch.setattr(engine, "LARGE", 1)
     beside = solve(TrackSet(tracks), "joint", progress=done.append)
     assert sum(done) == sum(map(len, tracks))
     for k, (found, expected) in enumerate(zip(beside, one_by_one, strict=True)):
@@ -158,81 +137,60 @@ def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.Monkey
             np.testing.assert_array_equal(found.track.position, expected.position)
 
 
-def renew_beside(
-    problem: Problem, states: FloatArray, gait: Gait, spread: FloatArray, result: Result
-) -> None:
-    """`renew_tracks` by groups of lanes; couplings are put back into the records."""
-    longest, numbers = (
-        int(np.diff(problem.offsets).max()),
-        problem.records.view(float).reshape(len(states), -1),
-    )
-    memory, rows = lane_memory(longest, numbers.shape[1]), mode_memory(longest)
-    for begin in range(0, len(problem.offsets) - 1, LANES):
-        memory.lengths[:], memory.frames[:], memory.states[:] = 0.0, 0.0, 0.0
-        places = [slice(a, b) for a, b in pairwise(problem.offsets[begin : begin + LANES + 1])]
+@allocating
+def renew_in_lanes(problem: Problem, arrays: LaneArrays, n: int, gait: Gait) -> None:
+    """`renew_couplings` of a group that has been gathered."""
+    group = lane_group(problem, arrays, gait)
+    length = group.workspace.length[0]
+    renew_couplings(group.problem, 0, n, length, group.states, gait, False, True, group.modes)
+
+
+def renew_beside(problem: Problem, states: FloatArray, gait: Gait, spread: FloatArray) -> None:
+    """`renew_couplings` by groups of lanes; couplings are put back into the records."""
+    longest, numbers = int(np.diff(problem.offsets).max()), number_rows(problem.records)
+    arrays, order = lane_arrays(longest, numbers.shape[1], True), np.arange(len(problem.offsets) - 1)
+    for begin in range(0, len(order), LANES):
+        n = gather(problem, numbers, states, order, begin, arrays)
+        renew_in_lanes(problem, arrays, n, gait)
         for lane in range(LANES):
-            memory.tracks[lane] = begin + lane if lane < len(places) else -1
-        for lane, place in enumerate(places):
-            n = memory.lengths[0, lane] = place.stop - place.start
-            memory.frames[: int(n), :, lane], memory.states[: int(n), :, lane] = numbers[place], states[place]
-        renew_lanes(problem, longest, gait, False, memory, rows, result)
-        on_the_way = memory.frames.copy()
-        renew_lanes(problem, longest, gait, True, memory, rows, result)
-        np.testing.assert_array_equal(memory.frames, on_the_way)
-        for lane, place in enumerate(places):
-            n = place.stop - place.start
-            numbers[place], spread[place] = memory.frames[:n, :, lane], rows.spread[:n, :, lane]
+            if arrays.tracks[lane] >= 0:
+                a, b = problem.offsets[arrays.tracks[lane] : arrays.tracks[lane] + 2]
+                numbers[a:b] = arrays.frames[: b - a, :, lane]
+                spread[a:b] = arrays.mode_numbers[2, : b - a, :2, lane]
 
 
-def test_modes_side_by_side_are_those_of_each_track() -> None:
+def test_modes_in_lanes_are_those_of_each_track() -> None:
     rng = np.random.default_rng(7)
     quick = GaitParameters(body_drift=2.0, head_drift=0.0)
     softened = Model("full").parameters
-    for parameters, within in ((Parameters(), 1e-9), (Parameters(gait=quick), 1e-9), (softened, 1e-6)):
+    for parameters in (Parameters(), Parameters(gait=quick), softened):
         model = Model("full", parameters)
         tracks = [without_classes(random_track(rng)) for _ in range(LANES + 3)]
         packed = pack(tracks, model)
         packed.records["steer_gain"] = 0.0
-        states = rng.normal(0.0, 1.0, (packed.offsets[-1], 6))
+        states, gait = rng.normal(0.0, 1.0, (packed.offsets[-1], 6)), gait_of(model.parameters.gait)
         found = []
         for together in (False, True):
-            problem, result = problem_of(packed), empty_result(packed)
-            problem = problem._replace(records=packed.records.copy())
-            spread, gait = np.zeros((len(states), 2)), gait_of(model.parameters.gait)
+            problem = problem_of(packed)._replace(records=packed.records.copy())
+            spread = np.zeros((len(states), 2))
             if together:
-                renew_beside(problem, states, gait, spread, result)
+                renew_beside(problem, states, gait, spread)
             else:
-                renew_tracks(
-                    problem, states, gait, np.zeros((2, ROW)), result.modes, spread, np.empty((2, 0, ROW))
-                )
+                for track, (a, b) in enumerate(pairwise(problem.offsets)):
+                    memory, n = mode_memory(b - a), int(b - a)
+                    renew_couplings(problem, track, n, float(n), states[a:b], gait, False, True, memory)
+                    spread[a:b] = memory.spread
             couplings = [
                 problem.records[f"{name}_body_{of}"] for name in ("motion", "head") for of in _COUPLING
             ]
-            steering = problem.records["steer_gain"]
-            found.append(np.column_stack([result.modes[:, 0], spread, *couplings, steering]))
-            found.append(result.modes[:, 1:])
-        np.testing.assert_allclose(found[2], found[0], rtol=within, atol=1e-2 * within)
-        np.testing.assert_allclose(difference(found[3], found[1]), 0.0, atol=within)
+            found.append(np.column_stack([spread, *couplings, problem.records["steer_gain"]]))
+        np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-9)
 
 
 _COUPLING = ("kappa", "cos", "sin")
 
 
-def test_covariances_of_many_tracks_are_stated_as_those_of_one() -> None:
-    rng, tracks = np.random.default_rng(3), [walk(9, seed=1), walk(30, seed=2, uneven=True)]
-    roots = rng.normal(size=(39, 6, 6)) * 10.0 ** rng.uniform(-3.0, 1.0, (39, 1, 1))
-    covariance, states = roots @ np.swapaxes(roots, 1, 2), rng.normal(size=(39, 6))
-    covariance[9, 4], covariance[9, :, 4], covariance[12] = np.nan, np.nan, np.nan
-    still = Parameters(MotionParameters(lasting_std=0.0), OrientationParameters(head_turn_rate=0.0))
-    packed = pack(tracks, Model("joint"))
-    for parameters in (Parameters(), still):
-        ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-        expected, found = stated(covariance.copy(), states[:, 2:4], parameters, ends), covariance.copy()
-        state_tracks(found, states, packed.offsets, packed.t, stating_of(parameters))
-        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-15)
-
-
-def test_positions_of_many_tracks_are_those_of_one_and_stated_as_such() -> None:
+def test_positions_of_many_tracks_are_those_of_one_and_calibrated() -> None:
     """In one pass, from records of the linear terms alone: as in two, from those of all terms."""
     unseen = replace(walk(3, seed=5), position=np.full((3, 2), np.nan))
     tracks = [*scene(3), unseen, replace(walk(2, seed=4), position_std=np.array([0.03, np.nan]))]
@@ -243,8 +201,9 @@ def test_positions_of_many_tracks_are_those_of_one_and_stated_as_such() -> None:
         assert lean.records.itemsize < whole.records.itemsize / 3
         expected = solve_packed(whole, model)
         ends = np.concatenate([seconds_to_ends(track.t) for track in tracks])
-        stated(expected.covariance, expected.states[:, 2:4], model.parameters, ends)
-        found = solve_packed(lean, model, stating=stating_of(model.parameters))
+        velocity = expected.states[:, 2:4]
+        expected.covariance[:] = calibrated(expected.covariance, velocity, model.parameters, ends)
+        found = solve_packed(lean, model, calibration=calibration_of(model.parameters))
         for name in ("states", "cost", "status", "covariance"):
             np.testing.assert_allclose(
                 getattr(found, name), getattr(expected, name), rtol=1e-11, atol=1e-14, err_msg=name
@@ -259,3 +218,10 @@ def test_records_of_all_terms_are_packed_where_the_linear_ones_do_not_do() -> No
     robust = replace(Model("position").parameters, likelihood=LikelihoodParameters(robust="cauchy"))
     assert pack_to_solve(tracks, Model("position", robust)).records.dtype == types
     assert pack_to_solve(tracks, Model("position")).records.dtype != types
+
+
+def test_every_term_of_the_package_is_solved_in_lanes() -> None:
+    tracks = scene(5)
+    model = Model("full", terms=[PlacePrior])
+    beside, by_itself = (solve_packed(pack(tracks, model), model, in_lanes=way) for way in (True, False))
+    np.testing.assert_allclose(beside.cost, by_itself.cost, rtol=1e-6, atol=1e-6)

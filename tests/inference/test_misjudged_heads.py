@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mode_recursions import both_ways
 from gaits import people
+from mode_recursions import both_ways
 from scipy import special
 
 from graphtrack.geometry.angles import class_centres, class_kappa, difference, mean_absolute_error, unit
@@ -15,9 +15,9 @@ from graphtrack.model import GaitParameters, Model
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import BINS, NEAR, ROW, gait_of
 from graphtrack.model.terms.pose_classes import (
+    add_class_grid,
     add_class_quarter_turns,
     add_classes,
-    add_class_grid,
     class_densities,
 )
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix

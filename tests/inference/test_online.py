@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 import gtsam
 import numpy as np
-from calibrated import calibrated
 import pytest
+from calibrated import calibrated
 from selection import others_slow
 from walks import walk, without
 
