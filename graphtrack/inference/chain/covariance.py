@@ -13,8 +13,8 @@ from typing import Any
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
-from graphtrack.inference.chain.elimination import EXACT, Workspace, marginals, sweep_back
-from graphtrack.inference.chain.newton import as_variable, sweep_forward, take_last_step
+from graphtrack.inference.chain.elimination import Workspace, marginals
+from graphtrack.inference.chain.newton import as_variable, sweep_forward
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N
@@ -149,43 +149,29 @@ def spread_newest(
 
 
 @compiled
-def finish_descent(
+def find_covariances(
     problem: Problem,
     track: int,
     n: int,
     states: FloatArray,
     spread: Any,
     workspace: Workspace,
-    covariance: Any,
+    covariance: FloatArray,
 ) -> None:
-    """Take the last step of a descent, and find the covariances (n, 6, 6) by its factorisation.
+    """Covariances (n, 6, 6) at states: of the exact curvature where that is positive definite.
 
-    They are of the exact curvature where that is positive definite. The result for a track does not depend on
-    the tracks in other lanes: where the workspace has lost a factorisation, it is made again at the same
-    states.
-
-    Parameters
-    ----------
-    spread : (n, 2) standard deviations of the couplings' pulls, whose part is added; None without modes
-    covariance : filled in; None: not wanted
+    ``spread`` (n, 2): standard deviations of the couplings' pulls, whose part is added; None without modes.
     """
-    full, exact = as_variable(True), workspace.ended[EXACT] > 0.0
-    if any_of(negate(exact)):
-        _, exact = sweep_forward(problem, track, n, states, full, workspace)
-        sweep_back(n, workspace)
-    take_last_step(0, n, exact, states, workspace)
-    if covariance is not None and any_of(exact):
+    full = as_variable(True)
+    _, exact = sweep_forward(problem, track, n, states, full, workspace)
+    if any_of(exact):
         marginals(n, workspace, covariance)
         if spread is not None:
             add_spread(problem, n, states, spread, workspace, covariance)
-    unsound = negate(exact)
-    if any_of(unsound):
+    if any_of(negate(exact)):
         # A saddle, or not converged: the curvature that is never negative.
         sweep_forward(problem, track, n, states, not full, workspace)
-        sweep_back(n, workspace)
-        take_last_step(0, n, unsound, states, workspace)
-        if covariance is not None:
-            others = masked(covariance, unsound)
-            marginals(n, workspace, others)
-            if spread is not None:
-                add_spread(problem, n, states, spread, workspace, others)
+        others = masked(covariance, negate(exact))
+        marginals(n, workspace, others)
+        if spread is not None:
+            add_spread(problem, n, states, spread, workspace, others)

@@ -32,7 +32,7 @@ class Workspace(NamedTuple):
     trigonometry: FloatArray  # (n, 4) cosine and sine of body and head
     scratch: FloatArray  # (4, 6, 6) gradients of two frames, their Hessians, and the transition
     start: FloatArray  # (2, 6) the state of the first frame where the descent began, and where another did
-    ended: FloatArray  # (6,) first cost, cost, number of steps, how it ended, and see `newton.descend`
+    ended: FloatArray  # (5,) first cost, cost, number of steps, how it ended, whether factored exactly
     length: FloatArray  # (1,) number of frames, beyond which a lane has no terms
     message: FloatArray  # (n, 7, 6) Hessian and gradient of each frame, those before eliminated; or (0, 7, 6)
     factored: FloatArray  # (n, 6) the states at which each frame was factored; or (0, 6)
@@ -41,7 +41,7 @@ class Workspace(NamedTuple):
     before: FloatArray  # (n, 6) states to go back to
 
 
-FIRST_COST, COST, STEPS, STATUS, EXACT, CLOSING = range(6)
+FIRST_COST, COST, STEPS, STATUS, EXACT = range(5)
 """Places in `Workspace.ended`."""
 
 
@@ -57,7 +57,7 @@ def workspace(n: int) -> Workspace:
         np.empty((n, 4)),
         np.empty((4, N, N)),
         np.empty((2, N)),
-        np.empty(6),
+        np.empty(5),
         np.full(1, float(n)),
         np.empty((0, N + 1, N)),
         np.empty((0, N)),

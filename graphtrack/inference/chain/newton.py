@@ -11,7 +11,6 @@ from typing import Any
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import (
-    CLOSING,
     COST,
     EXACT,
     FIRST_COST,
@@ -172,7 +171,7 @@ def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to:
 
 
 @compiled
-def descend(
+def minimise(
     problem: Problem,
     track: int,
     n: int,
@@ -181,31 +180,28 @@ def descend(
     tolerance: float,
     workspace: Workspace,
 ) -> None:
-    """Newton's method with step halving from ``states`` (n, 6), in place, but for the last step.
+    """Newton's method with step halving from ``states`` (n, 6), in place; ``workspace.ended`` says how.
 
-    That promises less than the tolerance; it is in ``workspace.step``, with the factorisation of the states,
-    if ``workspace.ended[EXACT]``; where ``ended[CLOSING]`` it is to be taken. Frames that are kept stay where
-    they are, but for the last of them. Each lane has its own step length, and stays where it is once it is
-    done: what comes of it does not depend on the others.
+    Frames that are kept stay where they are, but for the last of them. Each lane has its own step length, and
+    stays where it is once it is done.
     """
     step, candidate, ended = workspace.step, workspace.candidate, workspace.ended
-    first, full, lost = first_open(workspace), as_variable(True), False
+    first, full = first_open(workspace), as_variable(True)
     for i in range(N):
         workspace.start[0, i] = states[0, i]
     first_cost, definite = sweep_forward(problem, track, n, states, full, workspace)
-    cost, one = first_cost, 0.0 * workspace.length[0] + 1.0
+    cost, exact, one = first_cost, definite, 0.0 * workspace.length[0] + 1.0
     running = abs(cost) < _HUGE
     status, steps = choose(running, one * NOT_CONVERGED, one * NOT_FINITE), 0.0 * one
     running &= workspace.length[0] > 0.0
-    stuck_somewhere = closing = negate(one > 0.0)
+    stuck_somewhere = negate(one > 0.0)
     for iteration in range(max_iterations + 1):
         if not any_of(running):
             break
-        decrement, lost = sweep_back(n, workspace), False
+        decrement, exact = sweep_back(n, workspace), definite
         unsound = running & negate(definite)
         if any_of(unsound):
             # These take the step of the curvature that is never negative.
-            lost = True
             copy_rows(first, n, step, candidate)
             _, sound = sweep_forward(problem, track, n, states, not full, workspace)
             decrement = choose(unsound, choose(sound, sweep_back(n, workspace), math.nan), decrement)
@@ -213,14 +209,16 @@ def descend(
             for k in range(first, n):
                 for i in range(N):
                     others[k, i] = choose(unsound, step[k, i], candidate[k, i])
+            exact = negate(one > 0.0)
         finite = abs(decrement) < _HUGE
         status = choose(running & negate(finite), one * NOT_FINITE, status)
         steps = choose(running, one * iteration, steps)
         running &= finite
         done = running & (decrement <= tolerance * (1.0 + abs(cost)))
-        status = choose(done, one * CONVERGED, status)
-        closing |= done
-        running &= negate(done)
+        if any_of(done):
+            go(first, n, states, choose(done, one, 0.0), step, states)
+            status = choose(done, one * CONVERGED, status)
+            running &= negate(done)
         if not any_of(running) or iteration == max_iterations:
             break
         scale, found = choose(running, one, 0.0), cost
@@ -236,37 +234,11 @@ def descend(
             stuck_somewhere |= stuck
             running &= negate(stuck)
             scale = choose(stuck, 0.0, scale)
-        cost, lost = choose(running, found, cost), False
+        cost, exact = choose(running, found, cost), definite
         copy_rows(first, n, candidate, states)
-    status = choose(stuck_somewhere & definite, one * CONVERGED, status)
+    status = choose(stuck_somewhere & exact, one * CONVERGED, status)
     ended[FIRST_COST], ended[COST], ended[STEPS], ended[STATUS] = first_cost, cost, steps, status
-    ended[CLOSING] = choose(closing, one, 0.0)
-    ended[EXACT] = 0.0 * one if lost else choose(definite, one, 0.0)
-
-
-@compiled
-def take_last_step(first: int, n: int, which: Any, states: FloatArray, workspace: Workspace) -> None:
-    """The last step of a descent, of ``which`` lanes."""
-    closing = which & (workspace.ended[CLOSING] > 0.0)
-    if any_of(closing):
-        scale = choose(closing, 0.0 * workspace.length[0] + 1.0, 0.0)
-        go(first, n, states, scale, workspace.step, states)
-
-
-@compiled
-def minimise(
-    problem: Problem,
-    track: int,
-    n: int,
-    states: FloatArray,
-    max_iterations: int,
-    tolerance: float,
-    workspace: Workspace,
-) -> None:
-    """`descend`, with the last step; ``workspace.ended`` reports how."""
-    descend(problem, track, n, states, max_iterations, tolerance, workspace)
-    every = workspace.length[0] >= 0.0
-    take_last_step(first_open(workspace), n, every, states, workspace)
+    ended[EXACT] = choose(exact, one, 0.0)
 
 
 @compiled

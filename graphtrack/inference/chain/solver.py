@@ -19,18 +19,16 @@ from graphtrack.inference.chain.coupling_modes import (
     renew_couplings,
     report_modes,
 )
-from graphtrack.inference.chain.covariance import finish_descent
+from graphtrack.inference.chain.covariance import find_covariances
 from graphtrack.inference.chain.elimination import (
-    CLOSING,
     COST,
-    EXACT,
     FIRST_COST,
     STATUS,
     STEPS,
     Workspace,
     copy_rows,
 )
-from graphtrack.inference.chain.newton import cost_of, descend
+from graphtrack.inference.chain.newton import cost_of, minimise
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.lanes import (
@@ -77,7 +75,7 @@ class Group(NamedTuple):
 
 @compiled
 def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool) -> None:
-    """Minimise the costs of a group but for the last step, as `newton.descend`.
+    """Minimise the costs of a group; ``workspace.ended`` reports how.
 
     With ``search`` a descent begins in another basin, and ends there, where that promises to cost less.
     """
@@ -92,7 +90,7 @@ def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance:
         # Contradictions make a poor start, from which the descent is long.
         begun = cost_of(problem, track, n, states, workspace)
         copy_rows(0, n, again, states)
-    descend(problem, track, n, states, max_iterations, tolerance, workspace)
+    minimise(problem, track, n, states, max_iterations, tolerance, workspace)
     ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
     if search:
         tracks, sound = group.tracks, ended[STATUS] < float(NOT_FINITE)
@@ -101,24 +99,16 @@ def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance:
             for i in range(N):
                 start[1, i] = start[0, i]
             first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
-            closing = ended[CLOSING]
-            descend(problem, track, n, again, max_iterations, tolerance, workspace)
+            minimise(problem, track, n, again, max_iterations, tolerance, workspace)
             better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & (ended[COST] < cost)
             steps += choose(elsewhere, ended[STEPS], nothing)
-            take_better(n, better, again, first_cost, cost, status, closing, group)
+            take_better(n, better, again, first_cost, cost, status, group)
             ended[STEPS] = steps
 
 
 @compiled
 def take_better(
-    n: int,
-    better: Any,
-    again: FloatArray,
-    first_cost: Any,
-    cost: Any,
-    status: Any,
-    closing: Any,
-    group: Group,
+    n: int, better: Any, again: FloatArray, first_cost: Any, cost: Any, status: Any, group: Group
 ) -> None:
     """Go to the states ``again``, where the last descent ended, if they are ``better``; else keep what was.
 
@@ -133,9 +123,6 @@ def take_better(
     ended[FIRST_COST] = first_cost
     ended[COST] = choose(better, ended[COST], cost)
     ended[STATUS] = choose(better, ended[STATUS], status)
-    ended[CLOSING] = choose(better, ended[CLOSING], closing)
-    # Else the workspace has the factorisation at other states.
-    ended[EXACT] = choose(better, ended[EXACT], 0.0 * cost)
 
 
 @compiled
@@ -148,7 +135,6 @@ def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance
     states, workspace, ended = group.states, group.workspace, group.workspace.ended
     before, start = workspace.before, workspace.start
     first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
-    closing = ended[CLOSING]
     copy_rows(0, n, states, before)
     first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
     settle(whole, group, n, max_iterations, tolerance, True)
@@ -163,8 +149,6 @@ def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance
         ended[COST] = choose(better, ended[COST], cost)
         ended[STATUS] = choose(better, ended[STATUS], status)
         ended[STEPS] = choose(better, ended[STEPS], steps)
-        ended[CLOSING] = choose(better, ended[CLOSING], closing)
-        ended[EXACT] = choose(better, ended[EXACT], 0.0 * cost)
 
 
 @compiled
@@ -220,12 +204,11 @@ def solve_group(
     if gait is None:
         settle(whole, group, n, options.max_iterations, options.tolerance, options.search)
         note(group, result)
-        finish_descent(problem, track, n, states, None, workspace, group.covariance)
+        find_covariances(problem, track, n, states, None, workspace, group.covariance)
     else:
         # Without couplings first: from there both the modes and the states are found.
         copy_rows(0, n, states, workspace.before)
         settle(whole, group, n, options.max_iterations, options.on_the_way, options.search)
-        finish_descent(problem, track, n, states, None, workspace, None)
         put_back(whole, group, guessed)
         for left in range(options.passes - 1, -1, -1):
             last = left == 0
@@ -236,10 +219,8 @@ def solve_group(
             settle(whole, group, n, options.max_iterations, tolerance, False)
             if searched:
                 improve(whole, group, n, options.max_iterations, tolerance)
-            if not last:
-                finish_descent(problem, track, n, states, None, workspace, None)
         note(group, result)
-        finish_descent(problem, track, n, states, group.modes.spread, workspace, group.covariance)
+        find_covariances(problem, track, n, states, group.modes.spread, workspace, group.covariance)
         for lane in range(lane_count(workspace.length[0])):
             if group.tracks[lane] >= 0:
                 begin = whole.offsets[group.tracks[lane]]
@@ -323,7 +304,7 @@ def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
         np.empty((n, 4, LANES)),
         np.empty((4, N, N, LANES)),
         np.empty((2, N, LANES)),
-        np.empty((6, LANES)),
+        np.empty((5, LANES)),
         np.empty((1, LANES)),
         np.zeros(2, np.int64),
         np.empty((3 * rows, ROW, LANES)),
