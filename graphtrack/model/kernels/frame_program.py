@@ -9,9 +9,10 @@ terms, from the same source.
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 from numba import types
@@ -49,9 +50,10 @@ class FrameProgram:
     @classmethod
     def from_source(cls, source: str, name: str) -> FrameProgram:
         """The program of a source from `generator.Program`."""
-        namespace: dict[str, Any] = {"__name__": name}
-        exec(compile(source, f"<{name}>", "exec"), namespace)
-        return cls.of(SimpleNamespace(**namespace))
+        # Machine code on disk names the module of each function, which is imported when it is loaded.
+        module = sys.modules[name] = ModuleType(name)
+        exec(compile(source, f"<{name}>", "exec"), vars(module))
+        return cls.of(module)
 
 
 OF_PRESETS = FrameProgram.of(program)
