@@ -28,7 +28,7 @@ from graphtrack.inference.chain.elimination import (
     Workspace,
     copy_rows,
 )
-from graphtrack.inference.chain.newton import cost_of, minimise
+from graphtrack.inference.chain.newton import as_variable, cost_of, minimise
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.model.kernels.compiled import allocating, compiled
 from graphtrack.model.kernels.lanes import (
@@ -137,7 +137,7 @@ def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance
     first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
     copy_rows(0, n, states, before)
     first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
-    settle(whole, group, n, max_iterations, tolerance, True)
+    settle(whole, group, n, max_iterations, tolerance, as_variable(True))
     better = ended[COST] < cost
     if any_of(negate(better)):
         for k in range(n):
@@ -216,7 +216,7 @@ def solve_group(
             renew_couplings(
                 problem, track, n, workspace.length[0], states, gait, classified, last, group.modes
             )
-            settle(whole, group, n, options.max_iterations, tolerance, False)
+            settle(whole, group, n, options.max_iterations, tolerance, as_variable(False))
             if searched:
                 improve(whole, group, n, options.max_iterations, tolerance)
         note(group, result)
