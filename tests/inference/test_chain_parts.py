@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_tracks import contradicted
 from walks import walk
 
 from graphtrack.geometry.angles import FloatArray
@@ -13,11 +14,12 @@ from graphtrack.inference import OnlineSmoother
 from graphtrack.inference.chain.advance import carry_over
 from graphtrack.inference.chain.basin_search import greatest_gain
 from graphtrack.inference.chain.coupling_modes import mode_memory, renew_couplings
-from graphtrack.inference.chain.elimination import workspace
+from graphtrack.inference.chain.elimination import COST, FIRST_COST, workspace
+from graphtrack.inference.chain.newton import minimise
 from graphtrack.inference.chain.start import fill
 from graphtrack.inference.chain.window_kernels import from_frame, predict_newest
 from graphtrack.inference.initial import pack, problem_of
-from graphtrack.model import Model, Parameters
+from graphtrack.model import LikelihoodParameters, Model, Parameters
 from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.program import add_frame
 from graphtrack.model.observation import observations
@@ -48,6 +50,26 @@ def test_in_a_single_frame_the_greatest_gain_is_that_of_the_best_turn(seed: int)
     assert greatest_gain(problem, 0, 1, state[None], workspace(1)) == pytest.approx(
         max(0.0, *turned), abs=1e-9
     )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_step_of_a_descent_raises_the_cost(seed: int) -> None:
+    """From a start that is wrong, in observations that contradict each other."""
+    rng = np.random.default_rng(seed)
+    robust = Parameters(likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=1.0))
+    for trial in range(30):
+        track = contradicted(rng, ("flipped", "classes")[trial % 2])[: 2 + trial % 4]
+        problem, n = problem_of(pack([track], Model("joint", robust))), len(track)
+        start = rng.normal(0.0, rng.choice([0.1, 1.0]), (n, 6))
+        start[:, BODY:] = rng.uniform(-3.0, 3.0, (n, 2))
+        memory, costs = workspace(n), list[float]()
+        for steps in range(8):
+            states = start.copy()
+            minimise(problem, 0, n, states, steps, 1e-12, memory)
+            costs.append(float(memory.ended[COST]))
+            assert memory.ended[FIRST_COST] == pytest.approx(costs[0])
+        assert (np.diff(costs) <= 0.0).all()
+        assert costs[-1] < costs[0]
 
 
 def test_what_was_not_seen_is_taken_from_the_nearest_in_time() -> None:

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from calibrated import calibrated
+from calibration_formulas import calibrated
 from random_tracks import contradicted, random_parameters, random_track
 from walks import walk
 

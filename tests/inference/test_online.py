@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import gtsam
 import numpy as np
 import pytest
-from calibrated import calibrated
+from calibration_formulas import calibrated
 from selection import others_slow
 from walks import walk, without
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -163,3 +164,24 @@ def test_a_masked_array_of_floats_is_not_freed_too_early() -> None:
     for n in range(1, 400):
         assert put_masked(n) == n * (n + 1) / 2
         others.append(np.full(n, np.nan))
+
+
+@compiled
+def holds(x: Any, y: Any) -> Any:
+    """1, 2, 4 and 8 for each comparison that holds."""
+    total = choose(x > y, 1.0, 0.0) + choose(x >= y, 2.0, 0.0)
+    return total + choose(x < y, 4.0, 0.0) + choose(x <= y, 8.0, 0.0)
+
+
+@compiled
+def compare_lanes(x: FloatArray, y: FloatArray, found: FloatArray) -> None:
+    """`holds` of lanes."""
+    lane_array(found)[0] = holds(lane_array(x)[0], lane_array(y)[0])
+
+
+def test_nothing_compares_with_nan_in_floats_or_lanes() -> None:
+    x = np.array([[0.0, 1.0, 2.0, np.nan, 1.0, np.nan, np.inf, -np.inf]])
+    y, found = np.array([[1.0, 1.0, 1.0, 1.0, np.nan, np.nan, 1.0, 1.0]]), np.empty((1, LANES))
+    compare_lanes(x, y, found)
+    np.testing.assert_array_equal(found[0], [12.0, 10.0, 3.0, 0.0, 0.0, 0.0, 3.0, 12.0])
+    assert [holds(a, b) for a, b in zip(x[0].tolist(), y[0].tolist(), strict=True)] == found[0].tolist()

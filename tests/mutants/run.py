@@ -65,8 +65,8 @@ MUTANTS = (
     ),
     Mutant(
         "steered-covariance-factor",
-        "cross = once * once / (2.0 * rate * rate)",
-        "cross = once * once / (rate * rate)",
+        "once * once / (2.0 * rate * rate))",
+        "once * once / (rate * rate))",
     ),
     Mutant(
         "motion-normaliser-factor",
@@ -101,18 +101,18 @@ MUTANTS = (
     ),
     Mutant(
         "drift-circle-off-by-one",
-        "side * (memory[last - 1] + memory[0] - 2.0 * memory[last])",
-        "side * (memory[last - 1] + memory[1] - 2.0 * memory[last])",
+        "row[_LAST] = own + share * (behind + first - 2.0 * own)",
+        "row[_LAST] = own + share * (behind + row[1] - 2.0 * own)",
     ),
     Mutant(
         "switch-back-not-adjoint",
-        "near += ahead[BINS + j] * modes.share[j]",
-        "near += ahead[BINS + j] * modes.anywhere[j]",
+        "follows_near += ahead * modes.share[j - BINS]",
+        "follows_near += ahead * modes.anywhere[j - BINS]",
     ),
     Mutant(
         "lead-of-the-other-coupling",
-        "excess, gait.body.lead - left",
-        "excess, gait.head.lead - left",
+        "squared_excess(vx, vy, shared.speed_threshold),\n            modes.lead - left,",
+        "squared_excess(vx, vy, shared.speed_threshold),\n            gait.head.lead - left,",
     ),
     # The solver.
     Mutant(
@@ -122,8 +122,8 @@ MUTANTS = (
     ),
     Mutant(
         "step-accepted-though-worse",
-        "            if found <= cost:\n",
-        "            if found <= cost + 1.0:\n",
+        "worse = running & negate(found <= cost)",
+        "worse = running & negate(found <= cost + 1.0)",
     ),
     Mutant(
         "gap-filled-from-the-far-side",
@@ -134,6 +134,32 @@ MUTANTS = (
         "quarter-turn-sign",
         "unturned = turned if q == 2 else -turned",
         "unturned = turned",
+    ),
+    Mutant(
+        "masked-view-reaches-every-lane",
+        "value = builder.select(given.mask, value, builder.load(pointer, align=8))",
+        "pass",
+    ),
+    Mutant(
+        "another-lane-s-mode-sums",
+        "modes[k, 0] = lane_of(held[k, 2], lane)",
+        "modes[k, 0] = lane_of(held[k, 2], 0)",
+    ),
+    # Covariances.
+    Mutant(
+        "pull-of-the-frame-before-added",
+        "total -= link[k - 1, j, i] * solution[k - 1, j]",
+        "total += link[k - 1, j, i] * solution[k - 1, j]",
+    ),
+    Mutant(
+        "lag-of-past-and-future-at-the-end",
+        "return past, past + (1.0 - newest) * 0.5 * square",
+        "return past, past + 0.5 * square",
+    ),
+    Mutant(
+        "turn-across-with-the-wrong-sign",
+        "across = covariance[HEAD, VY] * vx - covariance[HEAD, VX] * vy",
+        "across = covariance[HEAD, VY] * vx + covariance[HEAD, VX] * vy",
     ),
     # The online window.
     Mutant(
@@ -148,8 +174,8 @@ MUTANTS = (
     ),
     Mutant(
         "modes-before-off-by-one",
-        "assign(windows.modes_before[slot], filtered[:, k])",
-        "assign(windows.modes_before[slot], filtered[:, n - 1])",
+        "normalise(modes.filtered_body[k], windows.modes_before[slot, BODY_MODE])",
+        "normalise(modes.filtered_body[end - begin - 1], windows.modes_before[slot, BODY_MODE])",
     ),
     # Readers.
     Mutant(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from calibrated import calibrated
+from calibration_formulas import calibrated
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.solution import seconds_to_ends
