@@ -47,7 +47,7 @@ from graphtrack.inference.chain.windows import (
     Rules,
     Windows,
 )
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import Gait
@@ -92,7 +92,7 @@ def memory_in(windows: Windows, slot: int, memory: Workspace) -> Workspace:
     )
 
 
-@compiled
+@inner
 def predict_state(states: FloatArray, row: int, dt: float, guess: FloatArray) -> None:
     """Initial values of a new frame: constant velocity, the angles as they were.
 
@@ -196,7 +196,7 @@ def advance(
             windows.classified[slot, 0] = classified
 
 
-@compiled
+@inner
 def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArray, before: FloatArray) -> int:
     """Keep the states in ``before`` and add the frame after the newest; how many frames there were."""
     begin, end = problem.offsets[0], problem.offsets[1]
@@ -208,7 +208,7 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
     return int(end - begin)
 
 
-@compiled
+@inner
 def solve_or_restore(
     problem: Problem,
     states: FloatArray,
@@ -287,7 +287,7 @@ def report_couplings(problem: Problem, modes: ModeMemory, p: int, advanced: Adva
         advanced.coupled[k] = problem.records[begin + k]
 
 
-@compiled
+@inner
 def clear_matrix(matrix: FloatArray) -> None:
     """Set to 0."""
     for i in range(len(matrix)):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, copy_rows
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.frame_program import add_grid_costs, set_quarter_turns
 from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.model.kernels.layout import BODY, HEAD, N
@@ -74,7 +74,7 @@ def greatest_gain(problem: Problem, track: int, n: int, states: FloatArray, work
     return greatest
 
 
-@compiled
+@inner
 def nodes_of(problem: Problem, track: int, n: int, spread: float, node: np.ndarray) -> int:
     """Group frames of a track until body and head diffuse by the variance ``spread``; returns the number.
 
@@ -93,7 +93,7 @@ def nodes_of(problem: Problem, track: int, n: int, spread: float, node: np.ndarr
     return count + 1
 
 
-@compiled
+@inner
 def hops(variance: float, cos: FloatArray, cost: Single) -> None:
     """Cost of each turn from one group to the next, which diffusion by ``variance`` allows; 0: free."""
     kappa = 1.0 / variance if variance > 0.0 else 0.0
@@ -156,7 +156,7 @@ def add_past(prior: FloatArray, state: FloatArray, angles: FloatArray, cost: Sin
             cost[b, h] += of_both * (1.0 - math.cos(turn_head - turn))
 
 
-@compiled
+@inner
 def least_of(cost: Single) -> tuple[int, int]:
     """The first place (b, h) of the least number of a matrix."""
     b = h = 0
@@ -234,7 +234,7 @@ def best_course(
             b, h = to_b, to_h
 
 
-@compiled
+@inner
 def lies_elsewhere(states: FloatArray, course: FloatArray, near: float) -> bool:
     """Whether a course (n, 2) turns from the states' orientations by more than ``near``, a cosine, allows."""
     for k in range(len(states)):
@@ -245,7 +245,7 @@ def lies_elsewhere(states: FloatArray, course: FloatArray, near: float) -> bool:
     return False
 
 
-@compiled
+@inner
 def leads_elsewhere(
     problem: Problem, track: int, states: FloatArray, near: float, course: FloatArray
 ) -> bool:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.elementary import cos_sin, direction_of, exp, log, whole_of
 from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.model.kernels.layout import BODY, VX, VY
@@ -115,13 +115,13 @@ def look_ahead(
 # -- evidence ------------------------------------------------------------------------------------------------
 
 
-@compiled
+@inner
 def is_observed(frame: Any) -> Any:
     """Whether a position was observed in a frame."""
     return (frame.position_information > 0.0) | (frame.pixel_information > 0.0)
 
 
-@compiled
+@inner
 def add_angle_evidence(
     row: FloatArray,
     modes: Modes,
@@ -155,7 +155,7 @@ def add_angle_evidence(
         row[j] += weight * choose(softened, log(exp(close) + uniform), close)
 
 
-@compiled
+@inner
 def add_class_evidence(
     row: FloatArray,
     modes: Modes,
@@ -180,7 +180,7 @@ def add_class_evidence(
         row[j] += weight * log(density)
 
 
-@compiled
+@inner
 def judge_body(
     problem: Problem, track: int, n: int, states: FloatArray, gait: Gait, memory: ModeMemory
 ) -> None:
@@ -236,7 +236,7 @@ def judge_body(
             add_class_evidence(row, gait.body, head_share, cos, sin, heights, directions, kappa)
 
 
-@compiled
+@inner
 def judge_head(
     problem: Problem, track: int, n: int, states: FloatArray, modes: Modes, memory: ModeMemory
 ) -> None:
@@ -283,7 +283,7 @@ def is_classified(problem: Problem, track: int) -> bool:
 # -- the recursions ------------------------------------------------------------------------------------------
 
 
-@compiled
+@inner
 def drift_of(drift: float, dt: Any) -> tuple[Any, Any]:
     """Number of diffusion passes for ``dt`` seconds, and the share that goes to either side in each.
 
@@ -297,7 +297,7 @@ def drift_of(drift: float, dt: Any) -> tuple[Any, Any]:
     return passes, choose(side < 1.0 / 3.0, side, 1.0 / 3.0)
 
 
-@compiled
+@inner
 def drift_further(row: FloatArray, passes: Any, side: Any) -> None:
     """All passes of a drift but one, in place; the recursions do that one themselves."""
     turn = 1.0
@@ -497,7 +497,7 @@ def loosened(kappa: Any, excess: Any, missing: Any, weight: Any, diffusion: floa
     return choose(unknown, 1.0 / (1.0 + kappa * excess / weight * diffusion * missing), 1.0)
 
 
-@compiled
+@inner
 def couple(
     found: Any,
     modes: Modes,
@@ -535,7 +535,7 @@ def couple(
     )
 
 
-@compiled
+@inner
 def renew_body(
     problem: Problem,
     track: int,
@@ -583,7 +583,7 @@ def renew_body(
         left += frame.dt
 
 
-@compiled
+@inner
 def renew_head(
     problem: Problem,
     track: int,
@@ -633,7 +633,7 @@ def renew_head(
             steer(after, after.steer_rate * share)
 
 
-@compiled
+@inner
 def begin_back(zero: Any, memory: ModeMemory) -> Any:
     """Nothing follows the last frame; as `Following`."""
     for j in range(ROW):

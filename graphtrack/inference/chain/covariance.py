@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
 from graphtrack.inference.chain.elimination import Workspace, marginals
 from graphtrack.inference.chain.newton import as_variable, sweep_forward
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import compiled, inner
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N
 from graphtrack.model.kernels.problem import Problem
@@ -77,7 +77,7 @@ def back_from(k: int, last: bool, workspace: Workspace) -> None:
         step[k, i] = total
 
 
-@compiled
+@inner
 def add_spread(
     problem: Problem,
     n: int,
@@ -128,7 +128,7 @@ def spread_track(
         add_spread(problem, n, states, spread, workspace, covariance)
 
 
-@compiled
+@inner
 def spread_newest(
     problem: Problem,
     n: int,
@@ -148,7 +148,7 @@ def spread_newest(
         widen(covariance, workspace.step[n - 1])
 
 
-@compiled
+@inner
 def find_covariances(
     problem: Problem,
     track: int,

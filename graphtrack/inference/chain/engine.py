@@ -147,7 +147,8 @@ def solve_terms(
     else:
         memory = workspace(longest) if memory is None else memory
         modes = None if gait is None else mode_memory(longest)
-        solve_tracks(problem, options, gait, guessed, memory, modes, result)
+        numbers = np.zeros(1, np.int64)
+        solve_tracks(problem, options, gait, guessed, numbers, memory, modes, result)
 
 
 def never_seen(packed: PackedTracks, seen: Seen) -> BoolArray:

@@ -25,14 +25,14 @@ from graphtrack.inference.chain.elimination import (
     sweep_back,
 )
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
-from graphtrack.model.kernels.compiled import compiled
+from graphtrack.model.kernels.compiled import compiled, inner
 from graphtrack.model.kernels.frame_program import add_frame
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
 
 
-@compiled
+@inner
 def as_variable(flag: bool) -> bool:
     """The flag, but not as a constant: functions are compiled once more for each constant they are given."""
     negated = not flag
@@ -46,7 +46,7 @@ def note_turns(k: int, states: FloatArray, turns: FloatArray) -> None:
     turns[k, 2], turns[k, 3] = math.cos(states[k, HEAD]), math.sin(states[k, HEAD])
 
 
-@compiled
+@inner
 def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessian: FloatArray) -> Any:
     """½·dᵀ·Λ·d − ηᵀ·d, where d is the deviation from the prior's point."""
     cost = 0.0
@@ -79,7 +79,7 @@ def add_message(
     return cost
 
 
-@compiled
+@inner
 def sweep_forward(
     problem: Problem, track: int, n: int, states: FloatArray, exact: bool, workspace: Workspace
 ) -> tuple[Any, Any]:
@@ -241,7 +241,7 @@ def minimise(
     ended[EXACT] = choose(exact, one, 0.0)
 
 
-@compiled
+@inner
 def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
     """The cost of states from which a descent might begin."""
     for i in range(N):

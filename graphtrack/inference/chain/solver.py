@@ -30,7 +30,7 @@ from graphtrack.inference.chain.elimination import (
 )
 from graphtrack.inference.chain.newton import as_variable, cost_of, minimise
 from graphtrack.inference.chain.result import NOT_FINITE, Result
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.lanes import (
     any_of,
     choose,
@@ -40,7 +40,6 @@ from graphtrack.model.kernels.lanes import (
     lane_records,
     lane_rows,
     masked,
-    negate,
     only_lane,
 )
 from graphtrack.model.kernels.layout import BODY, LANES, N
@@ -74,17 +73,26 @@ class Group(NamedTuple):
 
 
 @compiled
-def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float, search: bool) -> None:
-    """Minimise the costs of a group; ``workspace.ended`` reports how.
+def settle(
+    whole: Problem,
+    tracks: NDArray[np.int64],
+    problem: Problem,
+    track: int,
+    n: int,
+    states: FloatArray,
+    max_iterations: int,
+    tolerance: float,
+    search: bool,
+    workspace: Workspace,
+) -> None:
+    """Minimise the costs of a group; ``workspace.ended`` reports how. Parameters as in `Group`.
 
     With ``search`` a descent begins in another basin, and ends there, where that promises to cost less.
     """
-    problem, track, states, workspace = group.problem, group.track, group.states, group.workspace
     ended, again, start = workspace.ended, workspace.again, workspace.start
     nothing = 0.0 * workspace.length[0]
     elsewhere, begun = nothing > 0.0, nothing
     if search:
-        tracks = group.tracks
         elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_START, workspace)
     if any_of(elsewhere):
         # Contradictions make a poor start, from which the descent is long.
@@ -93,7 +101,7 @@ def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance:
     minimise(problem, track, n, states, max_iterations, tolerance, workspace)
     ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
     if search:
-        tracks, sound = group.tracks, ended[STATUS] < float(NOT_FINITE)
+        sound = ended[STATUS] < float(NOT_FINITE)
         elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_END, workspace) & sound
         if any_of(elsewhere):
             for i in range(N):
@@ -101,85 +109,87 @@ def settle(whole: Problem, group: Group, n: int, max_iterations: int, tolerance:
             first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
             minimise(problem, track, n, again, max_iterations, tolerance, workspace)
             better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & (ended[COST] < cost)
-            steps += choose(elsewhere, ended[STEPS], nothing)
-            take_better(n, better, again, first_cost, cost, status, group)
-            ended[STEPS] = steps
+            keep_better(n, better, again, states, states)
+            for i in range(N):
+                start[0, i] = choose(better, start[0, i], start[1, i])
+            ended[FIRST_COST], ended[COST] = first_cost, choose(better, ended[COST], cost)
+            ended[STATUS] = choose(better, ended[STATUS], status)
+            ended[STEPS] = steps + choose(elsewhere, ended[STEPS], nothing)
 
 
-@compiled
-def take_better(
-    n: int, better: Any, again: FloatArray, first_cost: Any, cost: Any, status: Any, group: Group
-) -> None:
-    """Go to the states ``again``, where the last descent ended, if they are ``better``; else keep what was.
-
-    ``start[1]`` is where the descent before began.
-    """
-    states, start, ended = group.states, group.workspace.start, group.workspace.ended
+@inner
+def keep_better(n: int, better: Any, one: FloatArray, other: FloatArray, states: FloatArray) -> None:
+    """States (n, 6) become the one where that is ``better``, else the other."""
     for k in range(n):
         for i in range(N):
-            states[k, i] = choose(better, again[k, i], states[k, i])
-    for i in range(N):
-        start[0, i] = choose(better, start[0, i], start[1, i])
-    ended[FIRST_COST] = first_cost
-    ended[COST] = choose(better, ended[COST], cost)
-    ended[STATUS] = choose(better, ended[STATUS], status)
+            states[k, i] = choose(better, one[k, i], other[k, i])
 
 
-@compiled
-def improve(whole: Problem, group: Group, n: int, max_iterations: int, tolerance: float) -> None:
+@inner
+def improve(
+    whole: Problem,
+    tracks: NDArray[np.int64],
+    problem: Problem,
+    track: int,
+    n: int,
+    states: FloatArray,
+    max_iterations: int,
+    tolerance: float,
+    workspace: Workspace,
+) -> None:
     """Search other basins once the couplings are known, and stay there if they cost less.
 
     Class likelihoods have basins that only the couplings tell apart; but the grid does not know the offset of
     the head's coupling, so that it may lead to a worse basin.
     """
-    states, workspace, ended = group.states, group.workspace, group.workspace.ended
-    before, start = workspace.before, workspace.start
+    ended, before, start = workspace.ended, workspace.before, workspace.start
     first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
     copy_rows(0, n, states, before)
     first = start[0, 0], start[0, 1], start[0, 2], start[0, 3], start[0, 4], start[0, 5]
-    settle(whole, group, n, max_iterations, tolerance, as_variable(True))
+    search = as_variable(True)
+    settle(whole, tracks, problem, track, n, states, max_iterations, tolerance, search, workspace)
     better = ended[COST] < cost
-    if any_of(negate(better)):
-        for k in range(n):
-            for i in range(N):
-                states[k, i] = choose(better, states[k, i], before[k, i])
-        for i in range(N):
-            start[0, i] = choose(better, start[0, i], first[i])
-        ended[FIRST_COST] = choose(better, ended[FIRST_COST], first_cost)
-        ended[COST] = choose(better, ended[COST], cost)
-        ended[STATUS] = choose(better, ended[STATUS], status)
-        ended[STEPS] = choose(better, ended[STEPS], steps)
+    keep_better(n, better, states, before, states)
+    for i in range(N):
+        start[0, i] = choose(better, start[0, i], first[i])
+    ended[FIRST_COST] = choose(better, ended[FIRST_COST], first_cost)
+    ended[COST] = choose(better, ended[COST], cost)
+    ended[STATUS] = choose(better, ended[STATUS], status)
+    ended[STEPS] = choose(better, ended[STEPS], steps)
 
 
-@compiled
-def put_back(whole: Problem, group: Group, guessed: BoolArray) -> None:
+@inner
+def put_back(
+    offsets: NDArray[np.int64],
+    tracks: NDArray[np.int64],
+    guessed: BoolArray,
+    length: Any,
+    before: FloatArray,
+    states: FloatArray,
+) -> None:
     """Have the angles that are ``guessed`` (N, 2) as they were before the descent; no rows: none are."""
-    length = group.workspace.length[0]
     for lane in range(lane_count(length)):
-        if group.tracks[lane] < 0 or len(guessed) == 0:
+        if tracks[lane] < 0 or len(guessed) == 0:
             continue
-        begin = whole.offsets[group.tracks[lane]]
-        states = masked(group.states, only_lane(length > 0.0, lane))
+        begin, here = offsets[tracks[lane]], masked(states, only_lane(length > 0.0, lane))
         for k in range(int(lane_of(length, lane))):
             for i in range(2):
                 if guessed[begin + k, i]:
-                    states[k, BODY + i] = lane_of(group.workspace.before[k, BODY + i], lane)
+                    here[k, BODY + i] = lane_of(before[k, BODY + i], lane)
 
 
 @compiled
-def note(group: Group, result: Result) -> None:
+def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
     """How the descents of a group ended, into the result."""
-    ended = group.workspace.ended
     for lane in range(lane_count(ended[COST])):
-        track = group.tracks[lane]
-        if track >= 0:
-            result.first_cost[track] = lane_of(ended[FIRST_COST], lane)
-            result.cost[track] = lane_of(ended[COST], lane)
-            result.iterations[track] = int(lane_of(ended[STEPS], lane))
-            result.status[track] = int(lane_of(ended[STATUS], lane))
+        if tracks[lane] >= 0:
+            result.first_cost[tracks[lane]] = lane_of(ended[FIRST_COST], lane)
+            result.cost[tracks[lane]] = lane_of(ended[COST], lane)
+            result.iterations[tracks[lane]] = int(lane_of(ended[STEPS], lane))
+            result.status[tracks[lane]] = int(lane_of(ended[STATUS], lane))
 
 
-@compiled
+@inner
 def solve_group(
     whole: Problem,
     group: Group,
@@ -200,59 +210,62 @@ def solve_group(
     classified : whether class likelihoods of the head are known
     searched : whether basins are searched with couplings, too, as class likelihoods ask for
     """
-    problem, track, states, workspace = group.problem, group.track, group.states, group.workspace
+    problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
+    workspace, most, search = group.workspace, options.max_iterations, options.search
+    length = workspace.length[0]
     if gait is None:
-        settle(whole, group, n, options.max_iterations, options.tolerance, options.search)
-        note(group, result)
+        settle(whole, tracks, problem, track, n, states, most, options.tolerance, search, workspace)
+        note(tracks, workspace.ended, result)
         find_covariances(problem, track, n, states, None, workspace, group.covariance)
     else:
         # Without couplings first: from there both the modes and the states are found.
         copy_rows(0, n, states, workspace.before)
-        settle(whole, group, n, options.max_iterations, options.on_the_way, options.search)
-        put_back(whole, group, guessed)
+        settle(whole, tracks, problem, track, n, states, most, options.on_the_way, search, workspace)
+        put_back(whole.offsets, tracks, guessed, length, workspace.before, states)
+        search = as_variable(False)
         for left in range(options.passes - 1, -1, -1):
             last = left == 0
             tolerance = options.tolerance if last else options.on_the_way
-            renew_couplings(
-                problem, track, n, workspace.length[0], states, gait, classified, last, group.modes
-            )
-            settle(whole, group, n, options.max_iterations, tolerance, as_variable(False))
+            renew_couplings(problem, track, n, length, states, gait, classified, last, group.modes)
+            settle(whole, tracks, problem, track, n, states, most, tolerance, search, workspace)
             if searched:
-                improve(whole, group, n, options.max_iterations, tolerance)
-        note(group, result)
+                improve(whole, tracks, problem, track, n, states, most, tolerance, workspace)
+        note(tracks, workspace.ended, result)
         find_covariances(problem, track, n, states, group.modes.spread, workspace, group.covariance)
-        for lane in range(lane_count(workspace.length[0])):
-            if group.tracks[lane] >= 0:
-                begin = whole.offsets[group.tracks[lane]]
-                frames = int(lane_of(workspace.length[0], lane))
+        for lane in range(lane_count(length)):
+            if tracks[lane] >= 0:
+                begin, frames = whole.offsets[tracks[lane]], int(lane_of(length, lane))
                 report_modes(frames, lane, group.modes.held, result.modes[begin : begin + frames])
 
 
 # -- one track after the other -------------------------------------------------------------------------------
 
 
-@allocating
+@compiled
 def solve_tracks(
     problem: Problem,
     options: Options,
     gait: Any,
     guessed: BoolArray,
+    tracks: NDArray[np.int64],
     workspace: Workspace,
     modes: Any,
     result: Result,
 ) -> None:
-    """Solve all tracks from the states in the result, in place; parameters as in `solve_group`."""
+    """Solve all tracks from the states in the result, in place; parameters as in `solve_group`.
+
+    ``tracks`` (1,), ``workspace`` and ``modes`` are memory.
+    """
     for track in range(len(problem.offsets) - 1):
         a, b = problem.offsets[track], problem.offsets[track + 1]
-        tracks = np.full(1, track)
-        workspace.length[0] = b - a
+        tracks[0], workspace.length[0] = track, b - a
         group = Group(problem, track, tracks, result.states[a:b], result.covariance[a:b], workspace, modes)
         classified = is_classified(problem, track)
         searched = options.search and (classified or is_body_classified(problem, track))
         solve_group(problem, group, b - a, options, gait, guessed, classified, searched, result)
 
 
-@compiled
+@inner
 def is_body_classified(problem: Problem, track: int) -> bool:
     """Whether class likelihoods are known of the body in any frame of a track."""
     for k in range(problem.offsets[track], problem.offsets[track + 1]):

@@ -31,7 +31,7 @@ from graphtrack.inference.chain.newton import (
     sweep_forward,
 )
 from graphtrack.inference.chain.result import NOT_FINITE
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.frame_program import add_frame, cut
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
@@ -153,7 +153,7 @@ def move_if_less(
     return cost, sweep_forward(problem, track, n, states, as_variable(True), memory)[1]
 
 
-@compiled
+@inner
 def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
     """Whether some of the newest positions that were seen are all farther from the states than k.
 
@@ -181,7 +181,7 @@ def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
     return _RUN <= count <= _LONGEST_RUN
 
 
-@compiled
+@inner
 def find_by_squares(
     problem: Problem,
     track: int,
@@ -225,7 +225,7 @@ def follow(states: FloatArray, last: int, before: FloatArray, memory: Workspace)
             break
 
 
-@compiled
+@inner
 def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None:
     """Turn the prior with a first frame that went from ``states`` to another basin in ``again``.
 
@@ -242,7 +242,7 @@ def turn_prior(prior: FloatArray, states: FloatArray, again: FloatArray) -> None
             prior[N + 1, place] += turn
 
 
-@compiled
+@inner
 def the_only(problem: Problem) -> int:
     """The number of the window's track, 0.
 

@@ -34,7 +34,7 @@ _CACHE_DIR = threading.Lock()
 """Held while numba's setting of the cache folder is another."""
 
 
-def compiled(function: Function) -> Function:
+def compiled(function: Function, **options: bool) -> Function:
     """Compile a function that makes no arrays and hands none back.
 
     Numba then leaves out the counting of references to arrays, which at every call and every view of a row
@@ -51,7 +51,15 @@ def compiled(function: Function) -> Function:
     returned = str(getattr(annotation, "__name__", annotation))
     if not _NUMBERS.fullmatch(returned):
         raise TypeError(f"{function.__name__} returns {returned}, expected numbers, or @allocating")
-    return _declared(function, _nrt=False)
+    return _declared(function, _nrt=False, **options)
+
+
+def inner(function: Function) -> Function:
+    """`compiled`, for what compiled code alone calls: without the wrapper that Python calls.
+
+    Where arguments are tuples of dozens of arrays the wrapper takes longer to compile than the function.
+    """
+    return compiled(function, no_cpython_wrapper=True)
 
 
 def allocating(function: Function) -> Function:
