@@ -70,8 +70,8 @@ def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
     files = "" if len(dataset.files) == 1 else f" in {len(dataset.files)} files"
     console.print(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed", markup=False)
     if options["cluster"] in (None, "local"):
-        beside = (is_large(options["model"], dataset.n_rows),)
-        make_ready(WHOLE, *solver_rehearsals(options["model"], options["engine"], beside=beside))
+        in_lanes = (is_large(options["model"], dataset.n_rows),)
+        make_ready(WHOLE, *solver_rehearsals(options["model"], options["engine"], in_lanes=in_lanes))
     start = time.perf_counter()
     with progress_bar(dataset.n_rows) as advance:
         outcome = smooth_dataset(dataset, output, progress=advance, **options)

@@ -136,8 +136,8 @@ def smooth(
     observed, chosen, said = trusted(tracks, chosen, trust or "check")
     for line in said:
         console.print(f"  note: {line}", markup=False)
-    beside = fit_lanes(observed.tracks, chosen)
-    make_ready(WHOLE, *solver_rehearsals(chosen, solver, tracks.camera, beside))
+    in_lanes = fit_lanes(observed.tracks, chosen)
+    make_ready(WHOLE, *solver_rehearsals(chosen, solver, tracks.camera, in_lanes))
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
         found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance)

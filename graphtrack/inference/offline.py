@@ -131,10 +131,10 @@ def solve_tracks(
             solve_tracks, model=model, engine=engine, jobs=jobs, options=options, progress=progress
         )
         return solve_in_turn(tracks, again, model.parameters.social.correlation_time)
-    beside = fit_lanes(tracks.tracks, model, n_frames)
-    make_ready(WHOLE, *solver_rehearsals(model, engine, tracks.camera, beside))
+    in_lanes = fit_lanes(tracks.tracks, model, n_frames)
+    make_ready(WHOLE, *solver_rehearsals(model, engine, tracks.camera, in_lanes))
     if engine == "chain":
-        return _solve_batches(tracks, beside, model, jobs, options, progress)
+        return _solve_batches(tracks, in_lanes, model, jobs, options, progress)
     attempt = partial(_attempt_graph, model=model, camera=tracks.camera, options=options)
     if jobs is None or jobs == 1 or len(tracks) < 2:
         return _collect(tracks, map(attempt, tracks), progress)
@@ -251,7 +251,7 @@ def smooth_track(
 
 def _solve_batches(
     tracks: TrackSet,
-    beside: list[bool],
+    in_lanes: list[bool],
     model: Model,
     jobs: int | None,
     options: SolverOptions,
@@ -263,7 +263,7 @@ def _solve_batches(
     with ThreadPoolExecutor(workers) as pool:
         # Several turns for each thread, so that all end at about the same time.
         size = min(max(tracks.n_frames // (4 * workers), FEWEST), MOST)
-        batches = [(which, way) for way in (True, False) for which in _batches(tracks, beside, way, size)]
+        batches = [(which, way) for way in (True, False) for which in _batches(tracks, in_lanes, way, size)]
 
         def run(batch: tuple[list[int], bool]) -> list[Solution | Failure]:
             given = [tracks.tracks[m] for m in batch[0]]
@@ -276,16 +276,16 @@ def _solve_batches(
     return [found[m] for m in range(len(tracks))]
 
 
-def _batches(tracks: TrackSet, beside: list[bool], way: bool, size: int) -> Iterator[list[int]]:
+def _batches(tracks: TrackSet, in_lanes: list[bool], way: bool, size: int) -> Iterator[list[int]]:
     """The tracks that are solved one way, by their places, ``size`` frames or little more at a time.
 
-    Those that are solved side by side come in whole groups.
+    Those that are solved in lanes come in whole groups.
     """
     group = LANES if way else 1
     batch: list[int] = []
     frames = 0
     for m, track in enumerate(tracks):
-        if beside[m] is not way:
+        if in_lanes[m] is not way:
             continue
         batch.append(m)
         frames += len(track)

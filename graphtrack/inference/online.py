@@ -52,7 +52,7 @@ _PROMISED_DECREASE = 1e-8
 class OnlineSmoother:
     """Track one person online.
 
-    The first on a machine compiles what it needs, which takes about ten seconds; see `warm_up`.
+    The first on a machine compiles what it needs, which takes about half a minute; see `warm_up`.
 
     Parameters
     ----------

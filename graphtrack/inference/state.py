@@ -29,8 +29,8 @@ FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackErro
 Status = Literal["new", "late", "duplicate", "too-late", "waiting", "failed"]
 Angles = tuple[float, float]
 Newest = tuple[FloatArray, FloatArray]
-"""State (6,) and covariance (6, 6) of the newest step. The compiled chain states it as estimates do, engines
-of GTSAM as curvature and modes have it; what estimates state is made of that by `solution.stated`."""
+"""State (6,) and covariance (6, 6) of the newest step: calibrated by the compiled chain; inverse curvature
+with what modes leave open by engines of GTSAM, for `calibration.calibrate`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,14 +38,14 @@ def warm_up(
     """Compile, or load from disk, what smoothing and tracking with a model and an engine will call.
 
     Whoever does not do so waits at the first call: half a second for loading or, once on a machine, about
-    twenty seconds for compiling. Then the log ("graphtrack") says so before and after, as a warning, which
+    half a minute for compiling. Then the log ("graphtrack") says so before and after, as a warning, which
     Python shows where logging is not set up.
 
     Parameters
     ----------
     model, engine : as in `solve` and `OnlineSmoother`
     behaviour : whether what groups, attention and forecasts call is wanted, too
-    large : whether what solves many tracks side by side is wanted, too, where the model has it: work of
+    large : whether what solves many tracks in lanes is wanted, too, where the model has it: work of
         `engine.LARGE` person-frames and more calls that
     """
     if behaviour:
@@ -60,7 +60,7 @@ def warm_up(
     elif engine in ("fixed-lag", "isam2"):
         make_ready(ONLINE, graph_rehearsal(model))
     else:
-        whole = solver_rehearsals(model, "chain", beside=(False, large and has_lanes(model)))
+        whole = solver_rehearsals(model, "chain", in_lanes=(False, large and has_lanes(model)))
         make_ready(SOLVER, *whole, online_rehearsal(model))
 
 
@@ -68,11 +68,11 @@ def solver_rehearsals(
     model: Model,
     engine: OfflineEngine,
     camera: GroundCamera | None = None,
-    beside: Collection[bool] = (False,),
+    in_lanes: Collection[bool] = (False,),
 ) -> list[Rehearsal]:
-    """What an engine calls for whole tracks; ``beside``: which of them the chain solves side by side."""
-    some = engine == "chain" and any(beside)
-    one_by_one = [solver_rehearsal(model, engine, camera)] if not some or not all(beside) else []
+    """What an engine calls for whole tracks; ``in_lanes``: which of them the chain solves in lanes."""
+    some = engine == "chain" and any(in_lanes)
+    one_by_one = [solver_rehearsal(model, engine, camera)] if not some or not all(in_lanes) else []
     return [*one_by_one, lane_rehearsal(model, camera)] if some else one_by_one
 
 
@@ -100,7 +100,7 @@ def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps
         if linear:
             _solve(Model("position"))
 
-    return Rehearsal(f"offline {_kind(model)}{' linear' if linear else ''}", run, 15.0)
+    return Rehearsal(f"offline {_kind(model)}{' linear' if linear else ''}", run, 25.0)
 
 
 def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsal:
@@ -114,7 +114,7 @@ def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsa
             _solve(Model("position"), in_lanes=True)
 
     only = " only" if _is_linear(model, camera) else ""
-    return Rehearsal(f"lanes {_kind(model)}{' linear' if linear else ''}{only}", run, 2.0 if only else 20.0)
+    return Rehearsal(f"lanes {_kind(model)}{' linear' if linear else ''}{only}", run, 2.0 if only else 25.0)
 
 
 def graph_rehearsal(model: Model) -> Rehearsal:
@@ -138,7 +138,7 @@ def start_rehearsal() -> Rehearsal:
 def online_rehearsal(model: Model) -> Rehearsal:
     """What the compiled window calls."""
     like = _like(model)
-    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 1.5 * _STEP, 1e-8, 5)), 12.0)
+    return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 1.5 * _STEP, 1e-8, 5)), 20.0)
 
 
 def _is_linear(model: Model, camera: GroundCamera | None) -> bool:

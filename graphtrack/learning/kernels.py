@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.elimination import Workspace, copy_rows
-from graphtrack.inference.chain.newton import as_variable, sweep_forward
+from graphtrack.inference.chain.elimination import Workspace
+from graphtrack.inference.chain.newton import factorise
 from graphtrack.model.kernels.compiled import allocating
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
@@ -20,14 +20,10 @@ def log_determinants(
 
     The Hessian is exact where that is positive definite, else that of Gauss–Newton.
     """
-    full = as_variable(True)
     for track in range(begin, end):
         a, b = problem.offsets[track], problem.offsets[track + 1]
         here, n = states[a:b], b - a
-        workspace.length[0] = n
-        copy_rows(0, 1, here, workspace.start)
-        if not sweep_forward(problem, track, n, here, full, workspace)[1]:
-            sweep_forward(problem, track, n, here, not full, workspace)
+        factorise(problem, track, n, here, workspace)
         total = 0.0
         for k in range(b - a):
             for i in range(N):

@@ -130,8 +130,8 @@ def smooth_dataset(
     )
     if cluster in (None, "local"):
         # Once for all processes of this machine.
-        beside = (is_large(work.model, work.n_frames),)
-        make_ready(WHOLE, *solver_rehearsals(work.model, work.engine, read_options.camera, beside))
+        in_lanes = (is_large(work.model, work.n_frames),)
+        make_ready(WHOLE, *solver_rehearsals(work.model, work.engine, read_options.camera, in_lanes))
     index = index_tracks(dataset)
 
     def labelled(scratch: Path) -> Iterator[Batch]:

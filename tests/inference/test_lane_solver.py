@@ -86,8 +86,8 @@ def test_each_way_makes_ready_what_it_calls() -> None:
     alone, beside = offline_rehearsal(model).name, lane_rehearsal(model).name
     assert alone != beside
     for ways, expected in (((False,), [alone]), ((True,), [beside]), ((True, False), [alone, beside])):
-        assert [one.name for one in solver_rehearsals(model, "chain", beside=ways)] == expected
-    assert len(solver_rehearsals(model, "gtsam", beside=(True, False))) == 1
+        assert [one.name for one in solver_rehearsals(model, "chain", in_lanes=ways)] == expected
+    assert len(solver_rehearsals(model, "gtsam", in_lanes=(True, False))) == 1
 
 
 @pytest.mark.parametrize("preset", ["joint", "full"])

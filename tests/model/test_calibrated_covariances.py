@@ -1,4 +1,4 @@
-"""What stated uncertainties contain beside the inverse curvature: against closed forms and simulations."""
+"""Calibrated covariances, beyond the inverse curvature: against closed forms and simulations."""
 
 from __future__ import annotations
 

@@ -181,6 +181,29 @@ def add_class_evidence(
 
 
 @inner
+def add_head_evidence(
+    problem: Problem, place: int, modes: Modes, weight: Any, base_cos: Any, base_sin: Any, row: FloatArray
+) -> None:
+    """Add what a frame, the ``place`` of its record, has observed of the head: an angle and classes."""
+    frame = problem.records[place]
+    add_angle_evidence(
+        row,
+        modes,
+        weight,
+        base_cos,
+        base_sin,
+        frame.seen_head_cos,
+        frame.seen_head_sin,
+        frame.head_kappa,
+        frame.head_uniform,
+    )
+    if any_of(frame.head_class_kappa > 0.0):
+        heights, directions = problem.head_heights[place], problem.head_directions
+        kappa = frame.head_class_kappa
+        add_class_evidence(row, modes, weight, base_cos, base_sin, heights, directions, kappa)
+
+
+@inner
 def judge_body(
     problem: Problem, track: int, n: int, states: FloatArray, gait: Gait, memory: ModeMemory
 ) -> None:
@@ -215,25 +238,11 @@ def judge_body(
             frame.body_kappa,
             frame.body_uniform,
         )
-        add_angle_evidence(
-            row,
-            gait.body,
-            head_share,
-            cos,
-            sin,
-            frame.seen_head_cos,
-            frame.seen_head_sin,
-            frame.head_kappa,
-            frame.head_uniform,
-        )
         if any_of(frame.body_class_kappa > 0.0):
             heights, directions = problem.body_heights[offset + k], problem.body_directions
             kappa = frame.body_class_kappa
             add_class_evidence(row, gait.body, share, cos, sin, heights, directions, kappa)
-        if any_of(frame.head_class_kappa > 0.0):
-            heights, directions = problem.head_heights[offset + k], problem.head_directions
-            kappa = frame.head_class_kappa
-            add_class_evidence(row, gait.body, head_share, cos, sin, heights, directions, kappa)
+        add_head_evidence(problem, offset + k, gait.body, head_share, cos, sin, row)
 
 
 @inner
@@ -255,20 +264,7 @@ def judge_head(
             continue
         cos, sin = cos_sin(memory.ahead[k, AHEAD_BODY])
         share = choose(active, coupling / (coupling + frame.head_information), 0.0)
-        add_angle_evidence(
-            row,
-            modes,
-            share,
-            cos,
-            sin,
-            frame.seen_head_cos,
-            frame.seen_head_sin,
-            frame.head_kappa,
-            frame.head_uniform,
-        )
-        if any_of(frame.head_class_kappa > 0.0):
-            heights, directions = problem.head_heights[offset + k], problem.head_directions
-            add_class_evidence(row, modes, share, cos, sin, heights, directions, frame.head_class_kappa)
+        add_head_evidence(problem, offset + k, modes, share, cos, sin, row)
 
 
 @compiled

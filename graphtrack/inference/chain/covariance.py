@@ -14,7 +14,7 @@ from typing import Any
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
 from graphtrack.inference.chain.elimination import Workspace, marginals
-from graphtrack.inference.chain.newton import as_variable, sweep_forward
+from graphtrack.inference.chain.newton import as_variable, factorise, sweep_forward
 from graphtrack.model.kernels.compiled import compiled, inner
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N
@@ -117,14 +117,8 @@ def spread_track(
     ``spread`` (n, 2) is that of `coupling_modes.renew_couplings`; the states are those found with its
     couplings.
     """
-    full = as_variable(True)
-    workspace.length[0] = n
-    for i in range(N):
-        workspace.start[0, i] = states[0, i]
-    _, definite = sweep_forward(problem, 0, n, states, full, workspace)
-    if not definite:
-        _, definite = sweep_forward(problem, 0, n, states, not full, workspace)
-    if definite:
+    # The only track, as a number that is no constant: functions are compiled once more for each of those.
+    if factorise(problem, len(problem.offsets) - 2, n, states, workspace):
         add_spread(problem, n, states, spread, workspace, covariance)
 
 

@@ -247,3 +247,18 @@ def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace:
     for i in range(N):
         workspace.start[0, i] = states[0, i]
     return sweep_forward(problem, track, n, states, as_variable(True), workspace)[0]
+
+
+@inner
+def factorise(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> bool:
+    """Factor the Hessian of one track at its states: exact if that is positive definite, else Gauss–Newton's.
+
+    Returns whether one of them was positive definite.
+    """
+    full = as_variable(True)
+    workspace.length[0] = n
+    copy_rows(0, 1, states, workspace.start)
+    _, definite = sweep_forward(problem, track, n, states, full, workspace)
+    if not definite:
+        _, definite = sweep_forward(problem, track, n, states, not full, workspace)
+    return definite

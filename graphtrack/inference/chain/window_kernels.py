@@ -89,7 +89,7 @@ def solve_window(
     if ended[STATUS] != NOT_FINITE and kept > 0:
         follow(here, kept - 1, before, memory)
         if settled(here[:kept], memory.factored, 2.0) < kept:
-            # They had to go farther than was foreseen.
+            # They had to go farther than predicted.
             kept = 0
             minimise(problem, track, n, here, max_iterations, tolerance, memory)
     if ended[STATUS] == NOT_FINITE:

@@ -45,7 +45,7 @@ class Advanced(NamedTuple):
 
     fine: NDArray[np.bool_]  # (P,) whether all went well; else the window is as it was
     state: FloatArray  # (P, 6) of the newest frame, in the world
-    covariance: FloatArray  # (P, 6, 6) as it is stated
+    covariance: FloatArray  # (P, 6, 6) calibrated
     spread: FloatArray  # (P, 6, 6) what the modes of the couplings leave open, as part of it
     modes: FloatArray  # (P, 2) probability of an aligned body and its offset
     coupled: np.ndarray  # (n,) the records of a single window with their couplings; or none: nobody asks

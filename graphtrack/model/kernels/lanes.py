@@ -1,4 +1,4 @@
-"""Numbers of several tracks side by side, which compiled functions can be given in place of floats.
+"""Vectors with a number of each of several tracks, which compiled functions take in place of floats.
 
 `Lanes` is a vector of `LANES` floats, which the processor adds, multiplies … at once; comparisons of them
 give a `LaneMask`. A function that asks `choose` and `any_of` where it would write ``if`` is compiled for

@@ -14,7 +14,7 @@ N = 6
 """Degrees of freedom of a frame."""
 
 LANES = 8
-"""Tracks that are solved side by side."""
+"""Tracks that are solved at once, each in a lane of a vector."""
 
 TIME_TOLERANCE = 1e-6
 """Seconds up to which two durations are equal: times of 10⁹ s are rounded to 10⁻⁷ s."""
