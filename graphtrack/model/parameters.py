@@ -166,6 +166,10 @@ class GaitParameters(_Group):
     head_rate_seen : share of the motion's ``head_rate`` that holds where a position is seen, 0 to 1
     head_class_bias : probability that class likelihoods see somebody's head turned all along
     head_class_bias_kappa : concentration of such turns about 0
+    glance_share : share of the time in which the head glances aside
+    glance_time : seconds that a glance lasts on average
+    glance_kappa : concentration about 0 of the angle of a glance; none is beyond the neck's reach
+    glance_strength : κ₂ about the angle of a glance, as a multiple of ``head_body_kappa``
     head_common : share of what the head's modes leave open that all frames have in common, 0 to 1
     """
 
@@ -187,6 +191,10 @@ class GaitParameters(_Group):
     body_offset_kappa: float = _number(0.2, 0.0, 100.0)
     head_offset_kappa: float = _number(3.0, 0.0, 100.0)
     head_rate_seen: float = _share(0.54)
+    glance_share: float = _share(0.15, 0.9)
+    glance_time: float = _number(2.0, 0.05, 1e3, "s")
+    glance_kappa: float = _number(1.5, 0.0, 100.0)
+    glance_strength: float = _number(3.0, 0.0, 1e3)
     # Of classifiers: how people move says nothing of them.
     head_class_bias: float = _number(0.43, 0.0, 1.0, learned=False)
     head_class_bias_kappa: float = _number(1.0, 0.0, 100.0, learned=False)

@@ -20,7 +20,7 @@ from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, 
 from graphtrack.model.kernels.layout import BODY, VX, VY
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.body_follows_motion import squared_excess
-from graphtrack.model.terms.gait import BINS, MOST_DRIFT, ROW, Gait, Modes
+from graphtrack.model.terms.gait import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes
 from graphtrack.model.terms.intentional_motion import steer
 
 BODY_MODE, HEAD_MODE = 0, 1
@@ -37,7 +37,7 @@ class ModeMemory(NamedTuple):
 
     dt: FloatArray  # (n,) seconds since the frame before; 0 at a first frame
     ahead: FloatArray  # (n, 3) velocity and body orientation a lead later
-    likelihood: FloatArray  # (n, ROW) of the observations at each offset; their logarithm at first
+    likelihood: FloatArray  # (n, ROW) of the observations at each of `BASE` offsets; their logarithm at first
     filtered_body: FloatArray  # (n, ROW) probabilities given the past, not normalised
     filtered_head: FloatArray  # (n, ROW)
     spare: FloatArray  # (1, ROW)
@@ -133,7 +133,7 @@ def add_angle_evidence(
     kappa: Any,
     uniform: Any,
 ) -> None:
-    """Add the log likelihood (ROW,) of an observed angle at each offset from a reference direction.
+    """Add the log likelihood (BASE,) of an observed angle at each offset from a reference direction.
 
     But for a constant. ``cos``, ``sin``, ``kappa`` and ``uniform`` as in `pose.add_angle`; they may be NaN
     where ``weight`` is 0.
@@ -147,10 +147,10 @@ def add_angle_evidence(
     softened, cosines, sines = uniform > 0.0, modes.cos, modes.sin
     # Two loops, since one with a condition in it does not become vector instructions.
     if not any_of(softened):
-        for j in range(ROW):
+        for j in range(BASE):
             row[j] += weight * (cosines[j] * along + sines[j] * across - kappa)
         return
-    for j in range(ROW):
+    for j in range(BASE):
         close = cosines[j] * along + sines[j] * across - kappa
         row[j] += weight * choose(softened, log(exp(close) + uniform), close)
 
@@ -170,7 +170,7 @@ def add_class_evidence(
     if not any_of(weight * kappa > 0.0):
         return
     n_classes = len(heights) - 1
-    for j in range(ROW):
+    for j in range(BASE):
         along = base_cos * modes.cos[j] - base_sin * modes.sin[j]
         across = base_sin * modes.cos[j] + base_cos * modes.sin[j]
         density = 0.0 * along + heights[n_classes]
@@ -207,12 +207,12 @@ def add_head_evidence(
 def judge_body(
     problem: Problem, track: int, n: int, states: FloatArray, gait: Gait, memory: ModeMemory
 ) -> None:
-    """Log likelihoods (n, ROW) of the observations of body and head at each offset from the motion."""
+    """Log likelihoods (n, BASE) of the observations of body and head at each offset from the motion."""
     offset, threshold = problem.offsets[track], problem.shared[0].speed_threshold
     for k in range(n):
         frame, row = problem.records[offset + k], memory.likelihood[k]
         nothing = 0.0 * frame.dt
-        for j in range(ROW):
+        for j in range(BASE):
             row[j] = nothing
         # What holds an aligned body to the motion in this frame; κ₁ contains the weight w here.
         coupling = frame.body_aligned_kappa * squared_excess(states[k, VX], states[k, VY], threshold)
@@ -249,21 +249,23 @@ def judge_body(
 def judge_head(
     problem: Problem, track: int, n: int, states: FloatArray, modes: Modes, memory: ModeMemory
 ) -> None:
-    """Log likelihoods (n, ROW) of the observations of the head at each offset from the body."""
+    """Log likelihoods (n, BASE) of the observations of the head at each offset from the body."""
     offset, threshold = problem.offsets[track], problem.shared[0].speed_threshold
     for k in range(n):
         frame, row = problem.records[offset + k], memory.likelihood[k]
         nothing = 0.0 * frame.dt
-        for j in range(ROW):
+        for j in range(BASE):
             row[j] = nothing
         coupling = frame.head_aligned_kappa
         # Of whom neither motion nor body is known, as of those who stand, the head would be judged by itself.
-        moves = (squared_excess(states[k, VX], states[k, VY], threshold) > 0.0) & is_observed(frame)
-        active = (coupling > 0.0) & (moves | (frame.body_information > 0.0))
+        motion = frame.body_aligned_kappa * squared_excess(states[k, VX], states[k, VY], threshold)
+        known = frame.body_information + choose(is_observed(frame), motion, 0.0)
+        active = (coupling > 0.0) & (known > 0.0)
         if not any_of(active):
             continue
         cos, sin = cos_sin(memory.ahead[k, AHEAD_BODY])
-        share = choose(active, coupling / (coupling + frame.head_information), 0.0)
+        share = coupling / (coupling + frame.head_information) * known / (known + coupling)
+        share = choose(active, share, 0.0)
         add_head_evidence(problem, offset + k, modes, share, cos, sin, row)
 
 
@@ -309,6 +311,13 @@ def drift_further(row: FloatArray, passes: Any, side: Any) -> None:
         turn += 1.0
 
 
+@inner
+def glancing(modes: Modes, dt: Any) -> tuple[Any, Any]:
+    """Probabilities that a glance begins, and that one ends, within ``dt`` seconds."""
+    changes = 1.0 - exp(-modes.glance_change * dt)
+    return modes.glance_share * changes, (1.0 - modes.glance_share) * changes
+
+
 @compiled
 def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray, memory: ModeMemory) -> None:
     """The recursion forward: probabilities given the past, which are not normalised.
@@ -317,25 +326,38 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
     become likelihoods over their greatest.
     """
     likelihood, spare, anywhere, near = memory.likelihood, memory.spare[0], modes.anywhere, modes.share
+    glances = modes.glance_share > 0.0
     share = 0.0 * memory.dt[0] + 1.0
+    # Of the frame before: the probability of no glance.
+    base = share
+    if any_of(memory.dt[0] > 0.0):
+        base = 0.0 * share
+        for j in range(BASE):
+            base += before[j]
     for k in range(n):
         row, now, dt = likelihood[k], filtered[k], memory.dt[k]
         greatest = row[0]
-        for j in range(1, ROW):
+        for j in range(1, BASE):
             greatest = choose(row[j] > greatest, row[j], greatest)
-        for j in range(ROW):
+        for j in range(BASE):
             row[j] = exp(row[j] - greatest)
-        free_total = near_total = 0.0 * share
+        base_total = glance_total = 0.0 * share
         if k == 0 and not any_of(dt > 0.0):
+            outside = 1.0 - modes.glance_share
             for j in range(BINS):
-                found = row[j] * ((1.0 - modes.aligned) * anywhere[j])
+                found = row[j] * (outside * (1.0 - modes.aligned) * anywhere[j])
                 now[j] = found
-                free_total += found
-            for j in range(BINS, ROW):
-                found = row[j] * (modes.aligned * near[j - BINS])
+                base_total += found
+            for j in range(BINS, BASE):
+                found = row[j] * (outside * modes.aligned * near[j - BINS])
                 now[j] = found
-                near_total += found
-            share = 1.0 / (free_total + near_total)
+                base_total += found
+            for j in range(BINS):
+                found = row[j] * (modes.glance_share * modes.glance[j])
+                now[BASE + j] = found
+                glance_total += found
+            share = 1.0 / (base_total + glance_total)
+            base = base_total * share
             continue
         previous = filtered[k - 1] if k > 0 else before
         passes, side = drift_of(modes.drift, dt)
@@ -345,22 +367,34 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
                 spare[j] = previous[j]
             drift_further(spare, passes, side)
             source = spare
-        # What changes is drawn again from the long run.
-        kept = exp(-modes.switching * dt)
-        free, aligned = (1.0 - kept) * (1.0 - modes.aligned), (1.0 - kept) * modes.aligned
+        # What changes is drawn again from the long run, and so is what follows a glance.
+        begins, ends = glancing(modes, dt)
+        kept = (1.0 - begins) * exp(-modes.switching * dt)
+        again = (1.0 - begins - kept) * base + ends * (1.0 - base)
+        free, aligned = again * (1.0 - modes.aligned), again * modes.aligned
         kept *= share
         own, behind = source[0], source[_LAST]
         for j in range(BINS):
             beyond = source[j + 1 if j < _LAST else 0]
             found = row[j] * (kept * (own + side * (behind + beyond - 2.0 * own)) + free * anywhere[j])
             now[j] = found
-            free_total += found
+            base_total += found
             behind, own = own, beyond
-        for j in range(BINS, ROW):
+        for j in range(BINS, BASE):
             found = row[j] * (kept * previous[j] + aligned * near[j - BINS])
             now[j] = found
-            near_total += found
-        share = 1.0 / (free_total + near_total)
+            base_total += found
+        if glances:
+            stays, enters = (1.0 - ends) * share, begins * base
+            for j in range(BINS):
+                found = row[j] * (stays * previous[BASE + j] + enters * modes.glance[j])
+                now[BASE + j] = found
+                glance_total += found
+        else:
+            for j in range(BASE, ROW):
+                now[j] = glance_total
+        share = 1.0 / (base_total + glance_total)
+        base = base_total * share
 
 
 class Smoothed(NamedTuple):
@@ -377,6 +411,8 @@ class Smoothed(NamedTuple):
     near: Any
     near_cos: Any
     near_sin: Any
+    glance_cos: Any
+    glance_sin: Any
 
 
 class Following(NamedTuple):
@@ -384,6 +420,8 @@ class Following(NamedTuple):
 
     scale: Any
     again: Any
+    glance_scale: Any
+    glance_again: Any
     side: Any
 
 
@@ -399,6 +437,7 @@ def smooth_modes(
     source, target = memory.after[1 - (k & 1)], memory.after[k & 1]
     scale, again, side = following.scale, following.again, following.side
     own = own_cos = own_sin = every = near = near_cos = near_sin = follows = follows_near = 0.0 * scale
+    glance = glance_cos = glance_sin = follows_glance = own
     here, behind = source[0], source[_LAST]
     for j in range(BINS):
         beyond = source[j + 1 if j < _LAST else 0]
@@ -414,7 +453,7 @@ def smooth_modes(
         target[j] = ahead
         follows += ahead * modes.anywhere[j]
         behind, here = here, beyond
-    for j in range(BINS, ROW):
+    for j in range(BINS, BASE):
         ahead = scale * source[j] + again
         weight = ahead * now[j]
         weights[j] = weight
@@ -424,7 +463,22 @@ def smooth_modes(
         ahead *= row[j]
         target[j] = ahead
         follows_near += ahead * modes.share[j - BINS]
-    share = 1.0 / (every + near)
+    if modes.glance_share > 0.0:
+        scale, again = following.glance_scale, following.glance_again
+        for j in range(BINS):
+            ahead = scale * source[BASE + j] + again
+            weight = ahead * now[BASE + j]
+            weights[BASE + j] = weight
+            glance += weight
+            glance_cos += weight * modes.cos[j]
+            glance_sin += weight * modes.sin[j]
+            ahead *= row[j]
+            target[BASE + j] = ahead
+            follows_glance += ahead * modes.glance[j]
+    else:
+        for j in range(BASE, ROW):
+            weights[j] = target[j] = glance
+    share = 1.0 / (every + near + glance)
     found = Smoothed(
         share * own,
         share * own_cos,
@@ -433,21 +487,32 @@ def smooth_modes(
         share * near,
         share * near_cos,
         share * near_sin,
+        share * glance_cos,
+        share * glance_sin,
     )
     # Of the frame before: the likelihood of what follows, if its mode were drawn again, is taken as 1.
     dt = memory.dt[k]
-    inside, kept = dt > 0.0, exp(-modes.switching * dt)
+    inside, (begins, ends) = dt > 0.0, glancing(modes, dt)
+    kept = (1.0 - begins) * exp(-modes.switching * dt)
     passes, side = drift_of(modes.drift, dt)
     mixed = (1.0 - modes.aligned) * follows + modes.aligned * follows_near
     drift_further(target, passes, side)
-    return found, Following(choose(inside, kept / mixed, 0.0), choose(inside, 1.0 - kept, 1.0), side)
+    again = 1.0 - begins - kept + begins * follows_glance / mixed
+    return found, Following(
+        choose(inside, kept / mixed, 0.0),
+        choose(inside, again, 1.0),
+        choose(inside, (1.0 - ends) / mixed, 0.0),
+        choose(inside, ends, 1.0),
+        side,
+    )
 
 
 @compiled
-def expected(found: Any, strength: float, free_strength: float) -> tuple[Any, Any]:
+def expected(found: Any, strength: float, free_strength: float, glance_strength: float) -> tuple[Any, Any]:
     """Resultant of the couplings over all modes and offsets: cosine and sine times the concentration."""
     cos = free_strength * found.own_cos + strength * (found.mistaken + found.near_cos)
-    return cos, free_strength * found.own_sin + strength * found.near_sin
+    sin = free_strength * found.own_sin + strength * found.near_sin
+    return cos + glance_strength * found.glance_cos, sin + glance_strength * found.glance_sin
 
 
 @compiled
@@ -456,18 +521,20 @@ def deviation(found: Any, modes: Modes, cos: Any, sin: Any, weights: FloatArray)
 
     Each pulls with the sine of its angle to the direction, times the strength of its mode.
     """
-    free = near = total = 0.0 * cos
+    free = near = glance = total = 0.0 * cos
     for j in range(BINS):
         pull = modes.sin[j] * cos - modes.cos[j] * sin
         free += weights[j] * modes.own[j] * pull * pull
-        total += weights[j]
-    for j in range(BINS, ROW):
+        glance += weights[BASE + j] * pull * pull
+        total += weights[j] + weights[BASE + j]
+    for j in range(BINS, BASE):
         pull = modes.sin[j] * cos - modes.cos[j] * sin
         near += weights[j] * pull * pull
         total += weights[j]
-    strength, free_strength = modes.strength, modes.free_strength
-    square = (free_strength * free_strength * free + strength * strength * near) / total
-    return math.sqrt(square + found.mistaken * (strength * sin) * (strength * sin))
+    square = modes.free_strength * modes.free_strength * free + modes.strength * modes.strength * near
+    square = (square + modes.glance_strength * modes.glance_strength * glance) / total
+    mistaken = modes.strength * sin
+    return math.sqrt(square + found.mistaken * mistaken * mistaken)
 
 
 # -- the couplings -------------------------------------------------------------------------------------------
@@ -515,7 +582,7 @@ def couple(
     excess, missing, weight, diffusion : as in `loosened`
     has_spread : whether the spread is wanted; else it is 0
     """
-    cos, sin = expected(found, modes.strength, modes.free_strength)
+    cos, sin = expected(found, modes.strength, modes.free_strength, modes.glance_strength)
     size = math.sqrt(cos * cos + sin * sin)
     some = size > 0.0
     cos, sin = choose(some, cos / size, 1.0), choose(some, sin / size, 0.0)
@@ -574,7 +641,7 @@ def renew_body(
         )
         frame.motion_body_kappa, frame.motion_body_cos = coupling.kappa, coupling.cos
         frame.motion_body_sin = coupling.sin
-        memory.held[k, 0], memory.held[k, 1] = expected(found, 1.0, 1.0)
+        memory.held[k, 0], memory.held[k, 1] = expected(found, 1.0, 1.0, 0.0)
         memory.held[k, 2], memory.spread[k, BODY_MODE] = found.near, coupling.spread
         left += frame.dt
 
@@ -621,9 +688,9 @@ def renew_head(
         memory.spread[k, HEAD_MODE] = common * coupling.spread
         left += frame.dt
         if k < n - 1:
-            # The head steers as far as it is expected to point where the motion goes.
+            # The head steers as far as it is expected to point where the motion goes, and no glance does.
             after = problem.records[offset + k + 1]
-            cos, sin = expected(found, 1.0, 1.0)
+            cos, sin = expected(found, 1.0, 1.0, 0.0)
             forth = memory.held[k, 0] * cos - memory.held[k, 1] * sin
             share = choose(is_observed(after), gait.head_rate_seen, 1.0) * choose(forth > 0.0, forth, 0.0)
             steer(after, after.steer_rate * share)
@@ -634,7 +701,7 @@ def begin_back(zero: Any, memory: ModeMemory) -> Any:
     """Nothing follows the last frame; as `Following`."""
     for j in range(ROW):
         memory.after[0, j] = memory.after[1, j] = zero
-    return Following(zero, zero + 1.0, zero)
+    return Following(zero, zero + 1.0, zero, zero + 1.0, zero)
 
 
 @compiled

@@ -30,6 +30,7 @@ from graphtrack.inference.chain.elimination import (
 )
 from graphtrack.inference.chain.newton import as_variable, cost_of, minimise
 from graphtrack.inference.chain.result import NOT_FINITE, Result
+from graphtrack.inference.chain.winding import unwind
 from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.lanes import (
     any_of,
@@ -89,7 +90,7 @@ def settle(
 
     With ``search`` a descent begins in another basin, and ends there, where that promises to cost less.
     """
-    ended, again, start = workspace.ended, workspace.again, workspace.start
+    ended, again = workspace.ended, workspace.again
     nothing = 0.0 * workspace.length[0]
     elsewhere, begun = nothing > 0.0, nothing
     if search:
@@ -101,20 +102,38 @@ def settle(
     minimise(problem, track, n, states, max_iterations, tolerance, workspace)
     ended[FIRST_COST] = choose(elsewhere, begun, ended[FIRST_COST])
     if search:
-        sound = ended[STATUS] < float(NOT_FINITE)
-        elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_END, workspace) & sound
-        if any_of(elsewhere):
-            for i in range(N):
-                start[1, i] = start[0, i]
-            first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
-            minimise(problem, track, n, again, max_iterations, tolerance, workspace)
-            better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & (ended[COST] < cost)
-            keep_better(n, better, again, states, states)
-            for i in range(N):
-                start[0, i] = choose(better, start[0, i], start[1, i])
-            ended[FIRST_COST], ended[COST] = first_cost, choose(better, ended[COST], cost)
-            ended[STATUS] = choose(better, ended[STATUS], status)
-            ended[STEPS] = steps + choose(elsewhere, ended[STEPS], nothing)
+        elsewhere = find_other_basins(whole, tracks, problem, track, n, states, AT_END, workspace)
+        challenge(problem, track, n, states, elsewhere, max_iterations, tolerance, workspace)
+    wound = unwind(problem, track, n, states, workspace)
+    challenge(problem, track, n, states, wound, max_iterations, tolerance, workspace)
+
+
+@compiled
+def challenge(
+    problem: Problem,
+    track: int,
+    n: int,
+    states: FloatArray,
+    elsewhere: Any,
+    max_iterations: int,
+    tolerance: float,
+    workspace: Workspace,
+) -> None:
+    """Minimise from ``workspace.again`` where it lies ``elsewhere``, and stay there if that costs less."""
+    ended, again, start = workspace.ended, workspace.again, workspace.start
+    elsewhere &= ended[STATUS] < float(NOT_FINITE)
+    if any_of(elsewhere):
+        for i in range(N):
+            start[1, i] = start[0, i]
+        first_cost, cost, status, steps = ended[FIRST_COST], ended[COST], ended[STATUS], ended[STEPS]
+        minimise(problem, track, n, again, max_iterations, tolerance, workspace)
+        better = elsewhere & (ended[STATUS] < float(NOT_FINITE)) & (ended[COST] < cost)
+        keep_better(n, better, again, states, states)
+        for i in range(N):
+            start[0, i] = choose(better, start[0, i], start[1, i])
+        ended[FIRST_COST], ended[COST] = first_cost, choose(better, ended[COST], cost)
+        ended[STATUS] = choose(better, ended[STATUS], status)
+        ended[STEPS] = steps + choose(elsewhere, ended[STEPS], 0.0 * steps)
 
 
 @inner

@@ -1,15 +1,18 @@
 """Modes of the couplings: where they do not hold, a drifting offset takes their place, or nothing.
 
 A hidden Markov chain over modes and offsets, for each coupling. A frame's mode is *aligned* (the coupling
-rests near 0) or *free* (at an offset that drifts around the circle). A row of probabilities has `BINS`
-offsets of the free mode on a grid, then `NEAR` small ones of the aligned mode.
+rests near 0), *free* (at an offset that drifts around the circle) or, of heads, a *glance* (at an offset
+within the neck's reach, for a moment; then the mode is drawn anew). A row of probabilities has `BINS`
+offsets of the free mode on a grid, then `NEAR` small ones of the aligned mode, then the grid once more, for
+glances.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -30,9 +33,13 @@ if TYPE_CHECKING:
 BINS, NEAR = 36, 7
 """Offsets of the free mode, all around, and of the aligned mode, about 0."""
 
-ROW = BINS + NEAR
+BASE = BINS + NEAR
+ROW = BASE + BINS
 
 MOST_DRIFT = 100
+
+NECK_REACH = math.radians(95.0)
+"""Angle of the head against the body within which a glance stays."""
 
 
 class Modes(NamedTuple):
@@ -49,6 +56,10 @@ class Modes(NamedTuple):
     anywhere: FloatArray  # (BINS,) of the free mode's offsets in it; they sum to 1
     share: FloatArray  # (NEAR,) of the aligned mode's offsets in it; they sum to 1
     own: FloatArray  # (BINS,) probability that such an offset is the person's, and not the classifier's
+    glance_share: float  # of the time; 0: there are no glances
+    glance_change: float  # 1/s, the sum of the rates at which glances begin and end
+    glance_strength: float
+    glance: FloatArray  # (BINS,) of the glances' offsets; they sum to 1
 
 
 class Gait(NamedTuple):
@@ -82,7 +93,8 @@ def _modes(parameters: GaitParameters, side: str) -> Modes:
     names = ("aligned", "switching", "drift", "strength", "free_strength", "lead", "spread", "offset_kappa")
     values = {name: float(getattr(parameters, f"{side}_{name}")) for name in names}
     steps = np.linspace(-2.0, 2.0, NEAR)
-    offsets = np.append(2.0 * np.pi * np.arange(BINS) / BINS, steps * values.pop("spread"))
+    around = 2.0 * np.pi * np.arange(BINS) / BINS
+    offsets = np.concatenate([around, steps * values.pop("spread"), around])
     anywhere = np.exp(values.pop("offset_kappa") * (np.cos(offsets[:BINS]) - 1.0))
     share = np.exp(-0.5 * steps**2)
     return Modes(
@@ -92,7 +104,20 @@ def _modes(parameters: GaitParameters, side: str) -> Modes:
         anywhere=anywhere / anywhere.sum(),
         share=share / share.sum(),
         own=np.ones(BINS),
+        **_glances(parameters, side, np.cos(around)),
     )
+
+
+def _glances(parameters: GaitParameters, side: str, cos: FloatArray) -> dict[str, Any]:
+    """The parameters of glances, which heads have."""
+    share = parameters.glance_share if side == "head" else 0.0
+    within = np.where(cos > math.cos(NECK_REACH), np.exp(parameters.glance_kappa * (cos - 1.0)), 0.0)
+    return {
+        "glance_share": share,
+        "glance_change": 1.0 / (parameters.glance_time * (1.0 - share)),
+        "glance_strength": parameters.glance_strength,
+        "glance": within / within.sum(),
+    }
 
 
 def _mistaken(modes: Modes, bias: float, kappa: float) -> Modes:
