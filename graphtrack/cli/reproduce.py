@@ -30,7 +30,7 @@ def reproduce(
         typer.Argument(
             help="baxter-simulated, baxter-caviar, baxter-occlusion, baxter-statistics, baxter-network, "
             "chen-joint, chen-classes, chen-pixels, ba-mixed-state, yan-sigma-pi, gaits, honesty, meetings, "
-            "strangers, or all.",
+            "strangers, unseen-people, or all.",
             show_default=False,
         ),
     ],

@@ -10,6 +10,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.model import GaitParameters, Model
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.gait import BINS, gait_of
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.model.terms.intentional_motion import smooth_speed, steered_step
 from graphtrack.simulation.courses import sample_course
@@ -25,12 +26,14 @@ class ModeCourse:
     Attributes
     ----------
     aligned : (n_tracks, n) whether the coupling rests near 0
+    glancing : (n_tracks, n) whether it rests at the angle of a glance
     offset : (n_tracks, n) radians at which it rests
     strength : (n_tracks, n) multiple of its κ
     lead : seconds by which it looks ahead
     """
 
     aligned: np.ndarray
+    glancing: np.ndarray
     offset: FloatArray
     strength: FloatArray
     lead: float
@@ -44,21 +47,26 @@ class Modes(NamedTuple):
 
     @property
     def ahead(self) -> FloatArray:
-        """How far (n_tracks, n) heads point where the motion goes, from 0 to 1: so far they steer it."""
-        return np.maximum(np.cos(self.body.offset + self.head.offset), 0.0)
+        """How far (n_tracks, n) heads point where the motion goes, from 0 to 1: so far they steer it.
+
+        A glance does not.
+        """
+        along = np.maximum(np.cos(self.body.offset + self.head.offset), 0.0)
+        return np.where(self.head.glancing, 0.0, along)
 
 
 def without_modes(n_tracks: int, n: int) -> Modes:
     """Couplings as Chen et al. (2011) have them: at rest at 0, without a lead."""
-    one = ModeCourse(np.ones((n_tracks, n), bool), np.zeros((n_tracks, n)), np.ones((n_tracks, n)), 0.0)
-    return Modes(one, one)
+    always = np.ones((n_tracks, n), bool)
+    course = ModeCourse(always, ~always, np.zeros((n_tracks, n)), np.ones((n_tracks, n)), 0.0)
+    return Modes(course, course)
 
 
 def sample_modes(t: FloatArray, n_tracks: int, gait: GaitParameters, rng: np.random.Generator) -> Modes:
     """Modes and offsets of both couplings at the times ``t`` (n,) seconds.
 
     They begin as in the long run. At the rate ``switching`` both are drawn anew; the offset of the free mode
-    drifts, that of the aligned one stays.
+    drifts, that of the aligned one stays. Heads glance aside for a while, and after that both are drawn anew.
     """
     return Modes(*(_modes_of(side, t, n_tracks, gait, rng) for side in ("body", "head")))
 
@@ -67,9 +75,12 @@ def _modes_of(
     side: str, t: FloatArray, n_tracks: int, parameters: GaitParameters, rng: np.random.Generator
 ) -> ModeCourse:
     names = ("aligned", "switching", "spread", "drift", "strength", "free_strength", "lead", "offset_kappa")
+    modes = getattr(gait_of(parameters), side)
+    around, nobody = 2.0 * np.pi * np.arange(BINS) / BINS, np.zeros(n_tracks, bool)
     gait = {name: float(getattr(parameters, f"{side}_{name}")) for name in names}
     n = len(t)
-    aligned, offset = np.empty((n_tracks, n), bool), np.empty((n_tracks, n))
+    aligned, glancing = np.empty((n_tracks, n), bool), np.empty((n_tracks, n), bool)
+    offset = np.empty((n_tracks, n))
     for k, dt in enumerate([np.inf, *np.diff(t).tolist()]):
         near = rng.random(n_tracks) < gait["aligned"]
         anew = np.where(
@@ -77,16 +88,24 @@ def _modes_of(
             gait["spread"] * rng.standard_normal(n_tracks),
             rng.vonmises(0.0, gait["offset_kappa"], n_tracks),
         )
+        glance = rng.choice(around, n_tracks, p=modes.glance)
+        # Two states that change at random, each at its rate; the long run to begin with.
+        before = glancing[:, k - 1] if k > 0 else nobody
+        changed = rng.random(n_tracks) < -np.expm1(-modes.glance_change * dt)
+        drawn = rng.random(n_tracks) < modes.glance_share
+        begins, ends = changed & drawn & ~before, changed & ~drawn & before
+        glancing[:, k] = (before & ~ends) | begins
         if k == 0:
-            aligned[:, k], offset[:, k] = near, anew
+            aligned[:, k], offset[:, k] = near & ~begins, np.where(begins, glance, anew)
             continue
         drifted = offset[:, k - 1] + np.sqrt(gait["drift"] * dt) * rng.standard_normal(n_tracks)
-        kept = np.where(aligned[:, k - 1], offset[:, k - 1], drifted)
-        changes = rng.random(n_tracks) < -np.expm1(-gait["switching"] * dt)
-        aligned[:, k] = np.where(changes, near, aligned[:, k - 1])
-        offset[:, k] = np.where(changes, anew, kept)
+        kept = np.where(aligned[:, k - 1] | before, offset[:, k - 1], drifted)
+        changes = ~before & (rng.random(n_tracks) < -np.expm1(-gait["switching"] * dt)) | ends
+        aligned[:, k] = np.where(changes, near, aligned[:, k - 1]) & ~begins
+        offset[:, k] = np.where(begins, glance, np.where(changes, anew, kept))
     strength = np.where(aligned, gait["strength"], gait["free_strength"])
-    return ModeCourse(aligned, wrap(offset), strength, gait["lead"])
+    strength = np.where(glancing, modes.glance_strength, strength)
+    return ModeCourse(aligned, glancing, wrap(offset), strength, gait["lead"])
 
 
 def sample_orientations(

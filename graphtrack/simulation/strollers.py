@@ -8,7 +8,8 @@ sway Murray et al. (1964); glances and stops are choices.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -23,11 +24,8 @@ _GRID = 0.02
 """Seconds between samples of a path before it is observed."""
 
 
-def _number(default: float, low: float, high: float, unit: str = "") -> float:
-    from dataclasses import field
-
-    value: float = field(default=default, metadata={"range": (low, high), "unit": unit})
-    return value
+def _number(default: float, low: float, high: float, unit: str = "") -> Any:
+    return field(default=default, metadata={"range": (low, high), "unit": unit})
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ class StrollerParameters:
     speed_std: float = _number(0.2, 0.0, 1.0, "m/s")
     fastest_turn: float = _number(1.8, 0.0, 10.0, "rad/s")
     turns_per_minute: float = _number(10.0, 0.0, 60.0)
-    stops_per_minute: float = _number(3.5, 0.0, 60.0)
+    stops_per_minute: float = _number(4.5, 0.0, 60.0)
     stop_low: float = _number(2.0, 0.0, 60.0, "s")
     stop_high: float = _number(6.0, 0.0, 60.0, "s")
     glances_per_minute: float = _number(4.0, 0.0, 60.0)
@@ -103,9 +101,7 @@ def strollers(
     habits = StrollerParameters() if parameters is None else parameters
     truth = TrackSet(tuple(_stroll(k + 1, habits, seconds, fps, rng) for k in range(people)))
     body_kappa, head_kappa = (None if std is None else 1.0 / std**2 for std in (body_std, head_std))
-    noisy = add_noise(
-        truth, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng
-    )
+    noisy = add_noise(truth, position_std=position_std, body_kappa=body_kappa, head_kappa=head_kappa, rng=rng)
     return noisy.map(
         lambda track: _observed(track, body_std is not None, head_std is not None, turned, declared, rng)
     )
@@ -115,7 +111,7 @@ def _observed(
     track: Track, body: bool, head: bool, turned: float, declared: bool, rng: np.random.Generator
 ) -> Track:
     """The track with some angles turned, and without those that are not observed."""
-    changed: dict[str, FloatArray | None] = {}
+    changed: dict[str, Any] = {}
     for name, seen in (("body", body), ("head", head)):
         angles = getattr(track, name)
         over = np.pi * (rng.random(len(track)) < turned)
@@ -125,17 +121,35 @@ def _observed(
     return replace(track, **changed)
 
 
+def full_turns_too_many(estimate: Track, truth: Track, seconds: float = 1.0) -> tuple[int, int]:
+    """Stops over which the estimated body turns more than 180° off the true turn, and all stops.
+
+    From ``seconds`` before a stop to as many after, each turn unwrapped from frame to frame. Without a body,
+    or a truth of it, there are none.
+    """
+    if estimate.body is None or truth.true_body is None:
+        return 0, 0
+    found, true, t, wrong = np.unwrap(estimate.body), np.unwrap(truth.true_body), truth.t, 0
+    stops = standing(truth)
+    for begin, end in stops:
+        first, last = np.searchsorted(t, [t[begin] - seconds, t[end - 1] + seconds])
+        last = min(last, len(t) - 1)
+        wrong += abs((found[last] - found[first]) - (true[last] - true[first])) > np.pi
+    return int(wrong), len(stops)
+
+
 def standing(track: Track, least: float = 1.5, slowest: float = 0.05) -> list[tuple[int, int]]:
     """Stretches of frames, first and one past the last, in which the true position rests.
 
     Parameters
     ----------
     least : seconds that a stretch lasts at least
-    slowest : m/s below which somebody stands; of their path, without the sway
+    slowest : m/s below which somebody stands
     """
+    if track.true_position is None or len(track) < 2:
+        return []
     speed = np.linalg.norm(np.gradient(track.true_position, track.t, axis=0), axis=1)
-    still = np.concatenate([[0], (speed < slowest).astype(int), [0]])
-    edges = np.flatnonzero(np.diff(still))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed < slowest).astype(int), [0]])))
     return [
         (begin, end)
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
@@ -143,7 +157,9 @@ def standing(track: Track, least: float = 1.5, slowest: float = 0.05) -> list[tu
     ]
 
 
-def _stroll(track_id: int, habits: StrollerParameters, seconds: float, fps: float, rng: np.random.Generator) -> Track:
+def _stroll(
+    track_id: int, habits: StrollerParameters, seconds: float, fps: float, rng: np.random.Generator
+) -> Track:
     """One person's truth, sampled at the frames."""
     # A beginning that is cut off, so that tracks begin in the middle of something.
     before = 5.0
@@ -154,8 +170,12 @@ def _stroll(track_id: int, habits: StrollerParameters, seconds: float, fps: floa
     for begin in _times(t, habits.turns_per_minute, rng):
         rate, length = rng.uniform(0.4, 1.0) * habits.fastest_turn, rng.uniform(0.5, 2.0)
         course += rng.choice([-1.0, 1.0]) * rate * length * _ramp(t, begin, length)
+    walks_from = 0.0
     for begin in _times(t, habits.stops_per_minute, rng):
         length = rng.uniform(habits.stop_low, habits.stop_high)
+        if begin < walks_from:
+            continue
+        walks_from = begin + length + 2.0
         moving = np.minimum(moving, 1.0 - _ramp(t, begin - 0.7, 0.7) + _ramp(t, begin + length, 0.7))
         # The way on is another; the turn is made on the spot before the first step.
         course += rng.normal(0.0, np.radians(50.0)) * _ramp(t, begin + length - 1.2, 1.2)

@@ -37,6 +37,7 @@ from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.program import add_frame
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import (
+    BASE,
     BINS,
     NEAR,
     ROW,
@@ -302,16 +303,39 @@ def loosen(kappa: float, excess: float, missing: float, weight: float, diffusion
 
 @pytest.mark.parametrize("dt", [1e-3, 1 / 30, 1.0, 100.0])
 def test_switching_is_diffusion_and_a_change_drawn_from_the_long_run(dt: float) -> None:
-    matrix = transition(GAIT.body, dt)
+    matrix = transition(GAIT.body, dt)[:BASE, :BASE]
     np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-12)
     assert (matrix >= 0.0).all()
     longrun = np.r_[(1 - GAIT.body.aligned) * GAIT.body.anywhere, GAIT.body.aligned * GAIT.body.share]
     still, kept = transition(GAIT.body._replace(drift=0.0), dt), np.exp(-GAIT.body.switching * dt)
-    np.testing.assert_allclose(still, kept * np.eye(ROW) + (1.0 - kept) * longrun, atol=1e-12)
+    np.testing.assert_allclose(still[:BASE, :BASE], kept * np.eye(BASE) + (1.0 - kept) * longrun, atol=1e-12)
     # Diffusion is symmetric, and leaves the aligned mode alone.
     drifted = (matrix - (1.0 - kept) * longrun) / kept
     np.testing.assert_allclose(drifted, drifted.T, atol=1e-9 / kept)
-    np.testing.assert_allclose(drifted[BINS:], np.eye(ROW)[BINS:], atol=1e-9 / kept)
+    np.testing.assert_allclose(drifted[BINS:], np.eye(BASE)[BINS:], atol=1e-9 / kept)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1 / 30, 1.0, 100.0])
+def test_glances_begin_and_end_at_their_rates_and_are_forgotten(dt: float) -> None:
+    modes = GAIT.head._replace(drift=0.0)
+    matrix, share = transition(modes, dt), modes.glance_share
+    np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-12)
+    base = np.r_[(1 - modes.aligned) * modes.anywhere, modes.aligned * modes.share]
+    longrun = np.r_[(1 - share) * base, share * modes.glance]
+    np.testing.assert_allclose(longrun @ matrix, longrun, atol=1e-12)
+    # Two states that change at random: of a glance so much remains as its mean length says.
+    rate = 1.0 / (Parameters().gait.glance_time * (1.0 - share))
+    stays = share + (1.0 - share) * np.exp(-rate * dt)
+    np.testing.assert_allclose(matrix[BASE:, BASE:], stays * np.eye(BINS), atol=1e-12)
+    np.testing.assert_allclose(matrix[BASE:, :BASE], (1.0 - stays) * np.tile(base, (BINS, 1)), atol=1e-12)
+
+
+def test_no_glance_goes_beyond_the_reach_of_the_neck() -> None:
+    angles = np.degrees(np.arange(BINS) * 2.0 * np.pi / BINS)
+    beyond = np.abs((angles + 180.0) % 360.0 - 180.0) > 95.0
+    assert (GAIT.head.glance[beyond] == 0.0).all()
+    assert (GAIT.head.glance[~beyond] > 0.0).all()
+    assert GAIT.body.glance_share == 0.0
 
 
 @pytest.mark.parametrize("kappa", [0.0, 0.7, 5.0])
@@ -352,12 +376,15 @@ def test_drift_has_the_variance_it_says() -> None:
     assert np.log(row @ np.cos(angles)) == pytest.approx(-0.5 * 0.05 * 2.0, rel=0.02)
 
 
-def test_modes_are_those_of_summing_over_all_courses() -> None:
+@pytest.mark.parametrize("coupling", ["body", "head"])
+def test_modes_are_those_of_summing_over_all_courses(coupling: str) -> None:
     rng = np.random.default_rng(1)
-    n, modes = 6, GAIT.body._replace(switching=0.8, drift=0.3)
+    n, modes = 6, getattr(GAIT, coupling)._replace(switching=0.8, drift=0.3)
     dt = np.r_[0.0, rng.uniform(0.02, 1.5, n - 1)]
-    logs = rng.normal(0.0, 2.0, (n, ROW))
-    start = np.r_[(1 - modes.aligned) * modes.anywhere, modes.aligned * modes.share]
+    of_offsets = rng.normal(0.0, 2.0, (n, BASE))
+    logs = np.hstack([of_offsets, of_offsets[:, :BINS]])
+    base = np.r_[(1 - modes.aligned) * modes.anywhere, modes.aligned * modes.share]
+    start = np.r_[(1 - modes.glance_share) * base, modes.glance_share * modes.glance]
     matrices = [transition(modes, step) for step in dt[1:]]
     forward = [start * np.exp(logs[0])]
     for k in range(1, n):
@@ -365,13 +392,13 @@ def test_modes_are_those_of_summing_over_all_courses() -> None:
     backward = [np.ones(ROW)]
     for k in range(n - 1, 0, -1):
         backward.insert(0, matrices[k - 1] @ (np.exp(logs[k]) * backward[0]))
-    filtered, smoothed_p = both_ways(dt, logs, modes, np.zeros(ROW))
+    filtered, smoothed_p = both_ways(dt, of_offsets, modes, np.zeros(ROW))
     for k in range(n):
         np.testing.assert_allclose(filtered[k], forward[k] / forward[k].sum(), rtol=1e-9)
         both = forward[k] * backward[k]
         np.testing.assert_allclose(smoothed_p[k], both / both.sum(), rtol=1e-9)
     # In two parts, the second from what the first has filtered.
-    second, _ = both_ways(dt[3:], logs[3:], modes, filtered[2])
+    second, _ = both_ways(dt[3:], of_offsets[3:], modes, filtered[2])
     np.testing.assert_allclose(second, filtered[3:], rtol=1e-9)
 
 

@@ -13,7 +13,7 @@ from graphtrack.inference import smooth, track_online
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import GaitParameters, Model
 from graphtrack.model.observation import observations
-from graphtrack.model.terms.gait import BINS, NEAR, ROW, gait_of
+from graphtrack.model.terms.gait import BASE, BINS, NEAR, ROW, gait_of
 from graphtrack.model.terms.pose_classes import (
     add_class_grid,
     add_class_quarter_turns,
@@ -82,9 +82,9 @@ def test_angles_have_no_such_doubts() -> None:
 def test_the_classifiers_share_of_an_offset_is_bayes() -> None:
     """Against whose it is as a state of its own, for offsets that neither drift nor change."""
     share, kappa, rng = 0.3, 2.0, np.random.default_rng(36)
-    still = GaitParameters(head_drift=0.0, head_switching=0.0)
+    still = GaitParameters(head_drift=0.0, head_switching=0.0, glance_share=0.0)
     both = gait_of(replace(still, head_class_bias=share, head_class_bias_kappa=kappa))
-    row = rng.normal(0.0, 2.0, (5, ROW))
+    row = rng.normal(0.0, 2.0, (5, BASE))
     _, smoothed = both_ways(np.r_[0.0, np.full(4, 0.1)], row, both.classified_head, np.zeros(ROW))
 
     evidence, circle = np.exp(row.sum(axis=0)), 2.0 * np.pi * np.arange(BINS) / BINS
@@ -97,8 +97,8 @@ def test_the_classifiers_share_of_an_offset_is_bayes() -> None:
     for of_frame in smoothed:
         np.testing.assert_allclose(of_frame[:BINS] * own, free / total, atol=1e-9)
         np.testing.assert_allclose(of_frame[:BINS] * (1.0 - own), mistaken / total, atol=1e-9)
-        np.testing.assert_allclose(of_frame[BINS:], near / total, atol=1e-9)
-    assert len(of_frame) == BINS + NEAR
+        np.testing.assert_allclose(of_frame[BINS:BASE], near / total, atol=1e-9)
+    assert len(of_frame) == BINS + NEAR + BINS
 
 
 def test_what_was_seen_by_a_classifier_stays_so_while_the_head_is_hidden() -> None:

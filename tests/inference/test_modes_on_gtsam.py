@@ -193,10 +193,10 @@ class Aside(Term):
     uses = frozenset({"head"})
 
     def cost(self, states: Any, track: Track, camera: Any = None) -> float:
-        return float(20.0 * np.sum(1.0 - np.cos(states.head - 2.0)))
+        return float(20.0 * np.sum(1.0 - np.cos(states.head - 2.6)))
 
     def factors(self, step: Step) -> Sequence[Any]:
-        return [von_mises_prior(step.head_key, 2.0, 20.0)]
+        return [von_mises_prior(step.head_key, 2.6, 20.0)]
 
 
 @GTSAM_ENGINES
@@ -205,4 +205,4 @@ def test_a_term_without_a_kernel_pulls_beside_modes(engine: Any, lag: Any) -> No
     with_it = [OnlineSmoother(m, engine=engine, lag=lag) for m in (model, Model("full"))]
     for seen in observations(track):
         pulled, free = (smoother.update(seen) for smoother in with_it)
-    assert abs(difference(pulled.head, 2.0)) < 0.5 * abs(difference(free.head, 2.0))
+    assert abs(difference(pulled.head, 2.6)) < 0.5 * abs(difference(free.head, 2.6))

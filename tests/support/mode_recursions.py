@@ -11,15 +11,15 @@ from graphtrack.inference.chain.coupling_modes import (
     mode_memory,
     smooth_modes,
 )
-from graphtrack.model.terms.gait import ROW, Modes
+from graphtrack.model.terms.gait import BASE, BINS, ROW, Modes
 
 
 def forward(
     dt: np.ndarray, logs: np.ndarray, modes: Modes, before: np.ndarray
 ) -> tuple[np.ndarray, ModeMemory]:
-    """Filtered probabilities (n, ROW), not normalised, of log likelihoods (n, ROW)."""
+    """Filtered probabilities (n, ROW), not normalised, of log likelihoods (n, BASE) of the offsets."""
     memory = mode_memory(len(dt))
-    memory.dt[:], memory.likelihood[:] = dt, logs
+    memory.dt[:], memory.likelihood[:, :BASE] = dt, logs
     filter_modes(len(dt), modes, before, memory.filtered_body, memory)
     return memory.filtered_body, memory
 
@@ -30,15 +30,17 @@ def both_ways(
     """Filtered and smoothed probabilities (n, ROW)."""
     filtered, memory = forward(dt, logs, modes, before)
     memory.after[:] = 0.0
-    following, smoothed = Following(0.0, 1.0, 0.0), np.empty_like(filtered)
+    following, smoothed = Following(0.0, 1.0, 0.0, 1.0, 0.0), np.empty_like(filtered)
     for k in range(len(dt) - 1, -1, -1):
         sums, following = smooth_modes(k, modes, filtered, following, memory)
         smoothed[k] = memory.weight[0] / memory.weight[0].sum()
-        assert np.isclose(sums.own + sums.mistaken + sums.near, 1.0)
+        glances = smoothed[k, BASE:]
+        assert np.isclose(sums.own + sums.mistaken + sums.near + glances.sum(), 1.0)
+        assert np.isclose(sums.glance_sin, glances @ modes.sin[:BINS])
     return filtered / filtered.sum(axis=1, keepdims=True), smoothed
 
 
 def transition(modes: Modes, dt: float) -> np.ndarray:
     """Matrix P[i, j] from mode and offset i to j in ``dt`` seconds."""
-    nothing = np.zeros((1, ROW))
+    nothing = np.zeros((1, BASE))
     return np.array([forward(np.array([dt]), nothing, modes, row)[0][0].copy() for row in np.eye(ROW)])

@@ -18,6 +18,7 @@ from graphtrack.evaluation.reproduce import (
     honesty,
     meetings,
     strangers,
+    unseen_people,
 )
 from graphtrack.evaluation.reproduce.experiment import Experiment, Reproduction, Settings, Table
 
@@ -38,6 +39,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
             honesty,
             meetings,
             strangers,
+            unseen_people,
         )
     }
 )

@@ -31,6 +31,7 @@ from graphtrack.inference.chain.newton import (
     sweep_forward,
 )
 from graphtrack.inference.chain.result import NOT_FINITE
+from graphtrack.inference.chain.winding import unwind
 from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.frame_program import add_frame, cut
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
@@ -112,6 +113,12 @@ def solve_window(
             cost = cost_of(problem, track, n, here, memory)
         prior = problem.prior.copy()
         turn_prior(problem.prior, here, again)
+        cost, exact = move_if_less(problem, here, again, cost, 0.0, prior, max_iterations, tolerance, memory)
+    if unwind(problem, track, n, here, memory):
+        assign(again, memory.again[:n])
+        if kept > 0:
+            cost = cost_of(problem, track, n, here, memory)
+        prior = problem.prior
         cost, exact = move_if_less(problem, here, again, cost, 0.0, prior, max_iterations, tolerance, memory)
     if not exact and not sweep_forward(problem, track, n, here, not full, memory)[1]:
         return False

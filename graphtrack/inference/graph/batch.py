@@ -196,7 +196,7 @@ def _view(track: Track, model: Model, camera: GroundCamera | None, steps: Sequen
 class _Descent:
     """`optimize` of a track's graph, from values; what it returns is the same.
 
-    With a view, it also knows the basins that the chain's grid leads to.
+    With a view, it also knows the basins that the chain's grid, or less winding, leads to.
     """
 
     graph: gtsam.NonlinearFactorGraph
@@ -206,18 +206,28 @@ class _Descent:
     view: ChainView | None
 
     def __call__(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
+        found = self._optimize(values)
+        wound = None if self.view is None else self.view.unwound(states_of(found[0], self.steps, self.model))
+        return found if wound is None else self._better(found, values_of(self.steps, wound, self.model))
+
+    def _optimize(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
         ordering = gtsam.Ordering([key for step in self.steps for key in variable_keys(step, self.model)])
         return optimize(self.graph, values, ordering, self.options)
 
+    def _better(
+        self, found: tuple[gtsam.Values, list[float], bool], elsewhere: gtsam.Values
+    ) -> tuple[gtsam.Values, list[float], bool]:
+        """What was found, or what is from elsewhere, if that costs less."""
+        values, costs, converged = self._optimize(elsewhere)
+        if not costs[-1] < found[1][-1]:
+            return found
+        return values, found[1] + costs[1:], converged
+
     def lower(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
         """In the basin that begins here, or in another one that the chain's grid leads to and costs less."""
-        values, costs, converged = self(values)
-        elsewhere = self.elsewhere(values, AT_END)
-        if elsewhere is not None:
-            again = self(elsewhere)
-            if again[1][-1] < costs[-1]:
-                values, costs, converged = again[0], costs + again[1][1:], again[2]
-        return values, costs, converged
+        found = self(values)
+        elsewhere = self.elsewhere(found[0], AT_END)
+        return found if elsewhere is None else self._better(found, elsewhere)
 
     def elsewhere(self, values: gtsam.Values, near: float) -> gtsam.Values | None:
         """The values with the orientations of a better course on the grid; None where there is none."""

@@ -16,10 +16,11 @@ from graphtrack.inference.chain.coupling_modes import (
     report_modes,
 )
 from graphtrack.inference.chain.covariance import spread_track
-from graphtrack.inference.chain.elimination import workspace
+from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import never_seen
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.winding import unwind
 from graphtrack.inference.initial import pack, problem_of, seen_in
 from graphtrack.inference.prior import MarginalPrior, on_state
 from graphtrack.model import Model, Step
@@ -64,7 +65,18 @@ class _View:
         here = self._here(states)
         memory = workspace(len(here))
         if not find_other_basin(self._problem, 0, here, near, memory):
-            return None
+            return self.unwound(states)
+        return self._there(memory)
+
+    def unwound(self, states: FloatArray) -> FloatArray | None:
+        """States (n, 6) with slow turns of more than 180° the other way round; None where there is none."""
+        here = self._here(states)
+        memory = workspace(len(here))
+        memory.length[0] = len(here)
+        return self._there(memory) if unwind(self._problem, 0, len(here), here, memory) else None
+
+    def _there(self, memory: Workspace) -> FloatArray:
+        """The other states that the memory holds, in the world's frame."""
         again = memory.again
         again[:, :2] += self._problem.origin[0]
         return again

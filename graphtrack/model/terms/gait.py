@@ -91,7 +91,7 @@ def gait_of(parameters: GaitParameters) -> Gait:
 
 def _modes(parameters: GaitParameters, side: str) -> Modes:
     names = ("aligned", "switching", "drift", "strength", "free_strength", "lead", "spread", "offset_kappa")
-    values = {name: float(getattr(parameters, f"{side}_{name}")) for name in names}
+    values: dict[str, Any] = {name: float(getattr(parameters, f"{side}_{name}")) for name in names}
     steps = np.linspace(-2.0, 2.0, NEAR)
     around = 2.0 * np.pi * np.arange(BINS) / BINS
     offsets = np.concatenate([around, steps * values.pop("spread"), around])
