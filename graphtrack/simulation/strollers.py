@@ -23,6 +23,9 @@ from graphtrack.tracks import Track, TrackSet
 _GRID = 0.02
 """Seconds between samples of a path before it is observed."""
 
+_FARTHEST = np.radians(120.0)
+"""Of a turn on the spot: the other way round would be as likely beyond."""
+
 
 def _number(default: float, low: float, high: float, unit: str = "") -> Any:
     return field(default=default, metadata={"range": (low, high), "unit": unit})
@@ -122,7 +125,7 @@ def _observed(
 
 
 def full_turns_too_many(estimate: Track, truth: Track, seconds: float = 1.0) -> tuple[int, int]:
-    """Stops over which the estimated body turns more than 180° off the true turn, and all stops.
+    """Stops over which the estimated body turns by 180° more than in truth, and all stops.
 
     From ``seconds`` before a stop to as many after, each turn unwrapped from frame to frame. Without a body,
     or a truth of it, there are none.
@@ -134,7 +137,7 @@ def full_turns_too_many(estimate: Track, truth: Track, seconds: float = 1.0) -> 
     for begin, end in stops:
         first, last = np.searchsorted(t, [t[begin] - seconds, t[end - 1] + seconds])
         last = min(last, len(t) - 1)
-        wrong += abs((found[last] - found[first]) - (true[last] - true[first])) > np.pi
+        wrong += abs(found[last] - found[first]) - abs(true[last] - true[first]) > np.pi
     return int(wrong), len(stops)
 
 
@@ -167,9 +170,6 @@ def _stroll(
     own = max(habits.speed + habits.speed_std * float(rng.standard_normal()), 0.2)
     moving = np.ones_like(t)
     course = np.full_like(t, rng.uniform(-np.pi, np.pi))
-    for begin in _times(t, habits.turns_per_minute, rng):
-        rate, length = rng.uniform(0.4, 1.0) * habits.fastest_turn, rng.uniform(0.5, 2.0)
-        course += rng.choice([-1.0, 1.0]) * rate * length * _ramp(t, begin, length)
     walks_from = 0.0
     for begin in _times(t, habits.stops_per_minute, rng):
         length = rng.uniform(habits.stop_low, habits.stop_high)
@@ -178,7 +178,13 @@ def _stroll(
         walks_from = begin + length + 2.0
         moving = np.minimum(moving, 1.0 - _ramp(t, begin - 0.7, 0.7) + _ramp(t, begin + length, 0.7))
         # The way on is another; the turn is made on the spot before the first step.
-        course += rng.normal(0.0, np.radians(50.0)) * _ramp(t, begin + length - 1.2, 1.2)
+        onward = np.clip(rng.normal(0.0, np.radians(50.0)), -_FARTHEST, _FARTHEST)
+        course += onward * _ramp(t, begin + length - 1.2, 1.2)
+    for begin in _times(t, habits.turns_per_minute, rng):
+        rate, length = rng.uniform(0.4, 1.0) * habits.fastest_turn, rng.uniform(0.5, 2.0)
+        way = rng.choice([-1.0, 1.0])
+        if moving[(t > begin - 1.0) & (t < begin + length + 1.0)].all():
+            course += way * rate * length * _ramp(t, begin, length)
     aside = np.zeros_like(t)
     for begin in _times(t, habits.sidesteps_per_minute, rng):
         angle = rng.choice([-90.0, 90.0, 180.0]) * np.pi / 180.0

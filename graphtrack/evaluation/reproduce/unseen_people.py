@@ -49,13 +49,16 @@ ANGLES: tuple[Angle, Angle] = ("body", "head")
 QUANTITIES = ("position", *ANGLES)
 
 FITTED = (
-    *("motion.acceleration_density", "motion.head_rate", "likelihood.robust_threshold"),
+    *("motion.acceleration_density", "motion.head_rate"),
     *(f"gait.{name}" for name in ("head_rate_seen", "body_lead", "head_lead", "head_evidence")),
     *(f"gait.body_{name}" for name in ("aligned", "switching", "spread", "strength", "free_strength")),
     *(f"gait.head_{name}" for name in ("aligned", "switching", "spread", "strength", "free_strength")),
     *(f"gait.glance_{name}" for name in ("share", "time", "kappa", "strength")),
 )
-"""Constants of `full` that are fitted, on a logarithmic scale or that of their log odds."""
+"""Constants of `full` that are fitted, on a logarithmic scale or that of their log odds.
+
+Those of outliers are not: no source has gross errors of position.
+"""
 
 STEP = 0.25
 """By which each is changed to see what it does, on that scale."""
