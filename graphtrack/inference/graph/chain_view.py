@@ -20,13 +20,14 @@ from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.engine import never_seen
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.window import gait_of_model
 from graphtrack.inference.initial import pack, problem_of, seen_in
 from graphtrack.inference.prior import MarginalPrior, on_state
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import couplings_of
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import ROW, gait_of
+from graphtrack.model.terms.gait import ROW
 from graphtrack.tracks import Track
 
 _ROWS = 32
@@ -71,7 +72,7 @@ class _View:
 
     def renew(self, states: FloatArray) -> None:
         """Set the couplings by the modes that the states (n, 6) imply."""
-        gait = gait_of(self._model.parameters.gait)
+        gait = gait_of_model(self._model)
         here, n = self._here(states), len(states)
         memory = mode_memory(n)
         memory.before[:] = self.before

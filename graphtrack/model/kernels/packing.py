@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -240,11 +240,14 @@ class FramePacker:
     def _packed(
         self, seen: Observation, dt: float, starts: bool, camera: GroundCamera | None
     ) -> PackedTracks:
-        given = {name: getattr(seen, name) for name in CHANNELS}
-        position = given.pop("position") or (np.nan, np.nan)
-        channels: dict[str, Any] = {
-            name: np.array([value]) for name, value in given.items() if value is not None
-        }
-        inputs = {name: np.array([value]) for name, value in seen.inputs.items()}
-        track = Track(0, np.array([0]), np.array([seen.t]), np.array([position]), inputs=inputs, **channels)
-        return PackedTracks.within(track, camera, dt, starts, self._terms, self.types)
+        return PackedTracks.within(_track_of(seen), camera, dt, starts, self._terms, self.types)
+
+
+@lru_cache(4)
+def _track_of(seen: Observation) -> Track:
+    """An observation as a track: once for all terms that pack it by themselves."""
+    given = {name: getattr(seen, name) for name in CHANNELS}
+    position = given.pop("position") or (np.nan, np.nan)
+    channels: dict[str, Any] = {name: np.array([value]) for name, value in given.items() if value is not None}
+    inputs = {name: np.array([value]) for name, value in seen.inputs.items()}
+    return Track(0, np.array([0]), np.array([seen.t]), np.array([position]), inputs=inputs, **channels)
