@@ -125,7 +125,7 @@ class _Call:
         self.kernel = kernel
         given: dict[str, Any] = dict(_CONSTANTS)
         for row in (packed.records[0], packed.shared[0]):
-            for name in row.dtype.names or ():
+            for name in set(kernel.arguments).intersection(row.dtype.names or ()):
                 given[name] = float(row[name]) if np.ndim(row[name]) == 0 else np.array(row[name])
         for name in ("body_heights", "head_heights"):
             heights = getattr(packed, name)
