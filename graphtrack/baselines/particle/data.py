@@ -12,7 +12,7 @@ from graphtrack.baselines.kalman import position_std
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.chain.mode_tables import ALWAYS, mode_table, transition
+from graphtrack.inference.chain.mode_tables import ALWAYS, ModeTable, mode_table, transition
 from graphtrack.later import special
 from graphtrack.model import Model
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
@@ -75,7 +75,7 @@ class PackedMotion(NamedTuple):
 
 
 class PackedModes(NamedTuple):
-    """The m modes and offsets of body and head, (2, m) each; see `ModeTable`. Without modes m is 1.
+    """The m modes and offsets of body and head, as a table of arrays (2, m). Without modes m is 1.
 
     ``transitions`` (2, q, m, m) has the cumulative probabilities of where each leads to in a step, that to
     frame k the one of the place ``step`` (n,); ``initial`` is cumulative, too. ``seen_share`` is that of the
@@ -86,12 +86,7 @@ class PackedModes(NamedTuple):
     initial: FloatArray
     transitions: FloatArray
     step: NDArray[np.int64]
-    cos: FloatArray
-    sin: FloatArray
-    held_cos: FloatArray
-    held_sin: FloatArray
-    aligned: FloatArray
-    doubt: FloatArray
+    table: ModeTable
     lead: FloatArray
     seen_share: float
     weight: FloatArray
@@ -214,17 +209,17 @@ def _modes(track: Track, model: Model) -> PackedModes:
     else:
         gait = gait_of(parameters.gait)
         both = gait.body, gait.head if track.head_likelihood is None else gait.classified_head
-        tables = tuple(map(mode_table, both))
+        tables = mode_table(both[0]), mode_table(both[1])
         lead, seen_share = np.array([modes.lead for modes in both]), gait.head_rate_seen
         # To the millisecond: rounding of times would make each step one of its own.
         times, step = np.unique(np.round(track.dt, 3), return_inverse=True)
         transitions = np.array([[transition(modes, dt) for dt in times.tolist()] for modes in both])
-    initial, *columns = (np.array(pair) for pair in zip(*tables, strict=True))
+    table = ModeTable(*(np.stack(pair) for pair in zip(*tables, strict=True)))
     return PackedModes(
-        initial.cumsum(axis=1),
+        table.initial.cumsum(axis=1),
         transitions.cumsum(axis=3),
         step.astype(np.int64),
-        *columns,
+        table,
         lead,
         seen_share,
         weight,

@@ -77,8 +77,8 @@ def draw_modes(
 def steering_share(mode: NDArray[np.int64], is_seen: bool, modes: PackedModes) -> float:
     """Share of its rate at which the head steers: as far as it points where the motion goes."""
     body, head = mode[BODY_MODE], mode[HEAD_MODE]
-    forth = modes.held_cos[BODY_MODE, body] * modes.held_cos[HEAD_MODE, head]
-    forth -= modes.held_sin[BODY_MODE, body] * modes.held_sin[HEAD_MODE, head]
+    forth = modes.table.held_cos[BODY_MODE, body] * modes.table.held_cos[HEAD_MODE, head]
+    forth -= modes.table.held_sin[BODY_MODE, body] * modes.table.held_sin[HEAD_MODE, head]
     return (modes.seen_share if is_seen else 1.0) * max(forth, 0.0)
 
 
@@ -87,7 +87,7 @@ def coupling(
     side: int, mode: int, k: int, kappa: float, excess: float, modes: PackedModes
 ) -> tuple[float, float, float]:
     """Concentration, and cosine and sine of the offset, of a coupling; κ is that of the aligned mode."""
-    cos, sin = modes.cos[side, mode], modes.sin[side, mode]
+    cos, sin = modes.table.cos[side, mode], modes.table.sin[side, mode]
     size = math.sqrt(cos * cos + sin * sin)
     if not size * kappa * excess > 0.0:
         return 0.0, 1.0, 0.0
@@ -273,9 +273,9 @@ def summarise_modes(
     aligned = cos = sin = 0.0
     for i in range(len(weights)):
         mode = held[i, BODY_MODE]
-        aligned += weights[i] * modes.aligned[BODY_MODE, mode]
-        cos += weights[i] * modes.held_cos[BODY_MODE, mode]
-        sin += weights[i] * modes.held_sin[BODY_MODE, mode]
+        aligned += weights[i] * modes.table.aligned[BODY_MODE, mode]
+        cos += weights[i] * modes.table.held_cos[BODY_MODE, mode]
+        sin += weights[i] * modes.table.held_sin[BODY_MODE, mode]
     found[0], found[1] = aligned, math.atan2(sin, cos)
 
 
@@ -372,7 +372,9 @@ def run(
             add_pose_log_density(now, 5, k, head, camera, of_head)
             for i in range(n):
                 # Classifiers are doubted, observed angles are not.
-                doubt = modes.doubt[HEAD_MODE, modes_now[i, HEAD_MODE]] if head.components[k] > 1 else 0.0
+                doubt = (
+                    modes.table.doubt[HEAD_MODE, modes_now[i, HEAD_MODE]] if head.components[k] > 1 else 0.0
+                )
                 log_likelihood[i] += doubted(of_head[i], doubt)
         best = log_likelihood.max()
         for i in range(n):

@@ -45,7 +45,7 @@ class _View:
         self._model, self._program = model, program_of(model)
         self.couplings = {} if couplings is None else couplings
         self.before = np.zeros((2, ROW))
-        self._problem: Problem | None = None
+        self._problem: Problem
 
     def _start(self, problem: Problem, n: int) -> None:
         """Take a problem of n frames, of whose modes nothing is known yet."""
@@ -143,7 +143,8 @@ class WindowView(_View):
 
     def follow(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
         """Take these steps, with states (n, 6), and what is known about the first, from now on."""
-        n, old, known = len(steps), self._problem, {step.index: row for row, step in enumerate(self._steps)}
+        n, known = len(steps), {step.index: row for row, step in enumerate(self._steps)}
+        old = self._problem if known else None
         gone = known.get(steps[0].index, len(known))
         if 0 < gone <= self._filtered.shape[1]:
             self.before = self._filtered[:, gone - 1].copy()

@@ -55,7 +55,8 @@ class FixedLag:
         self._model, self._lag, self._couplings = model, lag, couplings
         self._step_tolerance, self._max_iterations = step_tolerance, max_iterations
         # All there is to know, and of the newest step once it is solved: replaced, never changed.
-        self._window, self._newest = Window((), {}, None, None), None
+        self._window = Window((), {}, None, None)
+        self._newest: Newest | None = None
         # Of the window's steps, so that they need not be made again.
         self._factors: dict[Step, gtsam.NonlinearFactorGraph] = {}
 
