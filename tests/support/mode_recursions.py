@@ -11,7 +11,7 @@ from graphtrack.inference.chain.coupling_modes import (
     mode_memory,
     smooth_modes,
 )
-from graphtrack.model.terms.gait import ROW, Modes
+from graphtrack.model.terms.gait import Modes
 
 
 def forward(
@@ -36,9 +36,3 @@ def both_ways(
         smoothed[k] = memory.weight[0] / memory.weight[0].sum()
         assert np.isclose(sums.own + sums.mistaken + sums.near, 1.0)
     return filtered / filtered.sum(axis=1, keepdims=True), smoothed
-
-
-def transition(modes: Modes, dt: float) -> np.ndarray:
-    """Matrix P[i, j] from mode and offset i to j in ``dt`` seconds."""
-    nothing = np.zeros((1, ROW))
-    return np.array([forward(np.array([dt]), nothing, modes, row)[0][0].copy() for row in np.eye(ROW)])
