@@ -87,6 +87,7 @@ def compare(
         typer.Option(
             "--methods",
             help="Comma-separated: kf, intentional, intentional-printed, intentional-consistent, particle, "
+            "particle-modes, "
             "rts, ffbs, smoother, chain, isam2, fixed-lag; by default chain, isam2, kf, intentional, "
             "intentional-printed, particle, smoother, rts. The others are compared with the first online and "
             "the first offline method, track by track. With --truth: associate, hungarian, bytetrack, "
@@ -99,7 +100,7 @@ def compare(
         typer.Option(
             "--model",
             help="A preset or a model file (.toml) for all methods; by default the best preset of each: full "
-            "for the graph with every engine, joint for particles, and the filters' own.",
+            "for the graph with every engine and particle-modes, joint for particles, and the filters' own.",
             show_default=False,
         ),
     ] = None,

@@ -155,6 +155,9 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
         "particle": lambda model: FunctionMethod(
             "particle", True, f"{channels(model)}; past only", model, _particle
         ),
+        "particle-modes": lambda model: FunctionMethod(
+            "particle-modes", True, f"{channels(model)}; past only", model, _particle
+        ),
         "ffbs": lambda model: FunctionMethod(
             "ffbs", False, f"{channels(model)}; past and future", model, _ffbs
         ),
@@ -173,7 +176,8 @@ registry: Mapping[str, Callable[[Model], Method]] = MappingProxyType(
 
 ``intentional`` is Baxter et al.'s tracker in continuous time; ``intentional-printed`` and
 ``intentional-consistent`` are its own filter (eq. 2–6) with its own parameters, whatever the model.
-``particle`` is Chen et al.'s filter and ``ffbs`` its smoother."""
+``particle`` is Chen et al.'s filter and ``ffbs`` its smoother; ``particle-modes`` is the filter with the
+modes of the couplings that its own model, ``full``, has."""
 
 
 _OWN = {

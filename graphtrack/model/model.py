@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable
 from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
 from graphtrack.later import gtsam
 from graphtrack.model.factors.derived import COUPLED, Couplings, derived_factors
-from graphtrack.model.kernels.packing import PackedTracks
+from graphtrack.model.kernels.packing import FramePacker, PackedTracks, RecordTypes
 from graphtrack.model.observation import States, Step
 from graphtrack.model.parameters import (
     LikelihoodParameters,
@@ -201,6 +202,9 @@ class Model:
 
         Where the couplings have modes, what these switch is as ``couplings`` say whenever it is evaluated.
         """
+        for term in self.terms:
+            if term.is_compiled:
+                vars(term).setdefault("packer", self._packer)
         if couplings is None or not self.has_modes:
             return [factor for term in self.terms for factor in term.factors(step)]
         found: list[gtsam.NonlinearFactor] = []
@@ -208,6 +212,12 @@ class Model:
             follows = any(not set(COUPLED).isdisjoint(kernel.arguments) for kernel in term.kernels)
             found += derived_factors(term, step, couplings) if follows else term.factors(step)
         return found
+
+    @cached_property
+    def _packer(self) -> FramePacker:
+        """Packs a frame for all terms at once."""
+        known = [term for term in self.terms if term.is_compiled]
+        return FramePacker(known, RecordTypes.of(known))
 
     def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
         """Negative log density of states (up to constants), from the terms' densities and not the factors."""

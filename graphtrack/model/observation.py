@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -109,22 +110,22 @@ class Step:
         seen = self.observation
         return seen.body_likelihood is not None or seen.head_likelihood is not None
 
-    @property
+    @cached_property
     def position_key(self) -> int:
         """GTSAM key of the position."""
         return gtsam.symbol_shorthand.X(self.index)
 
-    @property
+    @cached_property
     def velocity_key(self) -> int:
         """GTSAM key of the velocity."""
         return gtsam.symbol_shorthand.V(self.index)
 
-    @property
+    @cached_property
     def body_key(self) -> int:
         """GTSAM key of the body orientation."""
         return gtsam.symbol_shorthand.B(self.index)
 
-    @property
+    @cached_property
     def head_key(self) -> int:
         """GTSAM key of the head pan."""
         return gtsam.symbol_shorthand.H(self.index)

@@ -84,7 +84,7 @@ class Term(ABC):
 
     @cached_property
     def packer(self) -> FramePacker:
-        """Packs single frames for this term alone."""
+        """Packs single frames: for this term alone, unless a model has one for all of its terms."""
         return FramePacker((self,), RecordTypes.of((self,)))
 
     def states(self, name: str) -> bool:

@@ -29,14 +29,16 @@ def gaits_offline(results: Results) -> Measured:
 
 
 def gaits_online(results: Results) -> Measured:
-    """Means by both engines."""
+    """Means by both engines, and of the particle filter."""
     rows = {(row["people"], row[""], row["model"]): row for row in results.rows("Errors by model")}
     return {
         f"{preset}{suffix}": [
             rows[who, f"online, {engine}", preset][measure]
             for who, measure in product(WALKERS, ("body (°)", "head (°)", "position (m)"))
         ]
-        for (engine, suffix), preset in product((("chain", ""), ("isam2", ", isam2")), PRESETS)
+        for (engine, suffix), preset in product(
+            (("chain", ""), ("isam2", ", isam2"), ("particles", ", particles")), PRESETS
+        )
     }
 
 
@@ -52,6 +54,18 @@ def gaits_said(results: Results) -> Measured:
     head = [row[f"head (°){end}"] for end in ("", ", low", ", high")]
     position = [1000.0 * row[f"position (m){end}"] for end in ("", ", low", ", high")]
     return {MODES_SAID: [*body, *head, *position]}
+
+
+def gaits_rivals(results: Results) -> Measured:
+    """The graph less the particle filter, model by model; positions in millimetres."""
+    found: dict[str, list[float | None]] = {}
+    for preset, who in product(PRESETS, WALKERS):
+        row = results.row("The error of the graph", people=who, model=preset)
+        for measure, unit in (("body (°)", 1.0), ("head (°)", 1.0), ("position (m)", 1000.0)):
+            found.setdefault(preset, []).extend(
+                unit * row[f"{measure}{end}"] for end in ("", ", low", ", high")
+            )
+    return found
 
 
 def readme_said(results: Results) -> Measured:
@@ -133,6 +147,7 @@ BEYOND: tuple[Claim, ...] = (
     Claim(MODEL, "gaits", gaits_offline, "| offline | ordinary: body |"),
     Claim(MODEL, "gaits", gaits_online, "| online | ordinary: body |"),
     Claim(MODEL, "gaits", gaits_said, labels=(MODES_SAID,)),
+    Claim("docs/baselines.md", "gaits", gaits_rivals, "| graph less particles, modes |"),
     Claim("README.md", "gaits", readme_said, labels=(README_SAID,)),
     Claim(MODEL, "honesty", honesty, "| model | | Hz | position |", cells=3),
     Claim(PERCEPTION, "perception evaluate people --seed 0", found_people, "| `score` |"),

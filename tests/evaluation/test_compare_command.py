@@ -90,10 +90,10 @@ def test_weights_that_all_vanish_are_recovered_from_and_said_once(compare):
 
 def test_a_model_that_no_method_knows_is_one_error(compare):
     text = HEAD + rows(1, range(12))
-    status, said, found = compare(text, "particle", "--model", "full")
+    status, said, found = compare(text, "particle", "--model", "social")
     assert status == 2 and found is None
     assert "particle filter does not know" in said.splitlines()[-1]
-    status, said, found = compare(text, "kf,particle", "--model", "full")
+    status, said, found = compare(text, "kf,particle", "--model", "social")
     assert status == 0 and "particle failed on track 1" in said
     assert {row["method"] for row in found["rows"]} == {"kf"}
 

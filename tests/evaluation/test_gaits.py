@@ -19,7 +19,7 @@ def test_every_way_is_scored_on_the_same_people(monkeypatch: pytest.MonkeyPatch)
     steps: list[int] = []
     found = gaits.run(Settings(), steps.append)
     assert sum(steps) == gaits.work(Settings())
-    errors, differences = (table.records() for table in found.tables)
+    errors, differences, rivals = (table.records() for table in found.tables)
     assert len(errors) == 2 * len(gaits.ESTIMATORS) * len(gaits.PRESETS)
     rows = {(row["people"], row[""], row["model"]): row for row in errors}
     for (who, way, preset), row in rows.items():
@@ -29,6 +29,9 @@ def test_every_way_is_scored_on_the_same_people(monkeypatch: pytest.MonkeyPatch)
     for row in differences:
         full, other = (rows[row["people"], row[""], model] for model in ("full", row["full less"]))
         assert row["head (°)"] == pytest.approx(full["head (°)"] - other["head (°)"])
+    for row in rivals:
+        graph, particles = (rows[row["people"], way, row["model"]] for way in (gaits.CHAIN, gaits.PARTICLES))
+        assert row["body (°)"] == pytest.approx(graph["body (°)"] - particles["body (°)"])
 
 
 def test_a_clip_has_the_same_noise_whoever_else_is_there() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gaits import FPS, people
-from mode_recursions import both_ways, transition
+from mode_recursions import both_ways
 from scipy import special
 
 import graphtrack as gt
@@ -29,6 +29,7 @@ from graphtrack.inference.chain.coupling_modes import (
     look_ahead,
     loosened,
 )
+from graphtrack.inference.chain.mode_tables import transition
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.recorded import track_online

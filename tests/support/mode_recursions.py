@@ -11,7 +11,7 @@ from graphtrack.inference.chain.coupling_modes import (
     mode_memory,
     smooth_modes,
 )
-from graphtrack.model.terms.gait import BASE, BINS, ROW, Modes
+from graphtrack.model.terms.gait import BASE, BINS, Modes
 
 
 def forward(
@@ -38,9 +38,3 @@ def both_ways(
         assert np.isclose(sums.own + sums.mistaken + sums.near + glances.sum(), 1.0)
         assert np.isclose(sums.glance_sin, glances @ modes.sin[:BINS])
     return filtered / filtered.sum(axis=1, keepdims=True), smoothed
-
-
-def transition(modes: Modes, dt: float) -> np.ndarray:
-    """Matrix P[i, j] from mode and offset i to j in ``dt`` seconds."""
-    nothing = np.zeros((1, BASE))
-    return np.array([forward(np.array([dt]), nothing, modes, row)[0][0].copy() for row in np.eye(ROW)])

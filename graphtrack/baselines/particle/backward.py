@@ -31,15 +31,15 @@ def backward(
     frames, n = history_log_weights.shape
     m = paths.shape[1]
     weights, scores, motions = np.empty(n), np.empty(n), np.empty(n)
-    themselves, carried = np.arange(n), np.empty((n, 4))
+    themselves, steering, carried = np.arange(n), np.zeros(n, np.int64), np.empty((n, 4))
     for p in range(m):
         paths[frames - 1, p] = history[
             frames - 1, _draw(rng, history_log_weights[frames - 1], scores, weights)
         ]
     for k in range(frames - 2, start - 1, -1):
         now = history[k]
-        a, b, c = motion.root[k + 1]
-        carry(k + 1, motion, now, themselves, carried)
+        a, b, c = motion.root[k + 1, 0]
+        carry(k + 1, motion, now, themselves, steering, carried)
         for p in range(m):
             ahead = paths[k + 1, p]
             leader = 0

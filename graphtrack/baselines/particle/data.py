@@ -12,9 +12,11 @@ from graphtrack.baselines.kalman import position_std
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.mode_tables import ALWAYS, ModeTable, mode_table, transition
 from graphtrack.later import special
 from graphtrack.model import Model
 from graphtrack.model.terms.body_follows_motion import BodyFollowsMotion
+from graphtrack.model.terms.gait import GaitOffsets, gait_of
 from graphtrack.model.terms.head_follows_body import HeadFollowsBody
 from graphtrack.model.terms.intentional_motion import (
     HEAD_RATE,
@@ -40,8 +42,12 @@ KNOWN = (
     HeadLikelihood,
     BodyFollowsMotion,
     HeadFollowsBody,
+    GaitOffsets,
 )
 """The terms that the particle filter interprets."""
+
+SHARES = 33
+"""Shares of the steering, from 0 to 1, that a step may have where couplings have modes."""
 
 ROBUST = {"none": 0, "huber": 1, "cauchy": 2}
 
@@ -49,9 +55,10 @@ ROBUST = {"none": 0, "huber": 1, "cauchy": 2}
 class PackedMotion(NamedTuple):
     """Dynamics, a row for each frame k: of the step from k − 1 to k.
 
-    ``root`` (n, 3) is the Cholesky factor [[a, 0], [b, c]] of the noise of position and velocity on each
-    axis. Of the velocity ``keep`` (n,) remains, and it carries the position on for ``reach`` (n,) seconds;
-    for the rest of the step the head steers. Where it does not, they are 1 and the whole step.
+    ``root`` (n, s, 3) is the Cholesky factor [[a, 0], [b, c]] of the noise of position and velocity on each
+    axis. Of the velocity ``keep`` (n, s) remains, and it carries the position on for ``reach`` (n, s)
+    seconds; for the rest of the step the head steers. Where it does not, they are 1 and the whole step.
+    Without modes s is 1, else `SHARES`: the head steers by a share of its rate, from 0 to all of it.
     """
 
     dt: FloatArray
@@ -65,6 +72,25 @@ class PackedMotion(NamedTuple):
     speed_threshold: float
     has_body: bool
     has_head: bool
+
+
+class PackedModes(NamedTuple):
+    """The m modes and offsets of body and head, as a table of arrays (2, m). Without modes m is 1.
+
+    ``transitions`` (2, q, m, m) has the cumulative probabilities of where each leads to in a step, that to
+    frame k the one of the place ``step`` (n,); ``initial`` is cumulative, too. ``seen_share`` is that of the
+    steering where a position is seen. The leads (2,) in seconds loosen the couplings as the chain loosens
+    those of its newest frame: ``weight`` (n,) and ``diffusion`` as in `coupling_modes.loosened`.
+    """
+
+    initial: FloatArray
+    transitions: FloatArray
+    step: NDArray[np.int64]
+    table: ModeTable
+    lead: FloatArray
+    seen_share: float
+    weight: FloatArray
+    diffusion: float
 
 
 class PackedPosition(NamedTuple):
@@ -105,6 +131,7 @@ class Job:
     """All that a run over one track needs."""
 
     motion: PackedMotion
+    modes: PackedModes
     position: PackedPosition
     body: PackedPose
     head: PackedPose
@@ -126,12 +153,14 @@ def prepare(
         if type(term) not in KNOWN:
             raise InputError(
                 f"the term {type(term).__name__}, which the particle filter does not know",
-                "for it, a model of position, separate, joint-body, joint, intentional or joint-intentional",
+                "for it, a model of position, separate, joint-body, joint, intentional, joint-intentional or "
+                "full",
             )
     if image_pose and camera is None:
         raise InputError("poses in the image frame without a camera", "a camera of the scene")
     return Job(
         _motion(track, model),
+        _modes(track, model),
         _position(track, model, camera),
         _pose(track, model, "body", pose),
         _pose(track, model, "head", pose),
@@ -145,7 +174,8 @@ def _motion(track: Track, model: Model) -> PackedMotion:
     dt = track.dt
     q = parameters.motion.acceleration_density
     rate = parameters.motion.head_rate if IntentionalMotion in kinds else 0.0
-    moments = steered_step(dt, head_rates(track.input(HEAD_RATE), rate))
+    shares = np.linspace(0.0, 1.0, SHARES) if model.has_modes else np.ones(1)
+    moments = steered_step(dt[:, None], shares * head_rates(track.input(HEAD_RATE), rate)[:, None])
     with np.errstate(divide="ignore", invalid="ignore"):
         place = np.sqrt(q * moments.place)
         cross = q * moments.cross / place
@@ -158,7 +188,7 @@ def _motion(track: Track, model: Model) -> PackedMotion:
         dt,
         moments.keep,
         moments.reach,
-        np.stack([place, cross, spread], axis=1),
+        np.stack([place, cross, spread], axis=2),
         body_turn,
         head_turn,
         weight * (coupling.motion_body_kappa if BodyFollowsMotion in kinds else 0.0),
@@ -166,6 +196,34 @@ def _motion(track: Track, model: Model) -> PackedMotion:
         coupling.speed_threshold,
         model.has_body,
         model.has_head,
+    )
+
+
+def _modes(track: Track, model: Model) -> PackedModes:
+    parameters = model.parameters
+    weight = parameters.coupling.weights(track.dt)
+    diffusion = parameters.orientation.body_diffusion
+    if not model.has_modes:
+        tables, lead, seen_share = (ALWAYS, ALWAYS), np.zeros(2), 1.0
+        transitions, step = np.ones((2, 1, 1, 1)), np.zeros(len(track), dtype=np.int64)
+    else:
+        gait = gait_of(parameters.gait)
+        both = gait.body, gait.head if track.head_likelihood is None else gait.classified_head
+        tables = mode_table(both[0]), mode_table(both[1])
+        lead, seen_share = np.array([modes.lead for modes in both]), gait.head_rate_seen
+        # To the millisecond: rounding of times would make each step one of its own.
+        times, step = np.unique(np.round(track.dt, 3), return_inverse=True)
+        transitions = np.array([[transition(modes, dt) for dt in times.tolist()] for modes in both])
+    table = ModeTable(*(np.stack(pair) for pair in zip(*tables, strict=True)))
+    return PackedModes(
+        table.initial.cumsum(axis=1),
+        transitions.cumsum(axis=3),
+        step.astype(np.int64),
+        table,
+        lead,
+        seen_share,
+        weight,
+        diffusion,
     )
 
 

@@ -4,6 +4,11 @@ A bootstrap filter on the same `Model` object that the factor graph uses: the st
 dynamics are the proposal. The angles are drawn from the *normalised* product of the von Mises of their
 dynamics and of their coupling (Chen et al. 2011, eq. 8 and 10), where the graph holds the product without
 that normalisation. Chen et al.'s baseline, κ₂ = 0, is the preset ``joint-body``.
+
+With the preset ``full`` each particle has the modes of its two couplings, too: drawn at the beginning from
+their long run and at each step from their Markov chain, as `graphtrack.inference.chain.coupling_modes` has
+it. They say at which offset, and how firmly, the coupling holds, and how far the head steers. There are no
+frames after the newest, so the leads loosen the couplings, as they do in the newest frame of the chain.
 """
 
 from __future__ import annotations
@@ -90,6 +95,7 @@ class _FilterOutput:
     covariance: FloatArray
     log_evidence: FloatArray
     effective_sample_size: FloatArray
+    mode_means: FloatArray
     history: FloatArray
     history_log_weights: FloatArray
     recovered: list[int]
@@ -120,7 +126,7 @@ def particle_filter(
     model, options = Model.named(model), ParticleOptions() if options is None else options
     make_ready("the particle filter", _REHEARSAL)
     found = _filter(track, model, camera, options, generator(seed), keep=False)
-    return _estimate(track, model, found, found.mean, found.covariance)
+    return _estimate(track, model, found, found.mean, found.covariance, found.mode_means)
 
 
 def particle_smoother(
@@ -135,9 +141,11 @@ def particle_smoother(
 
     Mean and covariance are those of ``options.paths`` paths. The finer the frames, the fewer particles lie
     within reach of a path's next state: at 30 Hz raise ``particles``. Before the first position the estimates
-    are NaN. Errors are those of `particle_filter`.
+    are NaN. Errors are those of `particle_filter`; a model with modes is an `InputError`, too.
     """
     model, options = Model.named(model), ParticleOptions() if options is None else options
+    if model.has_modes:
+        raise InputError("modes of the couplings, which the particle smoother does not know", "joint")
     make_ready("the particle smoother", _REHEARSAL)
     rng = generator(seed)
     found = _filter(track, model, camera, options, rng, keep=True)
@@ -192,11 +200,12 @@ def _filter(
         np.full((n, 6, 6), np.nan),
         np.full(n, np.nan),
         np.full(n, np.nan),
+        np.full((n, 2), np.nan),
         np.full((n if keep else 0, count, 6), np.nan),
         np.full((n if keep else 0, count), np.nan),
         [],
     )
-    particles = np.zeros((2, count, 6))
+    particles, held = np.zeros((2, count, 6)), np.zeros((2, count, 2), dtype=np.int64)
     speed = model.parameters.motion.initial_speed_std
     particles[0, :, :4] = draw_states(job, start, count, speed, rng)
     log_weights = np.full(count, -np.log(count))
@@ -208,8 +217,10 @@ def _filter(
             mode,
             used,
             particles,
+            held,
             log_weights,
             job.motion,
+            job.modes,
             job.position,
             job.body,
             job.head,
@@ -219,12 +230,13 @@ def _filter(
             found.covariance,
             found.log_evidence,
             found.effective_sample_size,
+            found.mode_means,
             found.history,
             found.history_log_weights,
         )
         if k == n:
             break
-        particles[0] = particles[half]
+        particles[0], held[0] = particles[half], held[half]
         used = recover(job, k, particles[0], speed, rng)
         log_weights[:] = -np.log(count)
         found.recovered.append(k)
@@ -242,13 +254,21 @@ def _filter(
 
 
 def _estimate(
-    track: Track, model: Model, found: _FilterOutput, mean: FloatArray, covariance: FloatArray
+    track: Track,
+    model: Model,
+    found: _FilterOutput,
+    mean: FloatArray,
+    covariance: FloatArray,
+    modes: FloatArray | None = None,
 ) -> ParticleEstimate:
+    modes = modes if model.has_modes else None
     estimate = track.with_estimates(
         position=mean[:, :2],
         velocity=mean[:, 2:4],
         body=mean[:, 4] if model.has_body else None,
         head=mean[:, 5] if model.has_head else None,
         covariance=covariance,
+        aligned_p=None if modes is None else modes[:, 0],
+        gait_offset=None if modes is None else modes[:, 1],
     )
     return ParticleEstimate(estimate, found.log_evidence, found.effective_sample_size, tuple(found.recovered))

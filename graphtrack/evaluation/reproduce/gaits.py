@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graphtrack.baselines.particle.filter import particle_filter
 from graphtrack.evaluation.metrics import angular_error, position_rmse
 from graphtrack.evaluation.reproduce.experiment import (
     ASKANCE,
@@ -42,8 +43,11 @@ ESTIMATORS: Mapping[str, Callable[[TrackSet, str], Sequence[Track]]] = {
     "offline": lambda tracks, preset: smooth(tracks, preset).tracks,
     "online, chain": lambda tracks, preset: [track_online(track, preset) for track in tracks],
     "online, isam2": lambda tracks, preset: [track_online(track, preset, engine="isam2") for track in tracks],
+    "online, particles": lambda tracks, preset: [particle_filter(track, preset).track for track in tracks],
 }
 """Ways to estimate; iSAM2 has the first draw of the noise alone, and online there is every other clip."""
+
+CHAIN, PARTICLES = "online, chain", "online, particles"
 
 Errors = Mapping[tuple[str, str, str], FloatArray]
 """(people, way, model) → errors (draws, clips, 3), in the order of `MEASURES`."""
@@ -70,8 +74,8 @@ def _parts(settings: Settings) -> list[tuple[str, str, TrackSet, int]]:
     found = []
     for who, clips in people(settings).items():
         some = clips.with_tracks(clips.tracks[::2]) if who == ORDINARY else clips
-        found += [(who, "offline", clips, draws), (who, "online, chain", some, draws)]
-        found.append((who, "online, isam2", some, 1))
+        found += [(who, "offline", clips, draws), (who, CHAIN, some, draws)]
+        found += [(who, "online, isam2", some, 1), (who, PARTICLES, some, draws)]
     return found
 
 
@@ -121,7 +125,8 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
         "clip's means over the draws, with 95 % bootstrap intervals over clips; below 0 full is better.",
     )
     rng = settings.rng(99)
-    return Reproduction("gaits", (_detail(found), _differences(found, rng)), _figure(found), notes)
+    tables = _detail(found), _differences(found, rng), _rivals(found, rng)
+    return Reproduction("gaits", tables, _figure(found), notes)
 
 
 def _detail(found: Errors) -> Table:
@@ -141,13 +146,27 @@ def _differences(found: Errors, rng: np.random.Generator) -> Table:
     for who, way in dict.fromkeys(key[:2] for key in found):
         for other in PRESETS[:-1]:
             record: dict[str, Cell] = {"people": who, "": way, "full less": other}
-            for k, measure in enumerate(MEASURES):
-                own, base = (found[who, way, preset][..., k].mean(axis=0) for preset in ("full", other))
-                interval = bootstrap(mean_difference, own, base, rng=rng)
-                record |= {measure: interval.value, f"{measure}, low": interval.low}
-                record[f"{measure}, high"] = interval.high
-            records.append(record)
+            records.append(record | _paired(found[who, way, "full"], found[who, way, other], rng))
     return Table.of("The error of full less another's", records)
+
+
+def _rivals(found: Errors, rng: np.random.Generator) -> Table:
+    records: list[dict[str, Cell]] = []
+    for who in dict.fromkeys(key[0] for key in found):
+        for preset in PRESETS:
+            record: dict[str, Cell] = {"people": who, "model": preset}
+            records.append(record | _paired(found[who, CHAIN, preset], found[who, PARTICLES, preset], rng))
+    return Table.of("The error of the graph (online, chain) less that of the particle filter", records)
+
+
+def _paired(own: FloatArray, other: FloatArray, rng: np.random.Generator) -> dict[str, Cell]:
+    """Differences of errors (draws, clips, 3), each clip's mean over its draws, with their intervals."""
+    record: dict[str, Cell] = {}
+    for k, measure in enumerate(MEASURES):
+        interval = bootstrap(mean_difference, *(one[..., k].mean(axis=0) for one in (own, other)), rng=rng)
+        record |= {measure: interval.value, f"{measure}, low": interval.low}
+        record[f"{measure}, high"] = interval.high
+    return record
 
 
 def _figure(found: Errors) -> Figure:
@@ -155,7 +174,7 @@ def _figure(found: Errors) -> Figure:
 
     figure = new_figure(9.0, 5.4)
     grid = figure.subplots(2, 2, sharex=True, sharey="row")
-    styles = ("s-", "o-", "o")
+    styles = ("s-", "o-", "o", "^:")
     for row, measure in enumerate(MEASURES[:2]):
         for axes, who in zip(grid[row], (ORDINARY, SIDEWAYS), strict=True):
             for way, style in zip(ESTIMATORS, styles, strict=True):

@@ -47,9 +47,21 @@ def build_graph(
     With modes of the couplings, the factors read these from ``couplings``; without it they hold throughout.
     """
     states = np.column_stack([initial.position, initial.velocity, initial.body, initial.head])
-    factors = [factor for step in steps for factor in model.factors(step, couplings)]
-    held = anchors(steps[0], model, float(initial.body[0]), float(initial.head[0]))
-    return graph_of([*factors, *held]), values_of(steps, states, model)
+    window = Window(tuple(steps), {}, None, (float(initial.body[0]), float(initial.head[0])))
+    return window_graph(window, model, couplings), values_of(steps, states, model)
+
+
+def window_graph(window: Window, model: Model, couplings: Couplings | None) -> gtsam.NonlinearFactorGraph:
+    """The factors on the variables of a window's steps; what links them to others is left out."""
+    inside = frozenset(keys_of(window.steps, model))
+    factors = [factor for step in window.steps for factor in model.factors(step, couplings)]
+    factors += beginning(window, model)
+    return graph_of(factor for factor in factors if inside.issuperset(factor.keys()))
+
+
+def keys_of(steps: Iterable[Step], model: Model) -> list[int]:
+    """GTSAM keys of the variables of some steps, in their order."""
+    return [key for step in steps for key in variable_keys(step, model)]
 
 
 def anchors(
@@ -211,7 +223,7 @@ class _Descent:
         return found if wound is None else self._better(found, values_of(self.steps, wound, self.model))
 
     def _optimize(self, values: gtsam.Values) -> tuple[gtsam.Values, list[float], bool]:
-        ordering = gtsam.Ordering([key for step in self.steps for key in variable_keys(step, self.model)])
+        ordering = gtsam.Ordering(keys_of(self.steps, self.model))
         return optimize(self.graph, values, ordering, self.options)
 
     def _better(

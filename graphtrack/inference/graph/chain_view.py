@@ -20,6 +20,7 @@ from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import never_seen
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.window import gait_of_model
 from graphtrack.inference.chain.winding import unwind
 from graphtrack.inference.initial import pack, problem_of, seen_in
 from graphtrack.inference.prior import MarginalPrior, on_state
@@ -27,11 +28,8 @@ from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import couplings_of
 from graphtrack.model.kernels.layout import N
 from graphtrack.model.kernels.problem import Problem
-from graphtrack.model.terms.gait import ROW, gait_of
+from graphtrack.model.terms.gait import ROW
 from graphtrack.tracks import Track
-
-_ROWS = 32
-"""Frames of a window for which there is room at first."""
 
 
 class _View:
@@ -48,6 +46,7 @@ class _View:
         self._model, self._program = model, program_of(model)
         self.couplings = {} if couplings is None else couplings
         self.before = np.zeros((2, ROW))
+        self._problem: Problem
 
     def _start(self, problem: Problem, n: int) -> None:
         """Take a problem of n frames, of whose modes nothing is known yet."""
@@ -83,7 +82,7 @@ class _View:
 
     def renew(self, states: FloatArray) -> None:
         """Set the couplings by the modes that the states (n, 6) imply."""
-        gait = gait_of(self._model.parameters.gait)
+        gait = gait_of_model(self._model)
         here, n = self._here(states), len(states)
         memory = mode_memory(n)
         memory.before[:] = self.before
@@ -153,45 +152,33 @@ class WindowView(_View):
         super().__init__(model, couplings)
         self._frames = FrameRows(model)
         self._steps: list[Step] = []
-        self._room = 0
 
     def follow(self, steps: Sequence[Step], states: FloatArray, prior: MarginalPrior | None) -> None:
         """Take these steps, with states (n, 6), and what is known about the first, from now on."""
-        known = [step.index for step in self._steps]
-        gone = known.index(steps[0].index) if steps[0].index in known else len(known)
-        kept = self._steps[gone:]
+        n, known = len(steps), {step.index: row for row, step in enumerate(self._steps)}
+        old = self._problem if known else None
+        gone = known.get(steps[0].index, len(known))
         if 0 < gone <= self._filtered.shape[1]:
             self.before = self._filtered[:, gone - 1].copy()
-        if len(kept) > len(steps) or not all(map(_is_same, kept, steps)):
-            kept = []
-        self._take(steps, gone, len(kept))
-        for row in range(len(kept), len(steps)):
-            self._frames.put(row, steps[row])
-        if gone or not kept:
-            first = self._frames.rows[0]
-            for name in self._program.links:
-                # They are part of the prior, or reach out of the window.
-                first[self._frames.place[name]] = 0.0
-        origin = self._problem.origin[0]
-        origin[:], self._prior[:] = states[0, :2], 0.0
+        about = np.zeros((N + 2, N))
         if prior is not None:
-            information, linear, point = on_state(prior, steps[0], self._model)
-            point[:2] -= origin
-            self._prior[:] = np.vstack([information, linear, point])
-
-    def _take(self, steps: Sequence[Step], gone: int, kept: int) -> None:
-        """Have as many rows as there are steps; ``kept`` of them are known, after those that are gone."""
-        n, old = len(steps), self._frames.problem if kept else None
-        if n > self._room or old is None:
-            self._room = max(_ROWS, 2 * n)
-            self._prior = np.zeros((N + 2, N))
-            self._frames.make(self._room, np.zeros(2), np.array([0, n]), self._prior)
+            about[:] = np.vstack(on_state(prior, steps[0], self._model))
+            about[N + 1, :2] -= states[0, :2]
+        self._frames.make(n, states[0, :2].copy(), np.array([0, n]), about)
         problem = self._frames.problem
         if old is not None:
-            for name in ("records", "body_heights", "head_heights"):
-                getattr(problem, name)[:kept] = getattr(old, name)[gone : gone + kept].copy()
             problem.shared[:] = old.shared
-        problem.offsets[1] = n
+        for row, step in enumerate(steps):
+            there = known.get(step.index)
+            # The links of a first row were cut.
+            if there is None or row > there == 0 or not _is_same(self._steps[there], step):
+                self._frames.put(row, step)
+                continue
+            for name in ("records", "body_heights", "head_heights"):
+                getattr(problem, name)[row] = getattr(old, name)[there]
+        for name in self._program.links:
+            # They are part of the prior, or reach out of the window.
+            self._frames.rows[0, self._frames.place[name]] = 0.0
         self._steps = list(steps)
         self._start(problem, n)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from graphtrack.inference.graph.batch import beginning, descend, graph_of, joint_covariance
+from graphtrack.inference.graph.batch import beginning, descend, graph_of, joint_covariance, keys_of
 from graphtrack.inference.prior import MarginalPrior, marginal_prior, variable_keys
 from graphtrack.inference.state import Newest, Window, finite, leaving, states_of, values_of
 from graphtrack.later import gtsam
@@ -33,8 +33,6 @@ class FixedLag:
     ``IncrementalFixedLagSmoother``. On the short chain of one person that is the slower one: it searches an
     ordering at each observation, and a joint covariance costs it nearly a second update.
 
-    Whatever a method raises, it leaves the smoother as it was.
-
     Parameters
     ----------
     model : the terms
@@ -56,8 +54,9 @@ class FixedLag:
     ) -> None:
         self._model, self._lag, self._couplings = model, lag, couplings
         self._step_tolerance, self._max_iterations = step_tolerance, max_iterations
-        # All there is to know: it is replaced, never changed.
+        # All there is to know, and of the newest step once it is solved: replaced, never changed.
         self._window = Window((), {}, None, None)
+        self._newest: Newest | None = None
         # Of the window's steps, so that they need not be made again.
         self._factors: dict[Step, gtsam.NonlinearFactorGraph] = {}
 
@@ -70,31 +69,31 @@ class FixedLag:
         """x, y, vx, vy, body, head of a step of the window."""
         return self._window.values[step.index]
 
-    def extend(self, step: Step, state: Sequence[float]) -> Newest:
-        """Add a step whose variables start at ``state``; what is known about it then."""
+    def extend(self, step: Step, state: Sequence[float]) -> None:
+        """Add a step whose variables start at ``state``."""
         before = self._window
         steps, values = (*before.steps, step), {**before.values, step.index: tuple(state)}
         anchor = before.anchor if before.steps else (state[4], state[5])
-        return self._solve(replace(before, steps=steps, values=values, anchor=anchor))
+        self._newest = self._solve(replace(before, steps=steps, values=values, anchor=anchor))
 
-    def rework(self, window: Window) -> Newest:
-        """Take over a window that was changed; what is known about its newest step then."""
-        return self._solve(window)
+    def recouple(self, steps: Sequence[Step]) -> None:
+        """Evaluate the couplings of some steps anew."""
+        if steps:  # all are linearised anew
+            self._newest = None
 
-    def recoupled(self, steps: Sequence[Step]) -> Newest:
-        """What is known about the newest step now that the couplings of some steps are others."""
-        del steps  # all are linearised anew
-        return self._solve(self._window)
+    def settled(self) -> Newest:
+        """What is known about the newest step, once the window is solved."""
+        if self._newest is None:
+            self._newest = self._solve(self._window)
+        return self._newest
 
-    @contextmanager
-    def kept(self) -> Iterator[None]:
-        """Leave the smoother as it is at the beginning if anything inside raises."""
-        before = self._window
-        try:
-            yield
-        except BaseException:
-            self._window = before
-            raise
+    def memory(self) -> Mapping[str, Any]:
+        """The smoother as it is, for `recall`."""
+        return dict(vars(self))
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Be as then."""
+        vars(self).update(memory)
 
     def prior(self) -> MarginalPrior | None:
         """What has left the window says about its first step."""
@@ -106,7 +105,7 @@ class FixedLag:
 
     def restore(self, window: Window) -> None:
         """Take over a window as it stands."""
-        self._window = window
+        self._window, self._newest = window, None
 
     def _solve(self, window: Window) -> Newest:
         steps, made = window.steps, self._factors
@@ -131,7 +130,7 @@ class FixedLag:
     def _optimize(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, steps: Sequence[Step]
     ) -> tuple[gtsam.Values, gtsam.GaussianBayesNet]:
-        ordering = gtsam.Ordering([key for step in steps for key in variable_keys(step, self._model)])
+        ordering = gtsam.Ordering(keys_of(steps, self._model))
         for _ in range(self._max_iterations):
             bayes_net = graph.linearize(values).eliminateSequential(ordering)
             step = bayes_net.optimize()
@@ -157,7 +156,7 @@ class FixedLag:
         if not n:
             return window
         gone, first = window.steps[:n], window.steps[n].alone()
-        keys = [key for step in gone for key in variable_keys(step, self._model)]
+        keys = keys_of(gone, self._model)
         for step in gone:
             graph.push_back(self._factors[step])
         # Its links to the step before are part of the marginal now: the chain begins here.

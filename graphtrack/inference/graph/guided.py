@@ -11,11 +11,11 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.basin_search import AT_END
-from graphtrack.inference.graph.batch import beginning, graph_of, optimize
+from graphtrack.inference.graph.batch import keys_of, optimize, window_graph
 from graphtrack.inference.graph.chain_view import WindowView
 from graphtrack.inference.graph.fixed_lag import FixedLag
 from graphtrack.inference.graph.isam import Isam2
-from graphtrack.inference.prior import MarginalPrior, variable_keys
+from graphtrack.inference.prior import MarginalPrior
 from graphtrack.inference.solution import SolverOptions
 from graphtrack.inference.state import FAILURES, Newest, Window, leaving, read_step, values_of
 from graphtrack.inference.warm import ONLINE, graph_rehearsal
@@ -94,24 +94,27 @@ class Guided:
                 recent = self._recent(self.steps)
                 states = np.array([*map(self.state, recent), tuple(state)])
                 self._infer([*recent, step], states, self._prior(recent))
-            return self._guided(self.graph.extend(step, state))
+            self.graph.extend(step, state)
+            return self._guided()
 
     def rework(self, window: Window) -> Newest:
         """Take over a window that was changed; what is known about its newest step then."""
         with self._kept():
             self._notice(window.steps)
             self._couple(window)
-            return self._guided(self.graph.rework(window))
+            self.graph.restore(window)
+            self.graph.settled()
+            return self._guided()
 
     @contextmanager
     def _kept(self) -> Iterator[None]:
         """Leave the smoother as it is at the beginning if anything inside raises."""
-        before, couplings = dict(vars(self)), dict(self._couplings or {})
+        before, couplings, graph = dict(vars(self)), dict(self._couplings or {}), self.graph.memory()
         modes = None if self._view is None else self._view.before
         try:
-            with self.graph.kept():
-                yield
+            yield
         except BaseException:
+            self.graph.recall(graph)
             vars(self).update(before)
             if self._couplings is not None:
                 self._couplings.clear()
@@ -163,10 +166,10 @@ class Guided:
     def _states(self, steps: Sequence[Step]) -> FloatArray:
         return np.array([self.state(step) for step in steps])
 
-    def _guided(self, newest: Newest) -> Newest:
+    def _guided(self) -> Newest:
         """What is known about the newest step once the couplings, and the basin, are those of the states."""
         if self._view is None:
-            return newest
+            return self.graph.settled()
         recent = self._recent(self.steps)
         states, couplings = self._states(recent), {} if self._couplings is None else self._couplings
         if len(recent) == len(self.steps):
@@ -182,14 +185,13 @@ class Guided:
                     if step.index in couplings
                     and is_recoupled(before.get(step.index), couplings[step.index], _RECOUPLED)
                 ]
-                if changed:
-                    newest = self.graph.recoupled(changed)
-                    states = self._states(recent)
+                self.graph.recouple(changed)
+                newest, states = self.graph.settled(), self._states(recent)
                 if self._searches and (found := self._moved(recent, states)) is not None:
                     newest, states = found
         except FAILURES:
             # It is where the observation itself has led to.
-            return newest
+            return self.graph.settled()
         if self._couplings is None:
             return newest
         covariance = np.zeros((len(recent), 6, 6))
@@ -222,21 +224,17 @@ class Guided:
             return None
         known = {step.index: self.state(step) for step in window.steps}
         known |= {step.index: read_step(values, step, self._whole) for step in recent}
-        return self.graph.rework(replace(window, values=known)), self._states(recent)
+        self.graph.restore(replace(window, values=known))
+        return self.graph.settled(), self._states(recent)
 
     def _descent(self, window: Window, states: FloatArray) -> tuple[gtsam.Values, list[float]]:
         """Where a descent from some states (n, 6) of a window ends, and the cost at each step.
 
         What came before the window is as it is.
         """
-        steps, factors = window.steps, beginning(window, self._whole)
-        for step in steps:
-            factors += self._whole.factors(step, self._couplings)
-        keys = [key for step in steps for key in variable_keys(step, self._whole)]
-        inside = frozenset(keys)
-        graph = graph_of(factor for factor in factors if inside.issuperset(factor.keys()))
-        begun = values_of(steps, states, self._whole)
-        values, costs, _ = optimize(graph, begun, gtsam.Ordering(keys), _SEARCH)
+        model, ordering = self._whole, gtsam.Ordering(keys_of(window.steps, self._whole))
+        begun = values_of(window.steps, states, model)
+        values, costs, _ = optimize(window_graph(window, model, self._couplings), begun, ordering, _SEARCH)
         return values, costs
 
     # -- saved states --------------------------------------------------------------------------------------

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.graph.batch import beginning, graph_of, joint_covariance
+from graphtrack.inference.graph.batch import beginning, graph_of, joint_covariance, keys_of
 from graphtrack.inference.prior import MarginalPrior, marginal_prior, variable_keys
 from graphtrack.inference.state import Angles, Newest, Window, finite, leaving, present, read_step, values_of
 from graphtrack.later import gtsam
@@ -45,8 +45,8 @@ class Isam2:
     tree, so that the window's variables are eliminated again, beginning with them. Time and memory are
     bounded by the window then. Without a lag the tree is GTSAM's own, and memory grows with the track.
 
-    What is done within `kept` leaves the smoother as it was if it raises. A full history is built again then,
-    from the estimates it had; those of its newest steps, up to a fiftieth, are of when each was the newest.
+    A full history that is recalled after a failure is built again from the estimates it had; those of its
+    newest steps, up to a fiftieth, are of when each was the newest.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Isam2:
     step_tolerance : the updates for an observation end when no variable is farther than this, or than the
         threshold, from where it was linearised
     max_iterations : or after so many
-    couplings : what the modes of the couplings set, of each step; see `recoupled`
+    couplings : what the modes of the couplings set, of each step; see `recouple`
 
     Attributes
     ----------
@@ -79,8 +79,7 @@ class Isam2:
         self._classified = False
         self.steps: list[Step]
         self._anchor: Angles | None
-        # By index of a step: its keys, and at which of iSAM2's factors those are that may read couplings.
-        self._keys: dict[int, list[int]]
+        # By index of a step: at which of iSAM2's factors those are that may read couplings.
         self._custom: dict[int, dict[int, gtsam.CustomFactor]]
         self._marginals: set[int]
         # What a full history goes back to: estimates of all steps, and of those that came since.
@@ -103,8 +102,8 @@ class Isam2:
 
     # -- observations --------------------------------------------------------------------------------------
 
-    def extend(self, step: Step, state: Sequence[float]) -> Newest:
-        """Add a step whose variables start at ``state``; what is known about it then."""
+    def extend(self, step: Step, state: Sequence[float]) -> None:
+        """Add a step whose variables start at ``state``, with one update."""
         if step.is_ambiguous and not self._classified:
             self._waiting, self._classified = self.window(), True
         self._build_waiting()
@@ -114,49 +113,40 @@ class Isam2:
             factors += beginning(Window((step,), {}, None, self._anchor), self._model, ANCHOR_KAPPA)
         values = values_of([step], np.array([state]), self._model)
         self.steps.append(step)
-        self._keys[step.index] = variable_keys(step, self._model)
         self._note(step, factors, self._update(factors, values))
         self._slide()
-        return self._settled()
 
-    def recoupled(self, steps: Sequence[Step]) -> Newest:
-        """Evaluate the couplings of some steps anew; what is known about the newest step then."""
+    def recouple(self, steps: Sequence[Step]) -> None:
+        """Evaluate the couplings of some steps anew, with one update if there are any."""
+        if not steps:
+            return
         self._build_waiting()
         exchanged = [entry for step in steps for entry in self._custom[step.index].items()]
         graph = [factor for _, factor in exchanged]
         places = iter(zip(self._update(graph, removed=[slot for slot, _ in exchanged]), graph, strict=True))
         for step in steps:
             self._custom[step.index] = dict(next(places) for _ in self._custom[step.index])
-        return self._settled()
 
-    def rework(self, window: Window) -> Newest:
-        """Take over a window that was changed; what is known about its newest step then."""
-        self.restore(window)
-        self._build_waiting()
-        return self._settled()
-
-    @contextmanager
-    def kept(self) -> Iterator[None]:
-        """Leave the smoother as it is at the beginning if anything inside raises."""
-        before, n = dict(vars(self)), len(self.steps)
+    def memory(self) -> Mapping[str, Any]:
+        """The smoother as it is, for `recall`."""
+        memory = {**vars(self), "steps": copy(self.steps)}
         if self._waiting is None and self._lag < math.inf:
             # A copy takes a twentieth of an update; of a full history it would take more than the update.
-            before["isam"] = gtsam.ISAM2(self.isam)
-            before |= {name: copy(before[name]) for name in ("steps", "_custom", "_keys")}
-        try:
-            yield
-        except BaseException:
-            is_changed = self.isam is before["isam"] and self._waiting is None
-            vars(self).update(before)
-            self._held = self.isam.getLinearizationPoint()
-            if is_changed:
-                steps = self.steps[:n]
-                values = {
-                    step.index: self._since.get(step.index) or read_step(self._estimates, step, self._model)
-                    for step in steps
-                }
-                self.restore(Window(tuple(steps), values, self.prior(), self._anchor))
-            raise
+            memory["isam"] = gtsam.ISAM2(self.isam)
+            memory["_custom"] = copy(self._custom)
+        return memory
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Be as then."""
+        is_changed = self.isam is memory["isam"] and self._waiting is None
+        vars(self).update(memory)
+        self._held = self.isam.getLinearizationPoint()
+        if is_changed:
+            values = {
+                step.index: self._since.get(step.index) or read_step(self._estimates, step, self._model)
+                for step in self.steps
+            }
+            self.restore(Window(tuple(self.steps), values, self.prior(), self._anchor))
 
     # -- iSAM2 ---------------------------------------------------------------------------------------------
 
@@ -176,19 +166,20 @@ class Isam2:
         """One update of iSAM2; the indices of the new factors."""
         # The newest variables last: the root of the tree is where the next observation comes in.
         order, again, n = gtsam.KeyGroupMap(), gtsam.KeyList(), leaving(self.steps, self._lag)
-        for key in self._keys[self.steps[-1].index]:
+        for key in variable_keys(self.steps[-1], self._model):
             order.insert2(key, 2 if n else 1)
         if n:
             for i, step in enumerate(self.steps[:-1]):
-                for key in self._keys[step.index]:
+                for key in variable_keys(step, self._model):
                     order.insert2(key, 0 if i < n else 1)
                     again.push_back(key)
         values = gtsam.Values() if values is None else values
         result = self.isam.update(graph_of(factors), values, list(removed), order, None, again, True)
         return list(result.getNewFactorsIndices())
 
-    def _settled(self) -> Newest:
+    def settled(self) -> Newest:
         """What is known about the newest step, once none is too far from where it was linearised."""
+        self._build_waiting()
         for _ in range(self._max_iterations - 1):
             if not self._farthest() * self._threshold > self._tolerance:
                 break
@@ -212,7 +203,7 @@ class Isam2:
         if self._lag == math.inf:
             begin = max(begin, len(self.steps) - _WATCHED)
         steps = self.steps[begin:]
-        keys = [key for step in steps for key in self._keys[step.index]]
+        keys = keys_of(steps, self._model)
         far = np.abs(self.isam.getDelta().vector(keys)).reshape(len(steps), len(self._limits)) / self._limits
         if not np.isfinite(far).all():
             raise ArithmeticError("a step of the solver is not finite")
@@ -224,12 +215,11 @@ class Isam2:
         if not gone:
             return
         keys = gtsam.KeyList()
-        for step in gone:
-            for key in self._keys[step.index]:
-                keys.push_back(key)
+        for key in keys_of(gone, self._model):
+            keys.push_back(key)
         made, absorbed = self.isam.marginalizeLeavesWithIndices(keys)
         for step in gone:
-            del self._custom[step.index], self._keys[step.index]
+            del self._custom[step.index]
         self._marginals = self._marginals - {*absorbed} | {*made}
         del self.steps[: len(gone)]
         # Its links to the step before are part of the marginals now.
@@ -259,7 +249,6 @@ class Isam2:
         self._estimates, self._since = values, {}
         first = {next(indices) for _ in held}
         self._marginals = set() if window.prior is None else first
-        self._keys = {step.index: variable_keys(step, self._model) for step in steps}
         self._custom = {}
         for step, own in zip(steps, factors, strict=True):
             self._note(step, own, [next(indices) for _ in own])

@@ -125,7 +125,7 @@ class _Call:
         self.kernel = kernel
         given: dict[str, Any] = dict(_CONSTANTS)
         for row in (packed.records[0], packed.shared[0]):
-            for name in row.dtype.names or ():
+            for name in set(kernel.arguments).intersection(row.dtype.names or ()):
                 given[name] = float(row[name]) if np.ndim(row[name]) == 0 else np.array(row[name])
         for name in ("body_heights", "head_heights"):
             heights = getattr(packed, name)
@@ -164,29 +164,35 @@ def _factor(
     keys = [
         getattr(step.previous if earlier else step, f"{name}_key") for name, _, _, earlier in call.variables
     ]
-    evaluation, parts, rows = _Evaluation(call, live, keys), call.parts, len(call.columns) + 1
+    evaluation = _Evaluation(call, live, keys)
     if couplings is not None:
         evaluation.follow(couplings, step.index)
+    blocks = [evaluation.jacobian[:, part] for part in call.parts]
 
     # Not through `custom_factor`: these shapes are right, and its checks take as long as a kernel.
     def callback(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
         del this  # a traceback would keep it, and its repr after the factor is gone ends the process
-        residual, jacobian = evaluation(values)
+        evaluation(values)
         if jacobians is not None:
-            for i, part in enumerate(parts):
-                jacobians[i] = jacobian[:, part]
-        return residual
+            for i, block in enumerate(blocks):
+                jacobians[i] = block
+        return evaluation.residual
 
-    return gtsam.CustomFactor(unit_noise(rows), keys, callback)
+    return gtsam.CustomFactor(unit_noise(len(evaluation.residual)), keys, callback)
 
 
 class _Evaluation:
-    """A kernel at one step, called with GTSAM's values."""
+    """A kernel at one step, called with GTSAM's values.
+
+    Attributes
+    ----------
+    residual, jacobian : (n + 1,) and (n + 1, n) of the n degrees of freedom; GTSAM copies them
+    """
 
     def __init__(self, call: _Call, live: Sequence[tuple[str, float]], keys: Sequence[int]) -> None:
         self._function, self._columns = call.kernel.function, call.columns
-        self._states, self._gradients, self._hessians = (np.zeros(s) for s in ((2, N), (2, N), (3, N, N)))
-        scratch = (*self._states, *self._gradients, *self._hessians)
+        states, self._gradients, self._hessians = (np.zeros(s) for s in ((2, N), (2, N), (3, N, N)))
+        scratch = (*states, *self._gradients, *self._hessians)
         self._arguments, self._place = list(call.arguments), call.place
         self._coupled: list[tuple[int, int]] = []
         for place, name in call.scratch:
@@ -194,41 +200,42 @@ class _Evaluation:
         for name, value in live:
             if name in call.place:
                 self._arguments[call.place[name]] = value
-        self._variables = [
-            (name, key, self._states[0 if earlier else 1], PLACES[name], cos, sin)
-            for (name, cos, sin, earlier), key in zip(call.variables, keys, strict=True)
-        ]
+        # Slices of the states, for it takes longer to make one than to write to it.
+        self._vectors: list[tuple[bool, int, FloatArray]] = []
+        self._rotations: list[tuple[int, FloatArray, int | None, int | None]] = []
+        for (name, cos, sin, earlier), key in zip(call.variables, keys, strict=True):
+            part = states[0 if earlier else 1, PLACES[name]]
+            if name in ("position", "velocity"):
+                self._vectors.append((name == "position", key, part))
+            else:
+                self._rotations.append((key, part, cos, sin))
+        n = len(call.columns)
+        # By columns, as GTSAM's matrices are.
+        self.residual, self.jacobian = np.zeros(n + 1), np.zeros((n + 1, n), order="F")
 
     def follow(self, couplings: Couplings, index: int) -> None:
         """Read the `COUPLED` fields of a step from there from now on."""
         self._couplings, self._index = couplings, index
         self._coupled = [(self._place[name], i) for i, name in enumerate(COUPLED) if name in self._place]
 
-    def __call__(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
-        """Residual (n + 1,) and Jacobian (n + 1, n) of the n degrees of freedom."""
+    def __call__(self, values: gtsam.Values) -> None:
+        """Evaluate residual and Jacobian."""
+        arguments = self._arguments
         if self._coupled:
             now = self._couplings[self._index]
             for argument, i in self._coupled:
-                self._arguments[argument] = now[i]
-        for name, key, state, place, cos, sin in self._variables:
-            if name == "position":
-                state[place] = values.atPoint2(key)
-            elif name == "velocity":
-                state[place] = values.atVector(key)
-            else:
-                rotation = values.atRot2(key)
-                state[place] = rotation.theta()
-                if cos is not None:
-                    self._arguments[cos] = rotation.c()
-                if sin is not None:
-                    self._arguments[sin] = rotation.s()
-        self._gradients.fill(0.0)
-        self._hessians.fill(0.0)
-        cost = self._function(*self._arguments)
-        n = len(self._columns)
-        residual, jacobian = np.zeros(n + 1), np.zeros((n + 1, n))
-        factorise(cost, self._gradients, self._hessians, self._columns, residual, jacobian)
-        return residual, jacobian
+                arguments[argument] = now[i]
+        for is_position, key, part in self._vectors:
+            part[:] = values.atPoint2(key) if is_position else values.atVector(key)
+        for key, part, cos, sin in self._rotations:
+            rotation = values.atRot2(key)
+            part[0] = rotation.theta()
+            if cos is not None:
+                arguments[cos] = rotation.c()
+            if sin is not None:
+                arguments[sin] = rotation.s()
+        cost = self._function(*arguments)
+        factorise(cost, self._gradients, self._hessians, self._columns, self.residual, self.jacobian)
 
 
 @allocating
@@ -245,12 +252,14 @@ def factorise(
     Parameters
     ----------
     cost : not negative
-    gradients : (2, 6) of the frame before and of the frame
-    hessians : (3, 6, 6) lower triangles of the frame before and of the frame, and the block between them
+    gradients : (2, 6) of the frame before and of the frame; zero afterwards
+    hessians : (3, 6, 6) lower triangles of the frame before and of the frame, and the block between them;
+        zero afterwards
     columns : (n,) which of the 12 degrees of freedom there are
-    residual, jacobian : (n + 1,) and (n + 1, n) of zeros, filled in
+    residual, jacobian : (n + 1,) and (n + 1, n), filled in
     """
     n = len(columns)
+    residual[:], jacobian[:] = 0.0, 0.0
     left, block = np.empty(n), np.empty((n, n))
     for i in range(n):
         a = columns[i]
@@ -263,6 +272,7 @@ def factorise(
                 block[i, j] = hessians[2, b, a - N]
             else:
                 block[i, j] = hessians[a // N, max(a, b) % N, min(a, b) % N]
+    gradients[:], hessians[:] = 0.0, 0.0
     greatest = 0.0
     for i in range(n):
         greatest = max(greatest, block[i, i])

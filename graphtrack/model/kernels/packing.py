@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -188,7 +188,7 @@ class FramePacker:
     """Frames packed one at a time, as they come: of a kind that came before, from memory.
 
     The kind is what was seen, with its stated spread, and how long after the frame before. A frame with
-    inputs is of no kind.
+    inputs, pixels or class likelihoods is of no kind, and is remembered until the next one comes.
 
     Parameters
     ----------
@@ -206,6 +206,7 @@ class FramePacker:
         # Most terms have nothing that is live; to ask each takes longer than to write what the others have.
         self._live = [term.live for term in terms if term.live.__qualname__ != "Term.live"]
         self._known: dict[tuple[object, ...], PackedTracks] = {}
+        self._latest: tuple[tuple[object, ...], Any] = (), None
 
     def __call__(
         self, seen: Observation, dt: float | None, starts: bool, camera: GroundCamera | None
@@ -215,7 +216,11 @@ class FramePacker:
         seconds = 0.0 if dt is None else round(dt, 14)
         simple = seen.pixel is None and seen.body_likelihood is None and seen.head_likelihood is None
         if not (simple and self._repeats) or seen.inputs:
-            return self._packed(seen, seconds, starts, camera)
+            kind, packed = self._latest
+            if kind != (seen, seconds, starts, camera):
+                packed = self._packed(seen, seconds, starts, camera)
+                self._latest = (seen, seconds, starts, camera), packed
+            return packed
         kind = (
             seconds,
             starts,
@@ -240,11 +245,14 @@ class FramePacker:
     def _packed(
         self, seen: Observation, dt: float, starts: bool, camera: GroundCamera | None
     ) -> PackedTracks:
-        given = {name: getattr(seen, name) for name in CHANNELS}
-        position = given.pop("position") or (np.nan, np.nan)
-        channels: dict[str, Any] = {
-            name: np.array([value]) for name, value in given.items() if value is not None
-        }
-        inputs = {name: np.array([value]) for name, value in seen.inputs.items()}
-        track = Track(0, np.array([0]), np.array([seen.t]), np.array([position]), inputs=inputs, **channels)
-        return PackedTracks.within(track, camera, dt, starts, self._terms, self.types)
+        return PackedTracks.within(_track_of(seen), camera, dt, starts, self._terms, self.types)
+
+
+@lru_cache(4)
+def _track_of(seen: Observation) -> Track:
+    """An observation as a track: once for all terms that pack it by themselves."""
+    given = {name: getattr(seen, name) for name in CHANNELS}
+    position = given.pop("position") or (np.nan, np.nan)
+    channels: dict[str, Any] = {name: np.array([value]) for name, value in given.items() if value is not None}
+    inputs = {name: np.array([value]) for name, value in seen.inputs.items()}
+    return Track(0, np.array([0]), np.array([seen.t]), np.array([position]), inputs=inputs, **channels)
