@@ -324,11 +324,14 @@ def test_glances_begin_and_end_at_their_rates_and_are_forgotten(dt: float) -> No
     base = np.r_[(1 - modes.aligned) * modes.anywhere, modes.aligned * modes.share]
     longrun = np.r_[(1 - share) * base, share * modes.glance]
     np.testing.assert_allclose(longrun @ matrix, longrun, atol=1e-12)
-    # Two states that change at random: of a glance so much remains as its mean length says.
-    rate = 1.0 / (Parameters().gait.glance_time * (1.0 - share))
-    stays = share + (1.0 - share) * np.exp(-rate * dt)
-    np.testing.assert_allclose(matrix[BASE:, BASE:], stays * np.eye(BINS), atol=1e-12)
+    # A glance is kept as long as its mean length says; one after it is another.
+    kept = np.exp(-dt / Parameters().gait.glance_time)
+    stays = share + (1.0 - share) * np.exp(-dt / (Parameters().gait.glance_time * (1.0 - share)))
+    other = (stays - kept) * np.tile(modes.glance, (BINS, 1))
+    np.testing.assert_allclose(matrix[BASE:, BASE:], kept * np.eye(BINS) + other, atol=1e-12)
     np.testing.assert_allclose(matrix[BASE:, :BASE], (1.0 - stays) * np.tile(base, (BINS, 1)), atol=1e-12)
+    # In two steps or in one.
+    np.testing.assert_allclose(transition(modes, 0.3 * dt) @ transition(modes, 0.7 * dt), matrix, atol=1e-12)
 
 
 def test_no_glance_goes_beyond_the_reach_of_the_neck() -> None:

@@ -311,11 +311,22 @@ def drift_further(row: FloatArray, passes: Any, side: Any) -> None:
         turn += 1.0
 
 
+class Changes(NamedTuple):
+    """Probabilities of what changes within a step; what is not kept is drawn again from the long run."""
+
+    begins: Any  # no glance before, a glance after
+    ends: Any  # a glance before, none after
+    kept: Any  # mode and offset, of no glance
+    kept_glance: Any
+
+
 @inner
-def glancing(modes: Modes, dt: Any) -> tuple[Any, Any]:
-    """Probabilities that a glance begins, and that one ends, within ``dt`` seconds."""
-    changes = 1.0 - exp(-modes.glance_change * dt)
-    return modes.glance_share * changes, (1.0 - modes.glance_share) * changes
+def changes_in(modes: Modes, dt: Any) -> Any:
+    """What changes within ``dt`` seconds, as `Changes`."""
+    rate, share = modes.glance_change, modes.glance_share
+    changed = 1.0 - exp(-rate * dt)
+    kept = exp(-(share * rate + modes.switching) * dt)
+    return Changes(share * changed, (1.0 - share) * changed, kept, exp(-(1.0 - share) * rate * dt))
 
 
 @compiled
@@ -367,12 +378,9 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
                 spare[j] = previous[j]
             drift_further(spare, passes, side)
             source = spare
-        # What changes is drawn again from the long run, and so is what follows a glance.
-        begins, ends = glancing(modes, dt)
-        kept = (1.0 - begins) * exp(-modes.switching * dt)
-        again = (1.0 - begins - kept) * base + ends * (1.0 - base)
-        free, aligned = again * (1.0 - modes.aligned), again * modes.aligned
-        kept *= share
+        changes = changes_in(modes, dt)
+        again = (1.0 - changes.begins - changes.kept) * base + changes.ends * (1.0 - base)
+        free, aligned, kept = again * (1.0 - modes.aligned), again * modes.aligned, changes.kept * share
         own, behind = source[0], source[_LAST]
         for j in range(BINS):
             beyond = source[j + 1 if j < _LAST else 0]
@@ -385,9 +393,10 @@ def filter_modes(n: int, modes: Modes, before: FloatArray, filtered: FloatArray,
             now[j] = found
             base_total += found
         if glances:
-            stays, enters = (1.0 - ends) * share, begins * base
+            kept = changes.kept_glance * share
+            again = changes.begins * base + (1.0 - changes.ends - changes.kept_glance) * (1.0 - base)
             for j in range(BINS):
-                found = row[j] * (stays * previous[BASE + j] + enters * modes.glance[j])
+                found = row[j] * (kept * previous[BASE + j] + again * modes.glance[j])
                 now[BASE + j] = found
                 glance_total += found
         else:
@@ -492,17 +501,18 @@ def smooth_modes(
     )
     # Of the frame before: the likelihood of what follows, if its mode were drawn again, is taken as 1.
     dt = memory.dt[k]
-    inside, (begins, ends) = dt > 0.0, glancing(modes, dt)
-    kept = (1.0 - begins) * exp(-modes.switching * dt)
+    inside, changes = dt > 0.0, changes_in(modes, dt)
     passes, side = drift_of(modes.drift, dt)
     mixed = (1.0 - modes.aligned) * follows + modes.aligned * follows_near
     drift_further(target, passes, side)
-    again = 1.0 - begins - kept + begins * follows_glance / mixed
+    begun = follows_glance / mixed
+    again = 1.0 - changes.begins - changes.kept + changes.begins * begun
+    glance_again = changes.ends + (1.0 - changes.ends - changes.kept_glance) * begun
     return found, Following(
-        choose(inside, kept / mixed, 0.0),
+        choose(inside, changes.kept / mixed, 0.0),
         choose(inside, again, 1.0),
-        choose(inside, (1.0 - ends) / mixed, 0.0),
-        choose(inside, ends, 1.0),
+        choose(inside, changes.kept_glance / mixed, 0.0),
+        choose(inside, glance_again, 1.0),
         side,
     )
 

@@ -18,7 +18,7 @@ from graphtrack.inference.chain.coupling_modes import (
     mode_memory,
     smooth_modes,
 )
-from graphtrack.model.terms.gait import ROW, Modes
+from graphtrack.model.terms.gait import BASE, ROW, Modes
 
 
 class ModeTable(NamedTuple):
@@ -28,7 +28,7 @@ class ModeTable(NamedTuple):
     ----------
     initial : probabilities where nothing was seen
     cos, sin : the coupling's resultant, as multiples of its concentration when aligned
-    held_cos, held_sin : of the offset itself
+    held_cos, held_sin : of the offset itself; 0 in a glance, which steers nobody
     aligned : 1 in the aligned mode, else 0
     doubt : probability that the offset is a classifier's, and what it says of the orientation nothing
     """
@@ -48,12 +48,14 @@ ALWAYS = ModeTable(*(np.array([value]) for value in (1.0, 1.0, 0.0, 1.0, 0.0, 1.
 
 def mode_table(modes: Modes) -> ModeTable:
     """The table of a coupling's modes."""
-    rows = np.empty((ROW, 6))
-    for j, mass in enumerate(np.eye(ROW)):
+    # What glances would do where there are none: nothing.
+    rows = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (ROW, 1))
+    for j, mass in enumerate(np.eye(ROW)[: ROW if modes.glance_share > 0.0 else BASE]):
         memory = _memory(0.0)
         memory.likelihood[:], memory.after[:] = 1.0, 0.0
-        found, _ = smooth_modes(0, modes, mass[None], Following(0.0, 1.0, 0.0), memory)
-        pull, offset = expected(found, modes.strength, modes.free_strength), expected(found, 1.0, 1.0)
+        found, _ = smooth_modes(0, modes, mass[None], Following(0.0, 1.0, 0.0, 1.0, 0.0), memory)
+        pull = expected(found, modes.strength, modes.free_strength, modes.glance_strength)
+        offset = expected(found, 1.0, 1.0, 0.0)
         rows[j] = *pull, *offset, found.near, found.mistaken
     memory = _memory(0.0)
     filter_modes(1, modes, np.zeros(ROW), memory.filtered_body, memory)

@@ -20,8 +20,8 @@ from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import never_seen
 from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
-from graphtrack.inference.chain.window import gait_of_model
 from graphtrack.inference.chain.winding import unwind
+from graphtrack.inference.chain.window import gait_of_model
 from graphtrack.inference.initial import pack, problem_of, seen_in
 from graphtrack.inference.prior import MarginalPrior, on_state
 from graphtrack.model import Model, Step
