@@ -47,7 +47,7 @@ from graphtrack.inference.chain.windows import (
     Rules,
     Windows,
 )
-from graphtrack.model.kernels.compiled import allocating, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import Gait
@@ -196,7 +196,7 @@ def advance(
             windows.classified[slot, 0] = classified
 
 
-@inner
+@merged
 def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArray, before: FloatArray) -> int:
     """Keep the states in ``before`` and add the frame after the newest; how many frames there were."""
     begin, end = problem.offsets[0], problem.offsets[1]
@@ -208,7 +208,7 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
     return int(end - begin)
 
 
-@inner
+@merged
 def solve_or_restore(
     problem: Problem,
     states: FloatArray,

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import allocating, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
 from graphtrack.model.kernels.elementary import cos_sin, direction_of, exp, log, whole_of
 from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.model.kernels.layout import BODY, VX, VY
@@ -203,7 +203,7 @@ def add_head_evidence(
         add_class_evidence(row, modes, weight, base_cos, base_sin, heights, directions, kappa)
 
 
-@inner
+@merged
 def judge_body(
     problem: Problem, track: int, n: int, states: FloatArray, gait: Gait, memory: ModeMemory
 ) -> None:
@@ -245,7 +245,7 @@ def judge_body(
         add_head_evidence(problem, offset + k, gait.body, head_share, cos, sin, row)
 
 
-@inner
+@merged
 def judge_head(
     problem: Problem, track: int, n: int, states: FloatArray, modes: Modes, memory: ModeMemory
 ) -> None:
@@ -531,7 +531,7 @@ def couple(
     )
 
 
-@inner
+@merged
 def renew_body(
     problem: Problem,
     track: int,
@@ -579,7 +579,7 @@ def renew_body(
         left += frame.dt
 
 
-@inner
+@merged
 def renew_head(
     problem: Problem,
     track: int,

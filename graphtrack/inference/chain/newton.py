@@ -25,7 +25,7 @@ from graphtrack.inference.chain.elimination import (
     sweep_back,
 )
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import compiled, inner, merged
 from graphtrack.model.kernels.frame_program import add_frame
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.model.kernels.layout import BODY, HEAD, N
@@ -241,7 +241,7 @@ def minimise(
     ended[EXACT] = choose(exact, one, 0.0)
 
 
-@inner
+@merged
 def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
     """The cost of states from which a descent might begin."""
     for i in range(N):
@@ -249,7 +249,7 @@ def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace:
     return sweep_forward(problem, track, n, states, as_variable(True), workspace)[0]
 
 
-@inner
+@merged
 def factorise(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> bool:
     """Factor the Hessian of one track at its states: exact if that is positive definite, else Gauss–Newton's.
 

@@ -30,7 +30,7 @@ from graphtrack.inference.chain.elimination import (
 )
 from graphtrack.inference.chain.newton import as_variable, cost_of, minimise
 from graphtrack.inference.chain.result import NOT_FINITE, Result
-from graphtrack.model.kernels.compiled import allocating, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
 from graphtrack.model.kernels.lanes import (
     any_of,
     choose,
@@ -125,7 +125,7 @@ def keep_better(n: int, better: Any, one: FloatArray, other: FloatArray, states:
             states[k, i] = choose(better, one[k, i], other[k, i])
 
 
-@inner
+@merged
 def improve(
     whole: Problem,
     tracks: NDArray[np.int64],
@@ -189,7 +189,7 @@ def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
             result.status[tracks[lane]] = int(lane_of(ended[STATUS], lane))
 
 
-@inner
+@merged
 def solve_group(
     whole: Problem,
     group: Group,
@@ -212,15 +212,11 @@ def solve_group(
     """
     problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
     workspace, most, search = group.workspace, options.max_iterations, options.search
-    length = workspace.length[0]
-    if gait is None:
-        settle(whole, tracks, problem, track, n, states, most, options.tolerance, search, workspace)
-        note(tracks, workspace.ended, result)
-        find_covariances(problem, track, n, states, None, workspace, group.covariance)
-    else:
-        # Without couplings first: from there both the modes and the states are found.
-        copy_rows(0, n, states, workspace.before)
-        settle(whole, tracks, problem, track, n, states, most, options.on_the_way, search, workspace)
+    length, tolerance = workspace.length[0], options.tolerance if gait is None else options.on_the_way
+    copy_rows(0, n, states, workspace.before)
+    settle(whole, tracks, problem, track, n, states, most, tolerance, search, workspace)
+    if gait is not None:
+        # That was without couplings: from there both the modes and the states are found.
         put_back(whole.offsets, tracks, guessed, length, workspace.before, states)
         search = as_variable(False)
         for left in range(options.passes - 1, -1, -1):
@@ -230,8 +226,9 @@ def solve_group(
             settle(whole, tracks, problem, track, n, states, most, tolerance, search, workspace)
             if searched:
                 improve(whole, tracks, problem, track, n, states, most, tolerance, workspace)
-        note(tracks, workspace.ended, result)
-        find_covariances(problem, track, n, states, group.modes.spread, workspace, group.covariance)
+    note(tracks, workspace.ended, result)
+    find_covariances(problem, track, n, states, group.modes, workspace, group.covariance)
+    if gait is not None:
         for lane in range(lane_count(length)):
             if tracks[lane] >= 0:
                 begin, frames = whole.offsets[tracks[lane]], int(lane_of(length, lane))

@@ -31,7 +31,7 @@ from graphtrack.inference.chain.newton import (
     sweep_forward,
 )
 from graphtrack.inference.chain.result import NOT_FINITE
-from graphtrack.model.kernels.compiled import allocating, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
 from graphtrack.model.kernels.frame_program import add_frame, cut
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
@@ -153,7 +153,7 @@ def move_if_less(
     return cost, sweep_forward(problem, track, n, states, as_variable(True), memory)[1]
 
 
-@inner
+@merged
 def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
     """Whether some of the newest positions that were seen are all farther from the states than k.
 
@@ -181,7 +181,7 @@ def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
     return _RUN <= count <= _LONGEST_RUN
 
 
-@inner
+@merged
 def find_by_squares(
     problem: Problem,
     track: int,

@@ -62,6 +62,14 @@ def inner(function: Function) -> Function:
     return compiled(function, no_cpython_wrapper=True)
 
 
+def merged(function: Function) -> Function:
+    """`compiled`, for a function that one other calls: its statements become part of that function's.
+
+    Whatever a function calls is optimised again with it; each level of calls costs that once more.
+    """
+    return _declared(function, inline="always")
+
+
 def allocating(function: Function) -> Function:
     """Compile a function that makes arrays, or hands some back."""
     return _declared(function, _nrt=True)  # else it would be as its first caller is
