@@ -21,7 +21,6 @@ from graphtrack.inference.chain.engine import LARGE, LONGEST, fit_lanes, has_lan
 from graphtrack.inference.chain.solver import LaneArrays, gather, lane_arrays, lane_group
 from graphtrack.inference.initial import pack, pack_to_solve, problem_of
 from graphtrack.inference.solution import seconds_to_ends
-from graphtrack.inference.warm import lane_rehearsal, offline_rehearsal, solver_rehearsals
 from graphtrack.model import (
     GaitParameters,
     LikelihoodParameters,
@@ -79,15 +78,6 @@ def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
     assert all(has_lanes(Model(preset)) for preset in ("position", "separate", "joint-body", "joint", "full"))
     assert has_lanes(Model("joint", terms=[PlacePrior]))
     assert not has_lanes(Model("joint", terms=[Uphill]))
-
-
-def test_each_way_makes_ready_what_it_calls() -> None:
-    model = Model("full")
-    alone, beside = offline_rehearsal(model).name, lane_rehearsal(model).name
-    assert alone != beside
-    for ways, expected in (((False,), [alone]), ((True,), [beside]), ((True, False), [alone, beside])):
-        assert [one.name for one in solver_rehearsals(model, "chain", in_lanes=ways)] == expected
-    assert len(solver_rehearsals(model, "gtsam", in_lanes=(True, False))) == 1
 
 
 @pytest.mark.parametrize("preset", ["joint", "full"])

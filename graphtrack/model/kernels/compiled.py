@@ -75,7 +75,7 @@ def allocating(function: Function) -> Function:
     return _declared(function, _nrt=True)  # else it would be as its first caller is
 
 
-def _declared(function: Function, **options: bool) -> Function:
+def _declared(function: Function, **options: bool | str) -> Function:
     if numba.config.DISABLE_JIT:
         expected = "the environment variable NUMBA_DISABLE_JIT unset: the engines are compiled"
         raise InputError("a numba that is told not to compile", expected)
