@@ -131,7 +131,7 @@ def spread_newest(
     workspace: Workspace,
     covariance: FloatArray,
 ) -> None:
-    """The same of the newest frame of a window, (6, 6), from the factorisation that `solve_window` has left.
+    """The same of the newest frame of a window, (6, 6), by the factorisation that `solve_window` has left.
 
     What the frames before the window said is taken as known: the states remember less than a window.
     """

@@ -18,8 +18,8 @@ from graphtrack.inference.chain.coupling_modes import (
 from graphtrack.inference.chain.covariance import spread_track
 from graphtrack.inference.chain.elimination import workspace
 from graphtrack.inference.chain.engine import never_seen
-from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.window_arrays import FrameRows
 from graphtrack.inference.initial import pack, problem_of, seen_in
 from graphtrack.inference.prior import MarginalPrior, on_state
 from graphtrack.model import Model, Step
