@@ -130,7 +130,7 @@ def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.Monkey
 @allocating
 def renew_in_lanes(problem: Problem, arrays: LaneArrays, n: int, gait: Gait) -> None:
     """`renew_couplings` of a group that has been gathered."""
-    group = lane_group(problem, arrays, gait)
+    group = lane_group(problem, arrays)
     length = group.workspace.length[0]
     renew_couplings(group.problem, 0, n, length, group.states, gait, False, True, group.modes)
 

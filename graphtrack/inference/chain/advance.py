@@ -17,7 +17,7 @@ from graphtrack.inference.chain.coupling_modes import (
     BODY_MODE,
     HEAD_MODE,
     ModeMemory,
-    is_classified,
+    classified_in,
     is_observed,
     mode_memory,
     normalise,
@@ -232,7 +232,7 @@ def infer_couplings(
         carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
         predict_newest(problem, states, own)
         task.warm = 0
-    classified = bool(windows.classified[slot, 0]) or is_classified(problem, the_only(problem))
+    classified = bool(windows.classified[slot, 0]) or classified_in(problem, the_only(problem))[1]
     assign(modes.before, windows.modes_before[slot])
     renew_couplings(
         problem, the_only(problem), n, float(n), states, gait, classified, as_variable(True), modes

@@ -268,12 +268,13 @@ def judge_head(
 
 
 @compiled
-def is_classified(problem: Problem, track: int) -> bool:
-    """Whether class likelihoods are known of the head in any frame of a track."""
+def classified_in(problem: Problem, track: int) -> tuple[bool, bool]:
+    """Whether class likelihoods are known of the body, and of the head, in any frame of a track."""
+    body = head = False
     for k in range(problem.offsets[track], problem.offsets[track + 1]):
-        if problem.records[k].head_class_kappa > 0.0:
-            return True
-    return False
+        body = body or problem.records[k].body_class_kappa > 0.0
+        head = head or problem.records[k].head_class_kappa > 0.0
+    return body, head
 
 
 # -- the recursions ------------------------------------------------------------------------------------------

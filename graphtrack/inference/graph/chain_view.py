@@ -10,7 +10,7 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import find_other_basin
 from graphtrack.inference.chain.coupling_modes import (
-    is_classified,
+    classified_in,
     mode_memory,
     renew_couplings,
     report_modes,
@@ -75,7 +75,7 @@ class _View:
         here, n = self._here(states), len(states)
         memory = mode_memory(n)
         memory.before[:] = self.before
-        classified = is_classified(self._problem, 0)
+        _, classified = classified_in(self._problem, 0)
         renew_couplings(self._problem, 0, n, float(n), here, gait, classified, True, memory)
         report_modes(n, 0, memory.held, self.modes)
         filtered = np.stack([memory.filtered_body, memory.filtered_head])

@@ -203,7 +203,7 @@ class _PoseLikelihood(Term):
             return ()
         return ((f"seen_{self.name}_cos", math.cos(angle)), (f"seen_{self.name}_sin", math.sin(angle)))
 
-    def _log_normaliser(self, track: Track) -> float:
+    def observed_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
         """log ∫ exp(−cost) of each observation: for mixtures, minus the constant that the cost has."""
         likelihood, n = self.parameters.likelihood, len(track)
         angle, classes = getattr(track, self.name), getattr(track, f"{self.name}_likelihood")
@@ -221,7 +221,8 @@ class _PoseLikelihood(Term):
             total -= float(np.sum(constant))
         return total
 
-    def _pack(self, packed: PackedTracks) -> None:
+    def pack(self, packed: PackedTracks) -> None:
+        """Observed angles, or classes where they are known."""
         likelihood, records, name = self.parameters.likelihood, packed.records, self.name
         heights = self._heights(packed)
         seen = packed.directions(name)
@@ -262,14 +263,7 @@ class BodyLikelihood(_PoseLikelihood):
     reads = _reads("body")
     fields = _fields("body")
     kernels = _observed("body")
-
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """Of what was observed of the body."""
-        return self._log_normaliser(track)
-
-    def pack(self, packed: PackedTracks) -> None:
-        """Observed angles or classes of the body."""
-        self._pack(packed)
+    log_normaliser = _PoseLikelihood.observed_normaliser
 
 
 class HeadLikelihood(_PoseLikelihood):
@@ -281,11 +275,4 @@ class HeadLikelihood(_PoseLikelihood):
     reads = _reads("head")
     fields = _fields("head")
     kernels = _observed("head")
-
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """Of what was observed of the head."""
-        return self._log_normaliser(track)
-
-    def pack(self, packed: PackedTracks) -> None:
-        """Observed angles or classes of the head."""
-        self._pack(packed)
+    log_normaliser = _PoseLikelihood.observed_normaliser
