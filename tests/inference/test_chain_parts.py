@@ -14,14 +14,16 @@ from graphtrack.inference import OnlineSmoother
 from graphtrack.inference.chain.advance import carry_over
 from graphtrack.inference.chain.basin_search import greatest_gain
 from graphtrack.inference.chain.coupling_modes import mode_memory, renew_couplings
-from graphtrack.inference.chain.elimination import COST, FIRST_COST, workspace
+from graphtrack.inference.chain.elimination import COST, FIRST_COST, Workspace, workspace
 from graphtrack.inference.chain.newton import minimise
 from graphtrack.inference.chain.start import fill
 from graphtrack.inference.chain.window_arrays import memory_in, window_problem
 from graphtrack.inference.chain.window_kernels import predict_newest
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import LikelihoodParameters, Model, Parameters
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import BODY, HEAD
+from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import gait_of
@@ -53,6 +55,12 @@ def test_in_a_single_frame_the_greatest_gain_is_that_of_the_best_turn(seed: int)
     )
 
 
+@compiled
+def descend(problem: Problem, n: int, states: FloatArray, steps: int, memory: Workspace) -> None:
+    """`minimise`, which compiled code alone can call, on the only track."""
+    minimise(problem, 0, n, states, steps, 1e-12, memory)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_no_step_of_a_descent_raises_the_cost(seed: int) -> None:
     """From a start that is wrong, in observations that contradict each other."""
@@ -66,7 +74,7 @@ def test_no_step_of_a_descent_raises_the_cost(seed: int) -> None:
         memory, costs = workspace(n), list[float]()
         for steps in range(8):
             states = start.copy()
-            minimise(problem, 0, n, states, steps, 1e-12, memory)
+            descend(problem, n, states, steps, memory)
             costs.append(float(memory.ended[COST]))
             assert memory.ended[FIRST_COST] == pytest.approx(costs[0])
         assert (np.diff(costs) <= 0.0).all()

@@ -114,7 +114,7 @@ def report(
     calibrate_frame(told, lags, rules.calibration)
 
 
-@compiled
+@inner
 def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
     """Nothing is known of what a model does not have."""
     state[place] = math.nan
@@ -215,7 +215,7 @@ def carry_over(before: Any, after: Any, rate_seen: float) -> None:
     steer(after, min(rate, after.steer_rate))
 
 
-@allocating
+@merged
 def infer_couplings(
     windows: Windows,
     task: Any,

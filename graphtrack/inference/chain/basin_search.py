@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, copy_rows
 from graphtrack.inference.chain.newton import as_variable, note_turns
-from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, inner_allocating, merged
 from graphtrack.model.kernels.frame_program import set_quarter_turns
 from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.model.kernels.layout import BODY, HEAD, N
@@ -104,7 +104,7 @@ def hops(variance: float, cos: FloatArray, cost: Single) -> None:
         cost[shift] = kappa * (1.0 - cos[shift])
 
 
-@allocating
+@inner_allocating
 def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> None:
     """Least cost of arriving at each pair of directions: ``now`` from ``before``, both (bins, bins).
 
@@ -132,7 +132,7 @@ def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> Non
                 row[h] = candidate if candidate < row[h] else row[h]
 
 
-@allocating
+@inner_allocating
 def add_past(prior: FloatArray, state: FloatArray, angles: FloatArray, cost: Single) -> None:
     """Add what the past says of body and head in the first frame of a window, (bins, bins).
 
@@ -199,7 +199,7 @@ def add_grid_costs(
                 head[node[k], i + q * quarter] += of_head[q]
 
 
-@allocating
+@inner_allocating
 def best_course(
     problem: Problem, track: int, states: FloatArray, bins: int, spread: float, course: FloatArray
 ) -> None:
@@ -289,7 +289,7 @@ def leads_elsewhere(
     return True
 
 
-@allocating
+@inner_allocating
 def find_other_basins(
     problem: Problem,
     tracks: NDArray[np.int64],

@@ -444,14 +444,14 @@ def smooth_modes(
     return found, Following(choose(inside, kept / mixed, 0.0), choose(inside, 1.0 - kept, 1.0), side)
 
 
-@compiled
+@inner
 def expected(found: Any, strength: float, free_strength: float) -> tuple[Any, Any]:
     """Resultant of the couplings over all modes and offsets: cosine and sine times the concentration."""
     cos = free_strength * found.own_cos + strength * (found.mistaken + found.near_cos)
     return cos, free_strength * found.own_sin + strength * found.near_sin
 
 
-@compiled
+@inner
 def deviation(found: Any, modes: Modes, cos: Any, sin: Any, weights: FloatArray) -> Any:
     """Standard deviation of the pulls of all modes and offsets on a direction, given by cosine and sine.
 
@@ -483,7 +483,7 @@ class Coupling(NamedTuple):
     spread: Any  # standard deviation of the pull by modes and offsets
 
 
-@compiled
+@inner
 def loosened(kappa: Any, excess: Any, missing: Any, weight: Any, diffusion: float) -> Any:
     """A coupling's κ, times so much, where the lead is not known for ``missing`` seconds.
 

@@ -60,7 +60,7 @@ def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessia
     return cost
 
 
-@compiled
+@inner
 def add_message(
     k: int, states: FloatArray, gradient: FloatArray, hessian: FloatArray, workspace: Workspace
 ) -> Any:
@@ -162,7 +162,7 @@ _SMALLEST_SCALE = 1e-9
 _HUGE = 1e300
 
 
-@compiled
+@inner
 def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to: FloatArray) -> None:
     """Go as much of the steps as ``scale`` says; with 0 nowhere."""
     for k in range(first, n):
@@ -170,7 +170,7 @@ def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to:
             to[k, i] = choose(scale > 0.0, states[k, i] + scale * step[k, i], states[k, i])
 
 
-@compiled
+@inner
 def minimise(
     problem: Problem,
     track: int,

@@ -32,7 +32,7 @@ from graphtrack.inference.chain.elimination import (
 )
 from graphtrack.inference.chain.newton import as_variable, cost_of, minimise
 from graphtrack.inference.chain.result import NOT_FINITE, Result
-from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, inner_allocating, merged
 from graphtrack.model.kernels.lanes import (
     any_of,
     choose,
@@ -74,7 +74,7 @@ class Group(NamedTuple):
 # -- one group -----------------------------------------------------------------------------------------------
 
 
-@compiled
+@inner
 def settle(
     whole: Problem,
     tracks: NDArray[np.int64],
@@ -180,7 +180,7 @@ def put_back(
                     here[k, BODY + i] = lane_of(before[k, BODY + i], lane)
 
 
-@compiled
+@inner
 def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
     """How the descents of a group ended, into the result."""
     for lane in range(lane_count(ended[COST])):
@@ -301,7 +301,7 @@ def _for_lanes(memory: Any) -> Any:
     )
 
 
-@allocating
+@inner_allocating
 def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
     """The arrays as the kernels see them; whoever calls keeps the arrays."""
     own = Problem(
@@ -337,7 +337,7 @@ def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
     return Group(own, 0, arrays.tracks, states, covariance, workspace, lane_modes(arrays.modes))
 
 
-@allocating
+@inner_allocating
 def lane_modes(memory: Any) -> Any:
     """The memory of the coupling modes as the kernels see it; None without modes."""
     if memory is None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.basin_search import AT_END, find_other_basin
+from graphtrack.inference.chain.basin_search import AT_END, find_other_basins
 from graphtrack.inference.chain.elimination import (
     COST,
     EXACT,
@@ -31,7 +31,7 @@ from graphtrack.inference.chain.newton import (
     sweep_forward,
 )
 from graphtrack.inference.chain.result import NOT_FINITE
-from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
+from graphtrack.model.kernels.compiled import compiled, inner, inner_allocating, merged
 from graphtrack.model.kernels.frame_program import add_frame, cut
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
@@ -52,7 +52,7 @@ _LEAP = 1.5
 """By how much the other place has to cost less, in k²: people do not leap. It is four positions at k."""
 
 
-@allocating
+@inner_allocating
 def solve_window(
     problem: Problem,
     states: FloatArray,
@@ -74,7 +74,7 @@ def solve_window(
     states nor the factorisation are to be used.
     """
     track, full, ended = the_only(problem), as_variable(True), memory.ended
-    n, last = len(states), len(states) - 1
+    n, last, tracks = len(states), len(states) - 1, np.zeros(1, np.int64)
     memory.kept[0], memory.kept[1] = 0, 1
     memory.length[0] = n
     if warm and last > 0:
@@ -106,7 +106,7 @@ def solve_window(
         cost, exact = move_if_less(
             problem, states, again, cost, leap, prior, max_iterations, tolerance, memory
         )
-    if search and find_other_basin(problem, track, states, AT_END, memory):
+    if search and find_other_basins(problem, tracks, problem, track, n, states, AT_END, memory):
         assign(again, memory.again[:n])
         if kept > 0:
             cost = cost_of(problem, track, n, states, memory)
@@ -128,7 +128,7 @@ def solve_window(
     return finite
 
 
-@allocating
+@inner_allocating
 def move_if_less(
     problem: Problem,
     states: FloatArray,
@@ -199,7 +199,7 @@ def find_by_squares(
     problem.shared[0].robust = robust
 
 
-@compiled
+@inner
 def settled(states: FloatArray, factored: FloatArray, times: float) -> int:
     """How many of the first frames are where they were factored, up to so many times what is allowed."""
     for k in range(len(states)):
@@ -209,7 +209,7 @@ def settled(states: FloatArray, factored: FloatArray, times: float) -> int:
     return len(states)
 
 
-@compiled
+@inner
 def follow(states: FloatArray, last: int, before: FloatArray, memory: Workspace) -> None:
     """Move the frames before one, which are kept, as that one has moved from ``before``."""
     solution, step = memory.solution, memory.step
@@ -309,7 +309,7 @@ def predict_newest(problem: Problem, states: FloatArray, memory: Workspace) -> N
             states[k, i] += memory.step[k, i]
 
 
-@compiled
+@inner
 def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     """Eliminate the oldest frame of the window for good: what it says about the next becomes the prior.
 

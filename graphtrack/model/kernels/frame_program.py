@@ -19,7 +19,7 @@ from numba import types
 from numba.extending import overload
 
 from graphtrack.model.kernels import program
-from graphtrack.model.kernels.compiled import OPTIONS
+from graphtrack.model.kernels.compiled import INNER, OPTIONS
 from graphtrack.model.kernels.lanes import LaneRecordsType
 from graphtrack.model.kernels.packing import RecordTypes
 
@@ -79,7 +79,8 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
 
     # Numba compares the parameters' names.
     implementation.__signature__ = inspect.signature(getattr(program, name).py_func)  # type: ignore[attr-defined]
-    overload(stub, jit_options=OPTIONS)(implementation)
+    # As `inner`: else numba would compile them once more for callers that make arrays.
+    overload(stub, jit_options={**OPTIONS, **INNER})(implementation)
     return stub
 
 
