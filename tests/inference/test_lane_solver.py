@@ -146,7 +146,7 @@ def renew_beside(problem: Problem, states: FloatArray, gait: Gait, spread: Float
             if arrays.tracks[lane] >= 0:
                 a, b = problem.offsets[arrays.tracks[lane] : arrays.tracks[lane] + 2]
                 numbers[a:b] = arrays.frames[: b - a, :, lane]
-                spread[a:b] = arrays.mode_numbers[2, : b - a, :2, lane]
+                spread[a:b] = arrays.modes.spread[: b - a, :, lane]
 
 
 def test_modes_in_lanes_are_those_of_each_track() -> None:
