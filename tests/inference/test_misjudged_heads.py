@@ -14,12 +14,7 @@ from graphtrack.inference.online import OnlineSmoother
 from graphtrack.model import GaitParameters, Model
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import BINS, NEAR, ROW, gait_of
-from graphtrack.model.terms.pose_classes import (
-    add_class_grid,
-    add_class_quarter_turns,
-    add_classes,
-    class_densities,
-)
+from graphtrack.model.terms.pose_classes import add_class_quarter_turns, add_classes
 from graphtrack.simulation.classes import add_class_likelihoods, confusion_matrix
 from graphtrack.tracks import HEAD_CLASSES, Track, TrackSet
 
@@ -179,8 +174,6 @@ def test_doubted_classes_are_mixed_with_what_says_nothing(doubt: float) -> None:
     step = 1e-5
     slope = [(cost(a + step)[0] - cost(a - step)[0]) / (2.0 * step) for a in angles[::40].tolist()]
     np.testing.assert_allclose(found[::40, 1], slope, atol=1e-6)
-    over, quarters = np.zeros(len(angles)), np.zeros(4)
-    add_class_grid(heights, class_densities(cos, sin, directions), kappa, doubt, over)
-    np.testing.assert_allclose(over, expected, atol=1e-5)
+    quarters = np.zeros(4)
     add_class_quarter_turns(cos[7], sin[7], heights, directions, kappa, doubt, quarters)
     np.testing.assert_allclose(quarters, expected[[7, 187, 367, 547]], atol=1e-5)
