@@ -62,8 +62,7 @@ def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) 
 def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
     """Smooth a data set, and print what became of it; ends with status 2 if a track failed."""
     from graphtrack.inference.chain.engine import is_large
-    from graphtrack.inference.warm import WHOLE, solver_rehearsals
-    from graphtrack.readiness import make_ready
+    from graphtrack.inference.warm import make_solver_ready
     from graphtrack.scale import open_dataset, smooth_dataset
 
     dataset = open_dataset(path)
@@ -71,7 +70,7 @@ def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
     console.print(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed", markup=False)
     if options["cluster"] in (None, "local"):
         in_lanes = (is_large(options["model"], dataset.n_rows),)
-        make_ready(WHOLE, *solver_rehearsals(options["model"], options["engine"], in_lanes=in_lanes))
+        make_solver_ready(options["model"], options["engine"], in_lanes=in_lanes)
     start = time.perf_counter()
     with progress_bar(dataset.n_rows) as advance:
         outcome = smooth_dataset(dataset, output, progress=advance, **options)

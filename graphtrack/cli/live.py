@@ -33,11 +33,11 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import CONVERSATIONS, Conversations
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.online_engines import OnlineEngine, online_engine
-from graphtrack.inference.warm import ONLINE, graph_rehearsal, online_rehearsal
+from graphtrack.inference.warm import make_online_ready
 from graphtrack.io.json_lines import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
-from graphtrack.readiness import Rehearsal, make_ready
+from graphtrack.readiness import make_ready
 
 Restore = Callable[[Any, Any], Any]
 """A member of those who answer, from its key and its state."""
@@ -378,13 +378,8 @@ def warm_up(model: Model, engine: OnlineEngine, *, behaviour: bool = False, fore
     forecasts : whether forecasts are to be told
     """
     if engine == "chain" or model.has_modes:
-        make_ready(ONLINE, _rehearsal(model, engine))
+        make_online_ready(model, engine)
     if behaviour:
         make_ready(warm.ONLINE, warm.online_rehearsal())
     if forecasts:
         make_ready(warm.FORECASTS, warm.forecast_rehearsal())
-
-
-def _rehearsal(model: Model, engine: OnlineEngine) -> Rehearsal:
-    """What a compiled window calls, or what guides GTSAM's engines."""
-    return online_rehearsal(model) if engine == "chain" else graph_rehearsal(model)

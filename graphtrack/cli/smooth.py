@@ -92,10 +92,9 @@ def smooth(
     from graphtrack.inference.chain.engine import fit_lanes
     from graphtrack.inference.offline import engine_of, solve_tracks
     from graphtrack.inference.solution import Failure, Solution
-    from graphtrack.inference.warm import WHOLE, solver_rehearsals
+    from graphtrack.inference.warm import make_solver_ready
     from graphtrack.io import write
     from graphtrack.model import Model
-    from graphtrack.readiness import make_ready
     from graphtrack.trust import trusted
 
     options.check_outputs(
@@ -137,7 +136,7 @@ def smooth(
     for line in said:
         console.print(f"  note: {line}", markup=False)
     in_lanes = fit_lanes(observed.tracks, chosen)
-    make_ready(WHOLE, *solver_rehearsals(chosen, solver, tracks.camera, in_lanes))
+    make_solver_ready(chosen, solver, tracks.camera, in_lanes)
     start = time.perf_counter()
     with progress_bar(tracks.n_frames) as advance:
         found = solve_tracks(observed, chosen, solver, jobs=jobs, progress=advance)

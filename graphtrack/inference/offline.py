@@ -30,11 +30,11 @@ from graphtrack.inference.solution import (
     SolverOptions,
     estimated_tracks,
 )
-from graphtrack.inference.warm import WHOLE, solver_rehearsal, solver_rehearsals
+from graphtrack.inference.warm import make_solver_ready
 from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.layout import LANES
-from graphtrack.readiness import make_ready, processors
+from graphtrack.readiness import processors
 from graphtrack.tracks import Track, TrackSet
 from graphtrack.trust import Trust, trusted
 
@@ -132,7 +132,7 @@ def solve_tracks(
         )
         return solve_in_turn(tracks, again, model.parameters.social.correlation_time)
     in_lanes = fit_lanes(tracks.tracks, model, n_frames)
-    make_ready(WHOLE, *solver_rehearsals(model, engine, tracks.camera, in_lanes))
+    make_solver_ready(model, engine, tracks.camera, in_lanes)
     if engine == "chain":
         return _solve_batches(tracks, in_lanes, model, jobs, options, progress)
     attempt = partial(_attempt_graph, model=model, camera=tracks.camera, options=options)
@@ -240,7 +240,7 @@ def smooth_track(
     """
     options = SolverOptions() if options is None else options
     solver = engine_of(model, engine)
-    make_ready(WHOLE, solver_rehearsal(model, solver, camera))
+    make_solver_ready(model, solver, camera)
     if solver == "gtsam":
         return smooth_graph(track, model, camera, options)
     (result,) = _solve_chains([track], model, camera, options)

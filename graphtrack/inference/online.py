@@ -39,10 +39,9 @@ from graphtrack.inference.state import (
     predicted,
     unpack_state,
 )
-from graphtrack.inference.warm import ONLINE, online_rehearsal
+from graphtrack.inference.warm import make_online_ready
 from graphtrack.model import Model, Observation, Step
 from graphtrack.model.observation import seconds_between
-from graphtrack.readiness import make_ready
 from graphtrack.saved import DAMAGES, damaged
 
 _PROMISED_DECREASE = 1e-8
@@ -99,7 +98,7 @@ class OnlineSmoother:
         self.camera = camera
         self._smoother: ChainWindow | Guided
         if self.engine == "chain":
-            make_ready(ONLINE, online_rehearsal(self.model))
+            make_online_ready(self.model, self.engine)
             self._smoother = ChainWindow(self.model, self.lag, _PROMISED_DECREASE, max_iterations)
         else:
             couplings: dict[int, Sequence[float]] | None = {} if self.model.has_modes else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from graphtrack.model.observation import observations, seconds_between
 from graphtrack.readiness import Rehearsal, make_ready
 from graphtrack.tracks import Track
 
+if TYPE_CHECKING:
+    from graphtrack.inference.online_engines import OnlineEngine
+
 SOLVER, WHOLE, ONLINE = "the solver", "the solver of whole tracks", "the online solver"
 """What is compiled here, in words: both, or one of the two."""
 
@@ -30,7 +33,7 @@ TRACK = Track(0, np.arange(4), np.linspace(0.0, 3 * _STEP, 4), np.linspace(0.0, 
 
 def warm_up(
     model: Model | str | Path | None = None,
-    engine: Literal["auto", "chain", "gtsam", "fixed-lag", "isam2"] = "auto",
+    engine: OnlineEngine | Literal["gtsam"] = "auto",
     *,
     behaviour: bool = False,
     large: bool = False,
@@ -54,34 +57,41 @@ def warm_up(
         make_ready(f"{told.ONLINE}, {told.FORECASTS}", told.online_rehearsal(), told.forecast_rehearsal())
     model = Model.named(model)
     if not is_chain(model):
-        make_ready(WHOLE, start_rehearsal())
+        make_ready(WHOLE, _graph_rehearsal(None))
     elif engine == "gtsam":
-        make_ready(WHOLE, solver_rehearsal(model, engine))
+        make_solver_ready(model, engine)
     elif engine in ("fixed-lag", "isam2"):
-        make_ready(ONLINE, graph_rehearsal(model))
+        make_online_ready(model, engine)
     else:
-        whole = solver_rehearsals(model, "chain", in_lanes=(False, large and has_lanes(model)))
-        make_ready(SOLVER, *whole, online_rehearsal(model))
+        ways = (False, True) if large and has_lanes(model) else (False,)
+        make_ready(SOLVER, *_chain_rehearsals(model, None, ways), _online_rehearsal(model))
 
 
-def solver_rehearsals(
+def make_solver_ready(
     model: Model,
     engine: OfflineEngine,
     camera: GroundCamera | None = None,
     in_lanes: Collection[bool] = (False,),
-) -> list[Rehearsal]:
-    """What an engine calls for whole tracks; ``in_lanes``: which of them the chain solves in lanes."""
-    some = engine == "chain" and any(in_lanes)
-    one_by_one = [solver_rehearsal(model, engine, camera)] if not some or not all(in_lanes) else []
-    return [*one_by_one, lane_rehearsal(model, camera)] if some else one_by_one
+    *,
+    complete: bool = False,
+) -> None:
+    """Compile, or load, what an engine calls for whole tracks.
+
+    Parameters
+    ----------
+    in_lanes : which of them the chain solves in lanes
+    complete : Newton's steps even where the model is linear, and GTSAM's basin search with terms of one's own
+    """
+    if engine == "chain":
+        make_ready(WHOLE, *_chain_rehearsals(model, camera, in_lanes, complete=complete))
+        return
+    own = has_own_kernels(model) and not model.has_modes
+    make_ready(WHOLE, _graph_rehearsal(None if own and not complete else model))
 
 
-def solver_rehearsal(model: Model, engine: OfflineEngine, camera: GroundCamera | None = None) -> Rehearsal:
-    """What an engine calls for whole tracks, one by one."""
-    if engine != "gtsam":
-        return offline_rehearsal(model, camera)
-    # With terms of one's own it asks for the grid where it needs it.
-    return start_rehearsal() if has_own_kernels(model) and not model.has_modes else graph_rehearsal(model)
+def make_online_ready(model: Model, engine: OnlineEngine) -> None:
+    """Compile, or load, what a compiled window calls, or what guides GTSAM's online engines."""
+    make_ready(ONLINE, _online_rehearsal(model) if engine == "chain" else _graph_rehearsal(model))
 
 
 def has_own_kernels(model: Model) -> bool:
@@ -89,65 +99,34 @@ def has_own_kernels(model: Model) -> bool:
     return any("kernels" in vars(kind) for kind in model.own_terms)
 
 
-def offline_rehearsal(model: Model, camera: GroundCamera | None = None, *, steps: bool = False) -> Rehearsal:
-    """What the chain engine calls for whole tracks; Newton's ``steps`` even where the model is linear."""
-    if not steps and _is_linear(model, camera):
-        return linear_rehearsal()
-    like, linear = _like(model), _may_be_linear(model)
-
-    def run() -> None:
-        _solve(like)
-        if linear:
-            _solve(Model("position"))
-
-    return Rehearsal(f"offline {_kind(model)}{' linear' if linear else ''}", run, 25.0)
-
-
-def lane_rehearsal(model: Model, camera: GroundCamera | None = None) -> Rehearsal:
-    """What the chain engine calls for tracks in lanes; see `engine.fit_lanes`."""
-    like, linear = _like(model), _may_be_linear(model)
-
-    def run() -> None:
-        if not _is_linear(model, camera):
-            _solve(like, in_lanes=True)
-        if linear:
-            _solve(Model("position"), in_lanes=True)
-
-    only = " only" if _is_linear(model, camera) else ""
-    return Rehearsal(f"lanes {_kind(model)}{' linear' if linear else ''}{only}", run, 2.0 if only else 25.0)
+def _chain_rehearsals(
+    model: Model, camera: GroundCamera | None, in_lanes: Collection[bool], *, complete: bool = False
+) -> list[Rehearsal]:
+    """What the chain engine calls: where a model may be linear the linear solution, and Newton's steps."""
+    # Linear with the camera of a scene, where its tracks have no pixels.
+    linear, like = model.is_linear(pack([TRACK], model)), _like(model)
+    found = [Rehearsal("offline linear", lambda: _solve(Model("position")), 1.0)] if linear else []
+    if linear and camera is None and not complete:
+        return found
+    if not all(in_lanes):
+        found.append(Rehearsal(f"offline {_kind(model)}", lambda: _solve(like), 25.0))
+    if any(in_lanes):
+        found.append(Rehearsal(f"lanes {_kind(model)}", lambda: _solve(like, in_lanes=True), 25.0))
+    return found
 
 
-def graph_rehearsal(model: Model) -> Rehearsal:
-    """What GTSAM's engines call beside GTSAM: starts, the search for basins, and the modes of couplings."""
-    model = model.compiled
-    if not (model.has_body or model.has_head):
-        return start_rehearsal()
-    return Rehearsal(f"graph {_kind(model)}", lambda: _search(_like(model)), 8.0)
+def _graph_rehearsal(model: Model | None) -> Rehearsal:
+    """What GTSAM's engines call: starts, the search for basins, and coupling modes; None: starts alone."""
+    known = None if model is None else model.compiled
+    if known is None or not (known.has_body or known.has_head):
+        return Rehearsal("start", lambda: initial_states(TRACK, Model("position")), 1.5)
+    return Rehearsal(f"graph {_kind(known)}", lambda: _search(_like(known)), 8.0)
 
 
-def linear_rehearsal() -> Rehearsal:
-    """The linear solution, where that is all there is to find."""
-    return Rehearsal("offline linear", lambda: _solve(Model("position")), 1.0)
-
-
-def start_rehearsal() -> Rehearsal:
-    """Where descents start, GTSAM's too."""
-    return Rehearsal("start", lambda: initial_states(TRACK, Model("position")), 1.5)
-
-
-def online_rehearsal(model: Model) -> Rehearsal:
+def _online_rehearsal(model: Model) -> Rehearsal:
     """What the compiled window calls."""
     like = _like(model)
     return Rehearsal(f"online {_kind(model)}", lambda: _slide(ChainWindow(like, 1.5 * _STEP, 1e-8, 5)), 20.0)
-
-
-def _is_linear(model: Model, camera: GroundCamera | None) -> bool:
-    return camera is None and _may_be_linear(model)
-
-
-def _may_be_linear(model: Model) -> bool:
-    """Whether the linear solution is all there is to find, with a camera of tracks without pixels."""
-    return model.is_linear(pack([TRACK], model))
 
 
 def _like(model: Model) -> Model:

@@ -14,13 +14,12 @@ from graphtrack.inference.chain.engine import ON_THE_WAY, PASSES, solve_packed, 
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.inference.chain.solver import Options
 from graphtrack.inference.initial import empty_result, pack, problem_of
-from graphtrack.inference.warm import WHOLE, offline_rehearsal
+from graphtrack.inference.warm import make_solver_ready
 from graphtrack.model import Model
 from graphtrack.model.kernels.packing import PackedTracks
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.parameters import MotionParameters
 from graphtrack.model.sway import swaying
-from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track
 
 MAX_ITERATIONS, TOLERANCE = 100, 1e-13
@@ -65,7 +64,7 @@ class Solver:
 
     def __init__(self, tracks: Sequence[Track], model: Model, camera: GroundCamera | None) -> None:
         self._tracks, self._camera = tracks, camera
-        make_ready(WHOLE, offline_rehearsal(model, steps=True))
+        make_solver_ready(model, "chain", complete=True)
         # The engine finds modes from the solution without couplings, so that is where it starts.
         start = Model("separate", model.parameters) if model.has_modes else model
         packed = pack(tracks, start, camera)

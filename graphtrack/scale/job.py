@@ -17,13 +17,12 @@ from graphtrack.inference import Failure, SolverOptions
 from graphtrack.inference.chain.engine import is_large
 from graphtrack.inference.offline import engine_of
 from graphtrack.inference.solution import OfflineEngine
-from graphtrack.inference.warm import WHOLE, solver_rehearsals
+from graphtrack.inference.warm import make_solver_ready
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import camera_or_scale, known_camera
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.places import check_distinct
 from graphtrack.model import Model
-from graphtrack.readiness import make_ready
 from graphtrack.scale.batch import Batch, Shard, Work, smooth_batch
 from graphtrack.scale.cluster import smooth_on_cluster
 from graphtrack.scale.dataset import Dataset, open_dataset
@@ -131,7 +130,7 @@ def smooth_dataset(
     if cluster in (None, "local"):
         # Once for all processes of this machine.
         in_lanes = (is_large(work.model, work.n_frames),)
-        make_ready(WHOLE, *solver_rehearsals(work.model, work.engine, read_options.camera, in_lanes))
+        make_solver_ready(work.model, work.engine, read_options.camera, in_lanes)
     index = index_tracks(dataset)
 
     def labelled(scratch: Path) -> Iterator[Batch]:

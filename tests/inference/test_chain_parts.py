@@ -14,13 +14,16 @@ from graphtrack.inference import OnlineSmoother
 from graphtrack.inference.chain.advance import carry_over
 from graphtrack.inference.chain.basin_search import greatest_gain
 from graphtrack.inference.chain.coupling_modes import mode_memory, renew_couplings
-from graphtrack.inference.chain.elimination import COST, FIRST_COST, workspace
+from graphtrack.inference.chain.elimination import COST, FIRST_COST, Workspace, workspace
 from graphtrack.inference.chain.newton import minimise
 from graphtrack.inference.chain.start import fill
-from graphtrack.inference.chain.window_kernels import from_frame, predict_newest
+from graphtrack.inference.chain.window_arrays import memory_in, window_problem
+from graphtrack.inference.chain.window_kernels import predict_newest
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import LikelihoodParameters, Model, Parameters
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.layout import BODY, HEAD
+from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.kernels.program import add_frame
 from graphtrack.model.observation import observations
 from graphtrack.model.terms.gait import gait_of
@@ -52,6 +55,12 @@ def test_in_a_single_frame_the_greatest_gain_is_that_of_the_best_turn(seed: int)
     )
 
 
+@compiled
+def descend(problem: Problem, n: int, states: FloatArray, steps: int, memory: Workspace) -> None:
+    """`minimise`, which compiled code alone can call, on the only track."""
+    minimise(problem, 0, n, states, steps, 1e-12, memory)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_no_step_of_a_descent_raises_the_cost(seed: int) -> None:
     """From a start that is wrong, in observations that contradict each other."""
@@ -65,7 +74,7 @@ def test_no_step_of_a_descent_raises_the_cost(seed: int) -> None:
         memory, costs = workspace(n), list[float]()
         for steps in range(8):
             states = start.copy()
-            minimise(problem, 0, n, states, steps, 1e-12, memory)
+            descend(problem, n, states, steps, memory)
             costs.append(float(memory.ended[COST]))
             assert memory.ended[FIRST_COST] == pytest.approx(costs[0])
         assert (np.diff(costs) <= 0.0).all()
@@ -103,19 +112,19 @@ def test_of_the_modes_the_oldest_frame_leaves_the_window() -> None:
     states, before = window._states[: end + 1].copy(), window.modes_before
     states[end] = states[end - 1]
     states[end, :2] += (seen[-1].t - seen[-2].t) * states[end - 1, 2:4]
-    slot, memory, records = window._slot, workspace(end + 1), window._slot.records.copy()
-    for name in ("inverse", "link", "trigonometry"):
-        getattr(memory, name)[:] = getattr(slot, name)[: end + 1]
-    memory = memory._replace(message=slot.message[: end + 1].copy(), factored=slot.factored[: end + 1].copy())
+    slot, records = window._slot, window._slot.records.copy()
+    kept = type(slot.windows)(*(array.copy() for array in slot.windows))
     smoother.update(seen[-1])
     assert window._offsets.tolist() == [begin + 1, end + 1]
     # The records of all frames are there still.
     gait, n = gait_of(smoother.model.parameters.gait), end + 1 - begin
     records[end] = slot.records[end]
-    problem = slot.problem._replace(offsets=np.array([begin, end + 1]), records=records)
+    problem = window_problem(slot.windows, slot.number)._replace(
+        offsets=np.array([begin, end + 1]), records=records
+    )
     # The step that the newest frame asks for, and then the modes.
     carry_over(records[end - 1], records[end], gait.head_rate_seen)
-    predict_newest(problem, states[begin:], from_frame(memory, begin))
+    predict_newest(problem, states[begin:], memory_in(kept, slot.number, begin, workspace(n)))
     modes = mode_memory(n)
     modes.before[:] = before
     renew_couplings(problem, 0, n, float(n), states[begin:], gait, False, True, modes)

@@ -21,7 +21,6 @@ from graphtrack.inference.chain.engine import LARGE, LONGEST, fit_lanes, has_lan
 from graphtrack.inference.chain.solver import LaneArrays, gather, lane_arrays, lane_group
 from graphtrack.inference.initial import pack, pack_to_solve, problem_of
 from graphtrack.inference.solution import seconds_to_ends
-from graphtrack.inference.warm import lane_rehearsal, offline_rehearsal, solver_rehearsals
 from graphtrack.model import (
     GaitParameters,
     LikelihoodParameters,
@@ -81,15 +80,6 @@ def test_a_model_has_lanes_where_all_its_kernels_take_them() -> None:
     assert not has_lanes(Model("joint", terms=[Uphill]))
 
 
-def test_each_way_makes_ready_what_it_calls() -> None:
-    model = Model("full")
-    alone, beside = offline_rehearsal(model).name, lane_rehearsal(model).name
-    assert alone != beside
-    for ways, expected in (((False,), [alone]), ((True,), [beside]), ((True, False), [alone, beside])):
-        assert [one.name for one in solver_rehearsals(model, "chain", in_lanes=ways)] == expected
-    assert len(solver_rehearsals(model, "gtsam", in_lanes=(True, False))) == 1
-
-
 @pytest.mark.parametrize("preset", ["joint", "full"])
 def test_a_track_is_solved_to_the_last_bit_as_if_it_were_alone(
     preset: str, monkeypatch: pytest.MonkeyPatch
@@ -140,7 +130,7 @@ def test_tracks_of_both_ways_come_back_in_their_order(monkeypatch: pytest.Monkey
 @allocating
 def renew_in_lanes(problem: Problem, arrays: LaneArrays, n: int, gait: Gait) -> None:
     """`renew_couplings` of a group that has been gathered."""
-    group = lane_group(problem, arrays, gait)
+    group = lane_group(problem, arrays)
     length = group.workspace.length[0]
     renew_couplings(group.problem, 0, n, length, group.states, gait, False, True, group.modes)
 
@@ -156,7 +146,7 @@ def renew_beside(problem: Problem, states: FloatArray, gait: Gait, spread: Float
             if arrays.tracks[lane] >= 0:
                 a, b = problem.offsets[arrays.tracks[lane] : arrays.tracks[lane] + 2]
                 numbers[a:b] = arrays.frames[: b - a, :, lane]
-                spread[a:b] = arrays.mode_numbers[2, : b - a, :2, lane]
+                spread[a:b] = arrays.modes.spread[: b - a, :, lane]
 
 
 def test_modes_in_lanes_are_those_of_each_track() -> None:

@@ -11,7 +11,7 @@ from walks import walk
 
 from graphtrack.cli.stream import People, StreamBounds
 from graphtrack.inference import OnlineSmoother
-from graphtrack.inference.chain.slots import SLOTS, blocks_of
+from graphtrack.inference.chain.window_arrays import SLOTS, pool_of
 from graphtrack.inference.state import Estimate
 from graphtrack.model import Observation
 from graphtrack.model.observation import observations
@@ -104,7 +104,7 @@ def people() -> People:
 
 def test_slots_are_used_again_and_blocks_let_go() -> None:
     def blocks() -> int:
-        return len(blocks_of(smoother._smoother._program)._blocks)
+        return len(pool_of(smoother._smoother._program).blocks)
 
     smoother = OnlineSmoother("joint")
     before = blocks()

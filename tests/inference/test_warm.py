@@ -19,14 +19,13 @@ from graphtrack.errors import InputError
 from graphtrack.inference import (
     OnlineSmoother,
     SolverOptions,
-    offline,
-    online,
     smooth,
     smooth_track,
     track_online,
+    warm,
     warm_up,
 )
-from graphtrack.inference.warm import linear_rehearsal, offline_rehearsal
+from graphtrack.inference.warm import make_solver_ready
 from graphtrack.learning import solving
 from graphtrack.model import LikelihoodParameters, Model, Observation, Parameters
 from graphtrack.simulation.party import party
@@ -67,12 +66,39 @@ def test_no_track_needs_more_than_was_made_ready(preset: str) -> None:
     assert machine_code() == before
 
 
-def test_a_linear_model_needs_the_linear_solution_alone() -> None:
-    least = linear_rehearsal().name
-    assert offline_rehearsal(Model("position")).name == least
-    assert offline_rehearsal(Model("position"), steps=True).name != least
-    assert offline_rehearsal(Model("position", ROBUST)).name != least
-    assert offline_rehearsal(Model("position"), lens_camera()).name != least
+@pytest.fixture
+def rehearsed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, ...]]:
+    """What was made ready, in words, with the names of its rehearsals; nothing is compiled."""
+    found: list[tuple[str, ...]] = []
+    for module in (warm, particle):
+        monkeypatch.setattr(
+            module, "make_ready", lambda what, *some: found.append((what, *(one.name for one in some)))
+        )
+    return found
+
+
+def test_a_linear_model_needs_the_linear_solution_alone(rehearsed) -> None:
+    make_solver_ready(Model("position"), "chain", in_lanes=(False, True))
+    assert rehearsed == [("the solver of whole tracks", "offline linear")]
+    make_solver_ready(Model("position"), "chain", complete=True)
+    make_solver_ready(Model("position", ROBUST), "chain")
+    make_solver_ready(Model("position"), "chain", lens_camera())
+    assert all("offline angles" in names for names in rehearsed[1:])
+    assert [len(names) for names in rehearsed] == [2, 3, 2, 3]
+
+
+def test_each_way_makes_ready_what_it_calls(rehearsed) -> None:
+    model = Model("full")
+    for ways in ((False,), (True,), (True, False)):
+        make_solver_ready(model, "chain", in_lanes=ways)
+    make_solver_ready(model, "gtsam", in_lanes=(True, False))
+    one_by_one, lanes = "offline modes", "lanes modes"
+    assert [names[1:] for names in rehearsed] == [
+        (one_by_one,),
+        (lanes,),
+        (one_by_one, lanes),
+        ("graph modes",),
+    ]
 
 
 def test_groups_looks_and_forecasts_need_no_more_than_was_made_ready() -> None:
@@ -90,10 +116,7 @@ def test_groups_looks_and_forecasts_need_no_more_than_was_made_ready() -> None:
     assert machine_code() == before
 
 
-def test_whoever_calls_compiled_code_makes_it_ready_first(monkeypatch) -> None:
-    rehearsed: list[str] = []
-    for module in (offline, online, solving, particle):
-        monkeypatch.setattr(module, "make_ready", lambda what, *_: rehearsed.append(what))
+def test_whoever_calls_compiled_code_makes_it_ready_first(rehearsed) -> None:
     track, model = walk(5), Model("joint")
     for run in (
         lambda: smooth(TrackSet((track,)), "joint"),
@@ -106,7 +129,7 @@ def test_whoever_calls_compiled_code_makes_it_ready_first(monkeypatch) -> None:
         count = len(rehearsed)
         run()
         assert len(rehearsed) == count + 1
-    assert [rehearsed[k] for k in (0, 2)] == ["the solver of whole tracks", "the online solver"]
+    assert [rehearsed[k][0] for k in (0, 2)] == ["the solver of whole tracks", "the online solver"]
     with pytest.raises(InputError):
         OnlineSmoother("joint", lag=-1.0)
     assert len(rehearsed) == 6

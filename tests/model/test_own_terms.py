@@ -19,8 +19,8 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference, direction, unit
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference import smooth_track, track_online
-from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
+from graphtrack.inference.chain.window_arrays import FrameRows
 from graphtrack.inference.initial import initial_states, pack
 from graphtrack.learning.fit import fit
 from graphtrack.model import Model, States, Term

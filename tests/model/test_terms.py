@@ -19,8 +19,9 @@ from scipy import stats
 from scipy.linalg import expm
 from walks import scores
 
-from graphtrack.geometry.angles import class_centres, class_kappa
+from graphtrack.geometry.angles import class_centres, class_kappa, unit
 from graphtrack.geometry.camera import GroundCamera
+from graphtrack.inference.chain.basin_search import add_grid_costs
 from graphtrack.inference.chain.newton import note_turns
 from graphtrack.inference.initial import pack, problem_of
 from graphtrack.model import (
@@ -470,13 +471,12 @@ def test_the_search_looks_up_what_the_kernels_cost(case: Case) -> None:
         local[:, :2] -= packed.origin[0]
         found = {name: np.zeros((n, bins)) for name in ("body", "head")}
         nodes = np.arange(n)
-        program.add_grid_costs(
-            problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"]
-        )
-        memory = (np.zeros((n, 4)), np.zeros(6), np.zeros((6, 6)))
+        add_grid_costs(problem, 0, local, np.cos(angles), np.sin(angles), nodes, found["body"], found["head"])
+        memory = (np.zeros(6), np.zeros((6, 6)))
         for k in range(n):
             quarters = {"body": np.empty(4), "head": np.empty(4)}
-            program.set_quarter_turns(problem, 0, k, local, *memory, *quarters.values())
+            turns = unit(local[k, BODY:]).ravel()
+            program.set_quarter_turns(problem, 0, k, local[k], turns, False, *memory, *quarters.values())
             for name, place in (("body", BODY), ("head", HEAD)):
                 if not any(kernel.orientation == name for kernel in searched):
                     assert not found[name].any() and not quarters[name].any()

@@ -6,18 +6,18 @@ Nobody's window knows of another's, so that it makes no difference who is taken 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.calibration import add_lags, calibrate_frame
+from graphtrack.inference.chain.calibration import Calibration, add_lags, calibrate_frame
 from graphtrack.inference.chain.coupling_modes import (
     BODY_MODE,
     HEAD_MODE,
     ModeMemory,
-    is_classified,
+    classified_in,
     is_observed,
     mode_memory,
     normalise,
@@ -27,69 +27,52 @@ from graphtrack.inference.chain.coupling_modes import (
 from graphtrack.inference.chain.covariance import spread_newest
 from graphtrack.inference.chain.elimination import Workspace, assign, workspace
 from graphtrack.inference.chain.newton import as_variable
+from graphtrack.inference.chain.window_arrays import Windows, memory_in, problem_in
 from graphtrack.inference.chain.window_kernels import (
-    from_frame,
     marginalise_oldest,
     predict_newest,
     solve_window,
     the_only,
 )
-from graphtrack.inference.chain.windows import (
-    ADDS,
-    LEAVE,
-    NOTHING,
-    PREDICTED,
-    SEARCHES,
-    SLOT,
-    SOLVES,
-    WARM,
-    Advanced,
-    Rules,
-    Windows,
-)
-from graphtrack.model.kernels.compiled import allocating, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.gait import Gait
 from graphtrack.model.terms.intentional_motion import steer
 
+TASK = np.dtype(
+    [
+        ("slot", np.int64),
+        ("adds", np.int64),  # how the frame after its newest begins
+        ("solves", np.int64),  # whether it is solved, or only its couplings are set
+        ("warm", np.int64),  # whether the factorisation of the last solution is there
+        ("searches", np.int64),  # whether other basins are searched
+        ("leave", np.int64),  # how many frames leave it then
+    ]
+)
+"""What is to be done with a window."""
 
-@allocating
-def problem_in(windows: Windows, slot: int) -> Problem:
-    """One window as the kernels see it."""
-    return Problem(
-        windows.records[slot],
-        windows.shared[slot],
-        windows.body_heights[slot],
-        windows.head_heights[slot],
-        windows.body_directions,
-        windows.head_directions,
-        windows.origin[slot],
-        windows.offsets[slot],
-        windows.prior[slot],
-    )
+NOTHING, AS_SET, PREDICTED = range(3)
+"""What is added: nothing; a frame whose state stands in its row; or one that goes on from the last."""
 
 
-@allocating
-def memory_in(windows: Windows, slot: int, memory: Workspace) -> Workspace:
-    """The memory of one window: its factorisation, and what lasts for a call."""
-    return Workspace(
-        windows.inverse[slot],
-        windows.link[slot],
-        memory.solution,
-        memory.step,
-        memory.candidate,
-        windows.trigonometry[slot],
-        memory.scratch,
-        memory.start,
-        memory.ended,
-        memory.length,
-        windows.message[slot],
-        windows.factored[slot],
-        memory.kept,
-        memory.again,
-        memory.before,
-    )
+class Rules(NamedTuple):
+    """What is the same for all windows of a smoother's kind."""
+
+    has_body: bool
+    has_head: bool
+    max_iterations: int
+    tolerance: float
+    calibration: Calibration
+
+
+class Advanced(NamedTuple):
+    """What is found: of P windows."""
+
+    fine: NDArray[np.bool_]  # (P,) whether all went well; else the window is as it was
+    state: FloatArray  # (P, 6) of the newest frame, in the world
+    covariance: FloatArray  # (P, 6, 6) calibrated, with what the coupling modes leave open
+    modes: FloatArray  # (P, 2) probability of an aligned body and its offset
 
 
 @inner
@@ -120,7 +103,7 @@ def report(
     for i in range(N):
         advanced.state[p, i] = state[i]
         for j in range(N):
-            told[i, j] = covariance[i, j] + advanced.spread[p, i, j]
+            told[i, j] = covariance[i, j]
     advanced.state[p, X] += windows.origin[slot, 0, 0]
     advanced.state[p, Y] += windows.origin[slot, 0, 1]
     if not rules.has_body:
@@ -131,7 +114,7 @@ def report(
     calibrate_frame(told, lags, rules.calibration)
 
 
-@compiled
+@inner
 def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
     """Nothing is known of what a model does not have."""
     state[place] = math.nan
@@ -142,7 +125,7 @@ def hide(place: int, state: FloatArray, covariance: FloatArray) -> None:
 @allocating
 def advance(
     windows: Windows,
-    people: NDArray[np.int64],
+    tasks: np.ndarray,
     guesses: FloatArray,
     rules: Rules,
     gait: Any,
@@ -155,7 +138,7 @@ def advance(
 
     Parameters
     ----------
-    people : (P, 6) what is to be done; the new frames' records stand in the rows after their windows' last
+    tasks : (P,) of `TASK`; the new frames' records stand in the rows after their windows' last
     guesses : (P, 2) as in `predict_state`
     rules : of all of them
     gait : parameters of the coupling modes; None without
@@ -165,30 +148,38 @@ def advance(
     memory, before, covariance = workspace(size), np.empty((size, N)), np.empty((N, N))
     # Coupling modes renew the couplings of all frames: none are kept as they were factored.
     keeps, lags, modes = as_variable(gait is None), np.empty(5), mode_memory(0 if gait is None else size)
-    for p in range(len(people)):
-        person, slot = people[p], people[p, SLOT]
-        problem, states, own = (
-            problem_in(windows, slot),
-            windows.states[slot],
-            memory_in(windows, slot, memory),
-        )
-        kept = add_newest(problem, states, person[ADDS], guesses[p], before)
+    for p in range(len(tasks)):
+        task, slot = tasks[p], tasks[p].slot
+        problem = problem_in(windows, slot)
+        kept = add_newest(problem, windows.states[slot], task.adds, guesses[p], before)
+        begin, end = problem.offsets[0], problem.offsets[1]
+        states, own = windows.states[slot, begin:end], memory_in(windows, slot, begin, memory)
         if gait is not None:
-            classified = infer_couplings(windows, person, problem, states, own, gait, modes)
-            report_couplings(problem, modes, p, advanced)
-        if person[SOLVES] != 0:
-            fine = solve_or_restore(problem, states, person, keeps, rules, own, before[:kept], covariance)
-            advanced.fine[p] = fine
-            if not fine:
+            classified = infer_couplings(windows, task, problem, states, own, gait, modes)
+            report_modes(1, 0, modes.held[end - begin - 1 :], advanced.modes[p : p + 1])
+        if task.solves != 0:
+            advanced.fine[p] = solve_window(
+                problem,
+                states,
+                task.warm != 0,
+                task.searches != 0,
+                keeps,
+                rules.max_iterations,
+                rules.tolerance,
+                own,
+                covariance,
+            )
+            if not advanced.fine[p]:
+                problem.offsets[1] = begin + kept
+                assign(states[:kept], before[:kept])
                 continue
             if gait is not None:
-                begin, end = problem.offsets[0], problem.offsets[1]
-                clear_matrix(advanced.spread[p])
-                here, factors = states[begin:end], from_frame(own, begin)
-                spread_newest(problem, end - begin, here, modes.spread, factors, advanced.spread[p])
+                spread_newest(problem, end - begin, states, modes.spread, own, covariance)
             report(windows, slot, rules, covariance, lags, p, advanced)
-            for k in range(person[LEAVE]):
-                marginalise_oldest(problem, states, own)
+            for k in range(task.leave):
+                oldest = problem.offsets[0]
+                here = windows.states[slot, oldest : oldest + 2]
+                marginalise_oldest(problem, here, memory_in(windows, slot, oldest, memory))
                 if gait is not None:
                     normalise(modes.filtered_body[k], windows.modes_before[slot, BODY_MODE])
                     normalise(modes.filtered_head[k], windows.modes_before[slot, HEAD_MODE])
@@ -196,9 +187,9 @@ def advance(
             windows.classified[slot, 0] = classified
 
 
-@inner
+@merged
 def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArray, before: FloatArray) -> int:
-    """Keep the states in ``before`` and add the frame after the newest; how many frames there were."""
+    """Keep the states in ``before`` and add the frame after the newest; returns how many there were."""
     begin, end = problem.offsets[0], problem.offsets[1]
     assign(before[: end - begin], states[begin:end])
     if adds != NOTHING:
@@ -206,36 +197,6 @@ def add_newest(problem: Problem, states: FloatArray, adds: int, guess: FloatArra
             predict_state(states, end, problem.records[end].dt, guess)
         problem.offsets[1] = end + 1
     return int(end - begin)
-
-
-@inner
-def solve_or_restore(
-    problem: Problem,
-    states: FloatArray,
-    person: NDArray[np.int64],
-    keeps: bool,
-    rules: Rules,
-    own: Workspace,
-    before: FloatArray,
-    covariance: FloatArray,
-) -> bool:
-    """Solve one window; whether all went well, else it is as it was ``before``."""
-    fine = solve_window(
-        problem,
-        states,
-        person[WARM] != 0,
-        person[SEARCHES] != 0,
-        keeps,
-        rules.max_iterations,
-        rules.tolerance,
-        own,
-        covariance,
-    )
-    if not fine:
-        begin = problem.offsets[0]
-        problem.offsets[1] = begin + len(before)
-        assign(states[begin : begin + len(before)], before)
-    return fine
 
 
 @compiled
@@ -254,10 +215,10 @@ def carry_over(before: Any, after: Any, rate_seen: float) -> None:
     steer(after, min(rate, after.steer_rate))
 
 
-@allocating
+@merged
 def infer_couplings(
     windows: Windows,
-    person: NDArray[np.int64],
+    task: Any,
     problem: Problem,
     states: FloatArray,
     own: Workspace,
@@ -265,31 +226,15 @@ def infer_couplings(
     modes: ModeMemory,
 ) -> bool:
     """Renew the couplings of a window from its states; whether any of its frames has been classified."""
-    slot, begin, end = person[SLOT], problem.offsets[0], problem.offsets[1]
-    n, here = end - begin, states[begin:end]
-    if person[WARM] != 0 and person[ADDS] != NOTHING and n > 1:
+    slot, n, end = task.slot, len(states), problem.offsets[1]
+    if task.warm != 0 and task.adds != NOTHING and n > 1:
         # Modes are judged by states: first those that the new observation asks for.
         carry_over(problem.records[end - 2], problem.records[end - 1], gait.head_rate_seen)
-        predict_newest(problem, here, from_frame(own, begin))
-        person[WARM] = 0
-    classified = bool(windows.classified[slot, 0]) or is_classified(problem, the_only(problem))
+        predict_newest(problem, states, own)
+        task.warm = 0
+    classified = bool(windows.classified[slot, 0]) or classified_in(problem, the_only(problem))[1]
     assign(modes.before, windows.modes_before[slot])
-    renew_couplings(problem, the_only(problem), n, float(n), here, gait, classified, as_variable(True), modes)
+    renew_couplings(
+        problem, the_only(problem), n, float(n), states, gait, classified, as_variable(True), modes
+    )
     return classified
-
-
-@allocating
-def report_couplings(problem: Problem, modes: ModeMemory, p: int, advanced: Advanced) -> None:
-    """Report the modes of a window's newest frame, and its records with their couplings if wanted."""
-    begin, last = problem.offsets[0], problem.offsets[1] - problem.offsets[0] - 1
-    report_modes(1, 0, modes.held[last:], advanced.modes[p : p + 1])
-    for k in range(len(advanced.coupled)):
-        advanced.coupled[k] = problem.records[begin + k]
-
-
-@inner
-def clear_matrix(matrix: FloatArray) -> None:
-    """Set to 0."""
-    for i in range(len(matrix)):
-        for j in range(matrix.shape[1]):
-            matrix[i, j] = 0.0

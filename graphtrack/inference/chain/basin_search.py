@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.elimination import Workspace, copy_rows
-from graphtrack.model.kernels.compiled import allocating, compiled, inner
-from graphtrack.model.kernels.frame_program import add_grid_costs, set_quarter_turns
+from graphtrack.inference.chain.newton import as_variable, note_turns
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, inner_allocating, merged
+from graphtrack.model.kernels.frame_program import set_quarter_turns
 from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.model.kernels.layout import BODY, HEAD, N
 from graphtrack.model.kernels.problem import Problem
@@ -48,13 +49,15 @@ def greatest_gain(problem: Problem, track: int, n: int, states: FloatArray, work
     """
     scratch, turns = workspace.scratch, workspace.trigonometry
     body, head, gain = scratch[0, 0], scratch[0, 1], scratch[1]
-    greatest = 0.0 * workspace.length[0]
+    greatest, curved = 0.0 * workspace.length[0], as_variable(False)
     for way in range(3):
         for q in range(1, 4):
             gain[way, q] = greatest
     for k in range(n):
-        set_quarter_turns(problem, track, k, states, turns, scratch[0, 2], scratch[2], body, head)
+        note_turns(k, states, turns)
         body_cos, body_sin, head_cos, head_sin = turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3]
+        gradient, hessian = scratch[0, 2], scratch[2]
+        set_quarter_turns(problem, track, k, states[k], turns[k], curved, gradient, hessian, body, head)
         # The cosine of head minus body once the head, or the body, has turned by a quarter more.
         close = body_cos * head_cos + body_sin * head_sin
         across = head_sin * body_cos - head_cos * body_sin
@@ -101,7 +104,7 @@ def hops(variance: float, cos: FloatArray, cost: Single) -> None:
         cost[shift] = kappa * (1.0 - cos[shift])
 
 
-@allocating
+@inner_allocating
 def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> None:
     """Least cost of arriving at each pair of directions: ``now`` from ``before``, both (bins, bins).
 
@@ -129,7 +132,7 @@ def turn(before: Single, body_hop: Single, head_hop: Single, now: Single) -> Non
                 row[h] = candidate if candidate < row[h] else row[h]
 
 
-@allocating
+@inner_allocating
 def add_past(prior: FloatArray, state: FloatArray, angles: FloatArray, cost: Single) -> None:
     """Add what the past says of body and head in the first frame of a window, (bins, bins).
 
@@ -168,6 +171,35 @@ def least_of(cost: Single) -> tuple[int, int]:
 
 
 @allocating
+def add_grid_costs(
+    problem: Problem,
+    track: int,
+    states: FloatArray,
+    cos: FloatArray,
+    sin: FloatArray,
+    node: np.ndarray,
+    body: FloatArray,
+    head: FloatArray,
+) -> None:
+    """Add what frames cost at each direction of a grid, to the rows (groups, bins) of their groups.
+
+    ``node`` (n,) is each frame's group. Directions are looked up four at a time, a quarter from each other.
+    """
+    gradient, hessian, turns = np.zeros(N), np.zeros((N, N)), np.empty(4)
+    of_body, of_head, quarter, curved = np.empty(4), np.empty(4), len(cos) // 4, as_variable(False)
+    for k in range(len(states)):
+        for i in range(quarter):
+            turns[0] = turns[2] = cos[i]
+            turns[1] = turns[3] = sin[i]
+            set_quarter_turns(
+                problem, track, k, states[k], turns, curved, gradient, hessian, of_body, of_head
+            )
+            for q in range(4):
+                body[node[k], i + q * quarter] += of_body[q]
+                head[node[k], i + q * quarter] += of_head[q]
+
+
+@inner_allocating
 def best_course(
     problem: Problem, track: int, states: FloatArray, bins: int, spread: float, course: FloatArray
 ) -> None:
@@ -245,7 +277,7 @@ def lies_elsewhere(states: FloatArray, course: FloatArray, near: float) -> bool:
     return False
 
 
-@inner
+@merged
 def leads_elsewhere(
     problem: Problem, track: int, states: FloatArray, near: float, course: FloatArray
 ) -> bool:
@@ -257,7 +289,7 @@ def leads_elsewhere(
     return True
 
 
-@allocating
+@inner_allocating
 def find_other_basins(
     problem: Problem,
     tracks: NDArray[np.int64],

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import UNIFORM_STD, FloatArray
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.elementary import exp
 from graphtrack.model.kernels.lanes import choose
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY
@@ -156,7 +156,7 @@ def add_lags(
     lags[4] = lag_variances(seconds_behind(across, both, head, calibration), calibration.head_turns, end)[1]
 
 
-@compiled
+@inner
 def shrink_of(variance: float) -> float:
     """The factor of the root of an angle's inverse curvature."""
     place = variance / (1.0 + variance) * _PER_SHARE
@@ -168,7 +168,7 @@ def shrink_of(variance: float) -> float:
     return UNIFORM_STD / math.sqrt(variance) if found * found * variance > UNIFORM_STD**2 else found
 
 
-@compiled
+@inner
 def limited(variance: float) -> float:
     """No angle is less certain than one that may be any; NaN stays NaN."""
     return UNIFORM_STD**2 if variance > UNIFORM_STD**2 else variance

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import allocating, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
 from graphtrack.model.kernels.elementary import cos_sin, direction_of, exp, log, whole_of
 from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
 from graphtrack.model.kernels.layout import BODY, VX, VY
@@ -203,7 +203,7 @@ def add_head_evidence(
         add_class_evidence(row, modes, weight, base_cos, base_sin, heights, directions, kappa)
 
 
-@inner
+@merged
 def judge_body(
     problem: Problem, track: int, n: int, states: FloatArray, gait: Gait, memory: ModeMemory
 ) -> None:
@@ -245,7 +245,7 @@ def judge_body(
         add_head_evidence(problem, offset + k, gait.body, head_share, cos, sin, row)
 
 
-@inner
+@merged
 def judge_head(
     problem: Problem, track: int, n: int, states: FloatArray, modes: Modes, memory: ModeMemory
 ) -> None:
@@ -270,12 +270,13 @@ def judge_head(
 
 
 @compiled
-def is_classified(problem: Problem, track: int) -> bool:
-    """Whether class likelihoods are known of the head in any frame of a track."""
+def classified_in(problem: Problem, track: int) -> tuple[bool, bool]:
+    """Whether class likelihoods are known of the body, and of the head, in any frame of a track."""
+    body = head = False
     for k in range(problem.offsets[track], problem.offsets[track + 1]):
-        if problem.records[k].head_class_kappa > 0.0:
-            return True
-    return False
+        body = body or problem.records[k].body_class_kappa > 0.0
+        head = head or problem.records[k].head_class_kappa > 0.0
+    return body, head
 
 
 # -- the recursions ------------------------------------------------------------------------------------------
@@ -517,7 +518,7 @@ def smooth_modes(
     )
 
 
-@compiled
+@inner
 def expected(found: Any, strength: float, free_strength: float, glance_strength: float) -> tuple[Any, Any]:
     """Resultant of the couplings over all modes and offsets: cosine and sine times the concentration."""
     cos = free_strength * found.own_cos + strength * (found.mistaken + found.near_cos)
@@ -525,7 +526,7 @@ def expected(found: Any, strength: float, free_strength: float, glance_strength:
     return cos + glance_strength * found.glance_cos, sin + glance_strength * found.glance_sin
 
 
-@compiled
+@inner
 def deviation(found: Any, modes: Modes, cos: Any, sin: Any, weights: FloatArray) -> Any:
     """Standard deviation of the pulls of all modes and offsets on a direction, given by cosine and sine.
 
@@ -559,7 +560,7 @@ class Coupling(NamedTuple):
     spread: Any  # standard deviation of the pull by modes and offsets
 
 
-@compiled
+@inner
 def loosened(kappa: Any, excess: Any, missing: Any, weight: Any, diffusion: float) -> Any:
     """A coupling's κ, times so much, where the lead is not known for ``missing`` seconds.
 
@@ -608,7 +609,7 @@ def couple(
     )
 
 
-@inner
+@merged
 def renew_body(
     problem: Problem,
     track: int,
@@ -656,7 +657,7 @@ def renew_body(
         left += frame.dt
 
 
-@inner
+@merged
 def renew_head(
     problem: Problem,
     track: int,

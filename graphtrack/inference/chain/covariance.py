@@ -15,7 +15,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.coupling_modes import BODY_MODE, HEAD_MODE
 from graphtrack.inference.chain.elimination import Workspace, marginals
 from graphtrack.inference.chain.newton import as_variable, factorise, sweep_forward
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import compiled, inner, merged
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N
 from graphtrack.model.kernels.problem import Problem
@@ -122,7 +122,7 @@ def spread_track(
         add_spread(problem, n, states, spread, workspace, covariance)
 
 
-@inner
+@merged
 def spread_newest(
     problem: Problem,
     n: int,
@@ -131,7 +131,7 @@ def spread_newest(
     workspace: Workspace,
     covariance: FloatArray,
 ) -> None:
-    """The same of the newest frame of a window, (6, 6), from the factorisation that `solve_window` has left.
+    """The same of the newest frame of a window, (6, 6), by the factorisation that `solve_window` has left.
 
     What the frames before the window said is taken as known: the states remember less than a window.
     """
@@ -148,24 +148,24 @@ def find_covariances(
     track: int,
     n: int,
     states: FloatArray,
-    spread: Any,
+    modes: Any,
     workspace: Workspace,
     covariance: FloatArray,
 ) -> None:
     """Covariances (n, 6, 6) at states: of the exact curvature where that is positive definite.
 
-    ``spread`` (n, 2): standard deviations of the couplings' pulls, whose part is added; None without modes.
+    ``modes``: the `ModeMemory` of the couplings, whose part is added; None without modes.
     """
     full = as_variable(True)
     _, exact = sweep_forward(problem, track, n, states, full, workspace)
     if any_of(exact):
         marginals(n, workspace, covariance)
-        if spread is not None:
-            add_spread(problem, n, states, spread, workspace, covariance)
+        if modes is not None:
+            add_spread(problem, n, states, modes.spread, workspace, covariance)
     if any_of(negate(exact)):
         # A saddle, or not converged: the curvature that is never negative.
         sweep_forward(problem, track, n, states, not full, workspace)
         others = masked(covariance, negate(exact))
         marginals(n, workspace, others)
-        if spread is not None:
-            add_spread(problem, n, states, spread, workspace, others)
+        if modes is not None:
+            add_spread(problem, n, states, modes.spread, workspace, others)

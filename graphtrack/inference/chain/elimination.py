@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.layout import N
 
 
@@ -219,7 +219,7 @@ def assign(target: FloatArray, source: FloatArray) -> None:
             target[k, i] = source[k, i]
 
 
-@compiled
+@inner
 def copy_rows(first: int, last: int, source: FloatArray, target: FloatArray) -> None:
     """Copy the frames from ``first`` to before ``last``, (n, 6)."""
     for k in range(first, last):
@@ -227,13 +227,13 @@ def copy_rows(first: int, last: int, source: FloatArray, target: FloatArray) -> 
             target[k, i] = source[k, i]
 
 
-@compiled
+@inner
 def first_open(workspace: Workspace) -> int:
     """The first frame that may move: the last of those that are kept, or the first of all."""
     return max(workspace.kept[0] - 1, 0)
 
 
-@compiled
+@inner
 def sweep_back(n: int, workspace: Workspace) -> Any:
     """The Newton step (n, 6) from a factorisation; returns the decrease of cost that it promises.
 
@@ -247,7 +247,7 @@ def sweep_back(n: int, workspace: Workspace) -> Any:
     return decrement
 
 
-@compiled
+@inner
 def take_step(k: int, linked: bool, workspace: Workspace) -> None:
     """A frame's step from its part of the solution and the step of the frame after it, if ``linked``."""
     inverse, link, solution, step = workspace.inverse, workspace.link, workspace.solution, workspace.step
@@ -264,7 +264,7 @@ def take_step(k: int, linked: bool, workspace: Workspace) -> None:
         step[k, i] = -total
 
 
-@compiled
+@inner
 def marginals(n: int, workspace: Workspace, covariance: FloatArray) -> None:
     """Covariances (n, 6, 6) of every frame's state from a factorisation."""
     inverse, link = workspace.inverse, workspace.link

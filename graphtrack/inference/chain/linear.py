@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.result import CONVERGED, NOT_FINITE, Result
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import allocating, inner
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, N, X, Y, number_rows, place_in_row
 from graphtrack.model.kernels.packing import PackedTracks
 
@@ -55,7 +55,7 @@ def solve_linear_tracks(linear: Linear, longest: int, result: Result) -> None:
         solve_linear_track(linear, track, spread, memory, result)
 
 
-@compiled
+@inner
 def solve_linear_track(
     linear: Linear, track: int, spread: FloatArray, memory: FloatArray, result: Result
 ) -> None:
@@ -81,7 +81,7 @@ def solve_linear_track(
             covariance[v, v] = spread[k, 2] + blank
 
 
-@compiled
+@inner
 def solve_linear(
     linear: Linear, track: int, states: FloatArray, spread: FloatArray, memory: FloatArray
 ) -> float:

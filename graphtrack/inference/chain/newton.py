@@ -25,7 +25,7 @@ from graphtrack.inference.chain.elimination import (
     sweep_back,
 )
 from graphtrack.inference.chain.result import CONVERGED, NOT_CONVERGED, NOT_FINITE
-from graphtrack.model.kernels.compiled import compiled, inner
+from graphtrack.model.kernels.compiled import compiled, inner, merged
 from graphtrack.model.kernels.frame_program import add_frame
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
 from graphtrack.model.kernels.layout import BODY, HEAD, N
@@ -60,7 +60,7 @@ def add_prior(prior: FloatArray, state: FloatArray, gradient: FloatArray, hessia
     return cost
 
 
-@compiled
+@inner
 def add_message(
     k: int, states: FloatArray, gradient: FloatArray, hessian: FloatArray, workspace: Workspace
 ) -> Any:
@@ -162,7 +162,7 @@ _SMALLEST_SCALE = 1e-9
 _HUGE = 1e300
 
 
-@compiled
+@inner
 def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to: FloatArray) -> None:
     """Go as much of the steps as ``scale`` says; with 0 nowhere."""
     for k in range(first, n):
@@ -170,7 +170,7 @@ def go(first: int, n: int, states: FloatArray, scale: Any, step: FloatArray, to:
             to[k, i] = choose(scale > 0.0, states[k, i] + scale * step[k, i], states[k, i])
 
 
-@compiled
+@inner
 def minimise(
     problem: Problem,
     track: int,
@@ -241,7 +241,7 @@ def minimise(
     ended[EXACT] = choose(exact, one, 0.0)
 
 
-@inner
+@merged
 def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> Any:
     """The cost of states from which a descent might begin."""
     for i in range(N):
@@ -249,7 +249,7 @@ def cost_of(problem: Problem, track: int, n: int, states: FloatArray, workspace:
     return sweep_forward(problem, track, n, states, as_variable(True), workspace)[0]
 
 
-@inner
+@merged
 def factorise(problem: Problem, track: int, n: int, states: FloatArray, workspace: Workspace) -> bool:
     """Factor the Hessian of one track at its states: exact if that is positive definite, else Gauss–Newton's.
 

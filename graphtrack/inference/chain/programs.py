@@ -54,8 +54,8 @@ def _functions(kinds: Iterable[type[Term]]) -> Iterator[Function]:
     for kind in kinds:
         for kernel in kind.kernels:
             yield kernel.function
-            if kernel.search is not None:
-                yield from (one for one in vars(kernel.search).values() if one is not None)
+            if kernel.add_quarter_turns is not None:
+                yield kernel.add_quarter_turns
 
 
 def _check(function: Function) -> None:

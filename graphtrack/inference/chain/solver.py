@@ -15,7 +15,8 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, AT_START, find_other_basins
 from graphtrack.inference.chain.coupling_modes import (
     ModeMemory,
-    is_classified,
+    classified_in,
+    mode_memory,
     renew_couplings,
     report_modes,
 )
@@ -27,11 +28,12 @@ from graphtrack.inference.chain.elimination import (
     STEPS,
     Workspace,
     copy_rows,
+    workspace,
 )
 from graphtrack.inference.chain.newton import as_variable, cost_of, minimise
 from graphtrack.inference.chain.result import NOT_FINITE, Result
 from graphtrack.inference.chain.winding import unwind
-from graphtrack.model.kernels.compiled import allocating, compiled, inner
+from graphtrack.model.kernels.compiled import allocating, compiled, inner, inner_allocating, merged
 from graphtrack.model.kernels.lanes import (
     any_of,
     choose,
@@ -73,7 +75,7 @@ class Group(NamedTuple):
 # -- one group -----------------------------------------------------------------------------------------------
 
 
-@compiled
+@inner
 def settle(
     whole: Problem,
     tracks: NDArray[np.int64],
@@ -108,7 +110,7 @@ def settle(
     challenge(problem, track, n, states, wound, max_iterations, tolerance, workspace)
 
 
-@compiled
+@inner
 def challenge(
     problem: Problem,
     track: int,
@@ -144,7 +146,7 @@ def keep_better(n: int, better: Any, one: FloatArray, other: FloatArray, states:
             states[k, i] = choose(better, one[k, i], other[k, i])
 
 
-@inner
+@merged
 def improve(
     whole: Problem,
     tracks: NDArray[np.int64],
@@ -197,7 +199,7 @@ def put_back(
                     here[k, BODY + i] = lane_of(before[k, BODY + i], lane)
 
 
-@compiled
+@inner
 def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
     """How the descents of a group ended, into the result."""
     for lane in range(lane_count(ended[COST])):
@@ -208,7 +210,7 @@ def note(tracks: NDArray[np.int64], ended: FloatArray, result: Result) -> None:
             result.status[tracks[lane]] = int(lane_of(ended[STATUS], lane))
 
 
-@inner
+@merged
 def solve_group(
     whole: Problem,
     group: Group,
@@ -231,15 +233,11 @@ def solve_group(
     """
     problem, track, tracks, states = group.problem, group.track, group.tracks, group.states
     workspace, most, search = group.workspace, options.max_iterations, options.search
-    length = workspace.length[0]
-    if gait is None:
-        settle(whole, tracks, problem, track, n, states, most, options.tolerance, search, workspace)
-        note(tracks, workspace.ended, result)
-        find_covariances(problem, track, n, states, None, workspace, group.covariance)
-    else:
-        # Without couplings first: from there both the modes and the states are found.
-        copy_rows(0, n, states, workspace.before)
-        settle(whole, tracks, problem, track, n, states, most, options.on_the_way, search, workspace)
+    length, tolerance = workspace.length[0], options.tolerance if gait is None else options.on_the_way
+    copy_rows(0, n, states, workspace.before)
+    settle(whole, tracks, problem, track, n, states, most, tolerance, search, workspace)
+    if gait is not None:
+        # That was without couplings: from there both the modes and the states are found.
         put_back(whole.offsets, tracks, guessed, length, workspace.before, states)
         search = as_variable(False)
         for left in range(options.passes - 1, -1, -1):
@@ -249,8 +247,9 @@ def solve_group(
             settle(whole, tracks, problem, track, n, states, most, tolerance, search, workspace)
             if searched:
                 improve(whole, tracks, problem, track, n, states, most, tolerance, workspace)
-        note(tracks, workspace.ended, result)
-        find_covariances(problem, track, n, states, group.modes.spread, workspace, group.covariance)
+    note(tracks, workspace.ended, result)
+    find_covariances(problem, track, n, states, group.modes, workspace, group.covariance)
+    if gait is not None:
         for lane in range(lane_count(length)):
             if tracks[lane] >= 0:
                 begin, frames = whole.offsets[tracks[lane]], int(lane_of(length, lane))
@@ -279,18 +278,9 @@ def solve_tracks(
         a, b = problem.offsets[track], problem.offsets[track + 1]
         tracks[0], workspace.length[0] = track, b - a
         group = Group(problem, track, tracks, result.states[a:b], result.covariance[a:b], workspace, modes)
-        classified = is_classified(problem, track)
-        searched = options.search and (classified or is_body_classified(problem, track))
-        solve_group(problem, group, b - a, options, gait, guessed, classified, searched, result)
-
-
-@inner
-def is_body_classified(problem: Problem, track: int) -> bool:
-    """Whether class likelihoods are known of the body in any frame of a track."""
-    for k in range(problem.offsets[track], problem.offsets[track + 1]):
-        if problem.records[k].body_class_kappa > 0.0:
-            return True
-    return False
+        body, head = classified_in(problem, track)
+        searched = options.search and (body or head)
+        solve_group(problem, group, b - a, options, gait, guessed, head, searched, result)
 
 
 # -- a track in each lane ------------------------------------------------------------------------------------
@@ -302,52 +292,36 @@ class LaneArrays(NamedTuple):
     tracks: NDArray[np.int64]  # (LANES,) numbers; −1: none
     offsets: NDArray[np.int64]  # (2,) of the lanes' problem
     frames: FloatArray  # (n, numbers of a record, LANES)
-    origin: FloatArray  # (1, 2, LANES), and so on as in `Workspace` and `ModeMemory`
-    states: FloatArray
-    covariance: FloatArray
-    inverse: FloatArray
-    link: FloatArray
-    rows: FloatArray  # (5, n, 6, LANES) solution, step, candidate, again, before
-    trigonometry: FloatArray
-    scratch: FloatArray
-    start: FloatArray
-    ended: FloatArray
-    length: FloatArray
-    kept: NDArray[np.int64]
-    mode_rows: FloatArray  # (n, ROW, LANES) of the likelihood and the two filters, one after another
-    mode_scratch: FloatArray  # (6, ROW, LANES) spare, after, weight, before
-    mode_dt: FloatArray  # (n, LANES)
-    mode_numbers: FloatArray  # (3, n, 3, LANES) ahead, held, spread
+    origin: FloatArray  # (1, 2, LANES)
+    states: FloatArray  # (n, 6, LANES)
+    covariance: FloatArray  # (n, 6, 6, LANES)
+    workspace: Workspace
+    modes: ModeMemory | None
 
 
 def lane_arrays(n: int, numbers: int, has_modes: bool) -> LaneArrays:
     """Memory for tracks of up to n frames whose records have so many numbers."""
-    block, vector, rows = (n, N, N, LANES), (n, N, LANES), n if has_modes else 0
     return LaneArrays(
         np.empty(LANES, np.int64),
         np.zeros(2, np.int64),
         np.empty((n, numbers, LANES)),
         np.empty((1, 2, LANES)),
-        np.empty(vector),
-        np.empty(block),
-        np.empty(block),
-        np.empty(block),
-        np.empty((5, *vector)),
-        np.empty((n, 4, LANES)),
-        np.empty((4, N, N, LANES)),
-        np.empty((2, N, LANES)),
-        np.empty((5, LANES)),
-        np.empty((1, LANES)),
-        np.zeros(2, np.int64),
-        np.empty((3 * rows, ROW, LANES)),
-        np.empty((6, ROW, LANES)),
-        np.empty((rows, LANES)),
-        np.empty((3, rows, 3, LANES)),
+        np.empty((n, N, LANES)),
+        np.empty((n, N, N, LANES)),
+        _for_lanes(workspace(n)),
+        _for_lanes(mode_memory(n)) if has_modes else None,
     )
 
 
-@allocating
-def lane_group(problem: Problem, arrays: LaneArrays, gait: Any) -> Group:
+def _for_lanes(memory: Any) -> Any:
+    """A `Workspace` or a `ModeMemory` with room in every array of floats for all lanes."""
+    return type(memory)(
+        *(np.empty((*one.shape, LANES)) if one.dtype == float else one for one in memory),
+    )
+
+
+@inner_allocating
+def lane_group(problem: Problem, arrays: LaneArrays) -> Group:
     """The arrays as the kernels see them; whoever calls keeps the arrays."""
     own = Problem(
         lane_records(arrays.frames, problem.records),
@@ -360,46 +334,45 @@ def lane_group(problem: Problem, arrays: LaneArrays, gait: Any) -> Group:
         arrays.offsets,
         problem.prior,
     )
-    rows, none = arrays.rows, arrays.inverse[:0]
+    memory = arrays.workspace
     workspace = Workspace(
-        lane_array(arrays.inverse),
-        lane_array(arrays.link),
-        lane_array(rows[0]),
-        lane_array(rows[1]),
-        lane_array(rows[2]),
-        lane_rows(arrays.trigonometry, 4),
-        lane_array(arrays.scratch),
-        lane_array(arrays.start),
-        lane_array(arrays.ended),
-        lane_array(arrays.length),
-        lane_array(none),
-        lane_array(arrays.states[:0]),
-        arrays.kept,
-        lane_array(rows[3]),
-        lane_array(rows[4]),
+        lane_array(memory.inverse),
+        lane_array(memory.link),
+        lane_array(memory.solution),
+        lane_array(memory.step),
+        lane_array(memory.candidate),
+        lane_rows(memory.trigonometry, 4),
+        lane_array(memory.scratch),
+        lane_array(memory.start),
+        lane_array(memory.ended),
+        lane_array(memory.length),
+        lane_array(memory.message),
+        lane_array(memory.factored),
+        memory.kept,
+        lane_array(memory.again),
+        lane_array(memory.before),
     )
     states, covariance = lane_array(arrays.states), lane_array(arrays.covariance)
-    return Group(own, 0, arrays.tracks, states, covariance, workspace, lane_modes(arrays, gait))
+    return Group(own, 0, arrays.tracks, states, covariance, workspace, lane_modes(arrays.modes))
 
 
-@allocating
-def lane_modes(arrays: LaneArrays, gait: Any) -> Any:
+@inner_allocating
+def lane_modes(memory: Any) -> Any:
     """The memory of the coupling modes as the kernels see it; None without modes."""
-    if gait is None:
+    if memory is None:
         return None
-    n, rows, scratch, numbers = len(arrays.states), arrays.mode_rows, arrays.mode_scratch, arrays.mode_numbers
     return ModeMemory(
-        lane_array(arrays.mode_dt),
-        lane_rows(numbers[0], 3),
-        lane_rows(rows[:n], ROW),
-        lane_rows(rows[n : 2 * n], ROW),
-        lane_rows(rows[2 * n :], ROW),
-        lane_rows(scratch[:1], ROW),
-        lane_rows(scratch[1:3], ROW),
-        lane_rows(scratch[3:4], ROW),
-        lane_rows(scratch[4:], ROW),
-        lane_rows(numbers[1], 3),
-        lane_rows(numbers[2], 3),
+        lane_array(memory.dt),
+        lane_rows(memory.ahead, 3),
+        lane_rows(memory.likelihood, ROW),
+        lane_rows(memory.filtered_body, ROW),
+        lane_rows(memory.filtered_head, ROW),
+        lane_rows(memory.spare, ROW),
+        lane_rows(memory.after, ROW),
+        lane_rows(memory.weight, ROW),
+        lane_rows(memory.before, ROW),
+        lane_rows(memory.held, 3),
+        lane_rows(memory.spread, 2),
     )
 
 
@@ -420,14 +393,14 @@ def gather(
     for lane in range(LANES):
         track = order[begin + lane] if begin + lane < len(order) else -1
         n = problem.offsets[track + 1] - problem.offsets[track] if track >= 0 else 0
-        arrays.tracks[lane], arrays.length[0, lane], longest = track, n, max(n, longest)
+        arrays.tracks[lane], arrays.workspace.length[0, lane], longest = track, n, max(n, longest)
         for axis in range(2):
             arrays.origin[0, axis, lane] = problem.origin[track, axis] if track >= 0 else 0.0
     arrays.offsets[1] = longest
     for k in range(longest):
         for lane in range(LANES):
             row = problem.offsets[arrays.tracks[lane]] + k
-            known = float(k) < arrays.length[0, lane]
+            known = float(k) < arrays.workspace.length[0, lane]
             for i in range(numbers.shape[1]):
                 arrays.frames[k, i, lane] = numbers[row, i] if known else 0.0
             for i in range(N):
@@ -443,7 +416,7 @@ def scatter(problem: Problem, arrays: LaneArrays, result: Result) -> None:
         if track < 0:
             continue
         begin = problem.offsets[track]
-        for k in range(int(arrays.length[0, lane])):
+        for k in range(int(arrays.workspace.length[0, lane])):
             for i in range(N):
                 result.states[begin + k, i] = arrays.states[k, i, lane]
                 for j in range(N):
@@ -462,7 +435,7 @@ def solve_lanes(
     result: Result,
 ) -> None:
     """`solve_tracks` in lanes, in an ``order`` in which neighbours are about as long."""
-    group = lane_group(problem, arrays, gait)
+    group = lane_group(problem, arrays)
     for begin in range(0, len(order), LANES):
         n = gather(problem, numbers, result.states, order, begin, arrays)
         solve_group(problem, group, n, options, gait, guessed, False, False, result)

@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.linear import Linear, solve_linear
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.layout import BODY, HEAD, TIME_TOLERANCE, VX, VY
 
 OPPOSITE = math.cos(math.pi - 1e-5)
@@ -29,7 +29,7 @@ class Seen(NamedTuple):
     window: float  # seconds to either side over which vectors are averaged
 
 
-@compiled
+@inner
 def running_mean(t: FloatArray, vectors: FloatArray, window: float, angle: FloatArray) -> None:
     """Direction of the mean of the vectors (n, 2) seen within ``window`` seconds; NaN where none was."""
     n = len(t)
@@ -54,7 +54,7 @@ def running_mean(t: FloatArray, vectors: FloatArray, window: float, angle: Float
             angle[k] = math.nan
 
 
-@compiled
+@inner
 def headings(states: FloatArray, threshold: float, angle: FloatArray) -> None:
     """Direction of travel where the speed is above the threshold, else NaN."""
     for k in range(len(states)):

@@ -11,11 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.advance import advance
-from graphtrack.inference.chain.frame_rows import FrameRows
+from graphtrack.inference.chain.advance import AS_SET, NOTHING, PREDICTED, TASK, Advanced, Rules, advance
+from graphtrack.inference.chain.calibration import calibration_of
 from graphtrack.inference.chain.programs import program_of
-from graphtrack.inference.chain.slots import Slot, blocks_of
-from graphtrack.inference.chain.windows import AS_SET, NOTHING, PREDICTED, Advanced, room_for, rules_of
+from graphtrack.inference.chain.window_arrays import FrameRows, Slot, pool_of, window_problem
 from graphtrack.inference.prior import MarginalPrior, StatePrior, on_state, on_variables
 from graphtrack.inference.state import FAILURES, Angles, Newest, Window
 from graphtrack.model import Model, Step
@@ -49,31 +48,22 @@ class ChainWindow:
     tolerance : the Newton steps of an observation end when the next one promises a smaller decrease of the
         cost, relative to 1 + the cost
     max_iterations : or after so many
-    show_coupled : `coupled` is kept, which takes some time
 
     Attributes
     ----------
-    coupled : the packed frames of the last solution, with what the modes of the couplings set; None without,
-        or where it is not to be shown
-    spread : (6, 6) what the modes of the couplings leave open in the newest frame; part of its covariance
     modes : probability of an aligned body, and its offset from the motion, in the newest frame; or NaN
     """
 
-    def __init__(
-        self, model: Model, lag: float, tolerance: float, max_iterations: int, *, show_coupled: bool = False
-    ) -> None:
+    def __init__(self, model: Model, lag: float, tolerance: float, max_iterations: int) -> None:
         self._model, self._lag = model, lag
         self._program = program_of(model)
-        self._rules = rules_of(model, tolerance, max_iterations)
+        self._rules = _rules_of(model, tolerance, max_iterations)
         self._frames = FrameRows(model)
         self._anchor: Angles | None = None
         self._steps: list[Step] = []
         self._has_prior = False
-        self._show_coupled = show_coupled and model.has_modes
-        self.coupled: np.ndarray | None = None
         # Whether what was seen may speak for several directions: then other basins are searched.
         self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
-        self.spread: FloatArray = np.zeros((N, N))
         self.modes = (math.nan, math.nan)
         self._warm = False
         self._take_slot(_LEAST_FRAMES)
@@ -177,7 +167,7 @@ class ChainWindow:
         if window.modes is not None and self._model.has_modes:
             modes = window.modes
         size = _size_for(len(window.steps))
-        if size == self._slot.block.size:
+        if size == len(self._states):
             self._clear()
         else:
             self._take_slot(size)
@@ -198,7 +188,7 @@ class ChainWindow:
             self._states[: len(window.steps), 4:] -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
         if window.steps and self._model.has_modes:
             # The couplings that these states imply.
-            _called([self], NOTHING, self._steps[-1:], solves=False)
+            _advanced([self], NOTHING, self._steps[-1:], solves=False)
 
     def window(self) -> Window:
         """What another smoother needs to go on from here."""
@@ -211,7 +201,7 @@ class ChainWindow:
 
     def _take_slot(self, size: int) -> None:
         """Have a slot with room for so many frames, in which nothing is known."""
-        self._slot: Slot | SimpleNamespace = blocks_of(self._program).slot(size)
+        self._slot: Slot | SimpleNamespace = pool_of(self._program).slot(size)
         self._states, self._offsets = self._slot.states, self._slot.offsets
         self._prior, self._origin = self._slot.prior, self._slot.origin[0]
         self._clear()
@@ -220,7 +210,7 @@ class ChainWindow:
 
     def _clear(self) -> None:
         slot = self._slot
-        self._frames.take(slot.problem)
+        self._frames.take(window_problem(slot.windows, slot.number))
         slot.offsets[:], slot.prior[:], slot.origin[:], slot.modes_before[:] = 0, 0.0, 0.0, 0.0
         slot.classified[0] = False
         self._warm = False
@@ -310,7 +300,7 @@ def extend_together(windows: Sequence[ChainWindow], steps: Sequence[Step]) -> li
         except FAILURES as error:
             found[k] = error
         else:
-            groups.setdefault((id(window._slot.block), id(window._rules)), []).append(k)
+            groups.setdefault((id(window._slot.windows), id(window._rules)), []).append(k)
     for places in groups.values():
         some = _solved_together([windows[k] for k in places], PREDICTED, [steps[k] for k in places])
         for k, one in zip(places, some, strict=True):
@@ -322,7 +312,7 @@ def _solved_together(
     windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step]
 ) -> list[Newest | Exception]:
     """Solve windows of one block and with the same rules; what is added stands in their next rows."""
-    advanced = _called(windows, adds, steps)
+    advanced = _advanced(windows, adds, steps)
     found: list[Newest | Exception] = []
     fine, modes = advanced.fine.tolist(), advanced.modes.tolist()
     for k, (window, step) in enumerate(zip(windows, steps, strict=True)):
@@ -337,28 +327,24 @@ def _solved_together(
             del window._steps[:leaving]
             window._has_prior = True
         window.modes = (modes[k][0], modes[k][1])
-        if window._show_coupled:
-            window.spread, window.coupled = advanced.spread[k], advanced.coupled
         found.append((advanced.state[k], advanced.covariance[k]))
     return found
 
 
-def _called(
+def _advanced(
     windows: Sequence[ChainWindow], adds: int, steps: Sequence[Step], solves: bool = True
 ) -> Advanced:
     """The compiled call."""
     first, n = windows[0], len(windows)
-    to_do = [
+    tasks = [
         (one._slot.number, adds, solves, one._warm, one._ambiguous, one._leaving(step) if solves else 0)
         for one, step in zip(windows, steps, strict=True)
     ]
     guesses = np.array([_guess(step, first._model) for step in steps])
-    shown = len(first._steps) + (adds > 0) if first._show_coupled else 0
-    advanced = room_for(n, np.empty(shown, first._program.types.frame))
-    block, people = first._slot.block.windows, np.array(to_do)
+    found = Advanced(np.zeros(n, bool), np.empty((n, N)), np.empty((n, N, N)), np.full((n, 2), math.nan))
     gait = gait_of_model(first._model) if first._model.has_modes else None
-    advance(block, people, guesses, first._rules, gait, advanced)
-    return advanced
+    advance(first._slot.windows, np.array(tasks, TASK), guesses, first._rules, gait, found)
+    return found
 
 
 def _guess(step: Step, model: Model) -> Angles:
@@ -383,3 +369,10 @@ def _size_for(frames: int) -> int:
 def gait_of_model(model: Model) -> Gait:
     """The parameters of the modes."""
     return gait_of(model.parameters.gait)
+
+
+@lru_cache(64)
+def _rules_of(model: Model, tolerance: float, max_iterations: int) -> Rules:
+    """The same for the same, so that windows that have it can be taken together."""
+    calibration = calibration_of(model.parameters)
+    return Rules(model.has_body, model.has_head, max_iterations, tolerance, calibration)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.inference.chain.basin_search import AT_END, find_other_basin
+from graphtrack.inference.chain.basin_search import AT_END, find_other_basins
 from graphtrack.inference.chain.elimination import (
     COST,
     EXACT,
@@ -32,7 +32,7 @@ from graphtrack.inference.chain.newton import (
 )
 from graphtrack.inference.chain.result import NOT_FINITE
 from graphtrack.inference.chain.winding import unwind
-from graphtrack.model.kernels.compiled import allocating, compiled, inner
+from graphtrack.model.kernels.compiled import compiled, inner, inner_allocating, merged
 from graphtrack.model.kernels.frame_program import add_frame, cut
 from graphtrack.model.kernels.layout import BODY, HEAD, N, X, Y
 from graphtrack.model.kernels.problem import Problem
@@ -53,7 +53,7 @@ _LEAP = 1.5
 """By how much the other place has to cost less, in k²: people do not leap. It is four positions at k."""
 
 
-@allocating
+@inner_allocating
 def solve_window(
     problem: Problem,
     states: FloatArray,
@@ -62,69 +62,73 @@ def solve_window(
     keeps: bool,
     max_iterations: int,
     tolerance: float,
-    workspace: Workspace,
+    memory: Workspace,
     covariance: FloatArray,
 ) -> bool:
-    """Newton steps on the frames ``problem.offsets`` of the states, in place.
+    """Newton steps on the states (n, 6) of a window, in place.
 
-    ``warm`` if the workspace holds the factorisation of all frames but the newest, from the last call.
+    ``warm`` if the memory holds the factorisation of all frames but the newest, from the last call.
     ``search``: for another basin too, in which the window costs less; the prior is turned with it.
     ``keeps``: frames that have settled since they were factored are not factored again, and follow those
     after them; their terms must be the same as then.
     ``covariance`` (6, 6) becomes that of the newest frame. Returns whether all went well; if not, neither the
     states nor the factorisation are to be used.
     """
-    begin, end = problem.offsets[0], problem.offsets[1]
-    track = the_only(problem)
-    here, last, memory = states[begin:end], end - begin - 1, from_frame(workspace, begin)
-    n, full, ended = last + 1, as_variable(True), memory.ended
+    track, full, ended = the_only(problem), as_variable(True), memory.ended
+    n, last, tracks = len(states), len(states) - 1, np.zeros(1, np.int64)
     memory.kept[0], memory.kept[1] = 0, 1
     memory.length[0] = n
     if warm and last > 0:
-        predict_newest(problem, here, memory)
+        predict_newest(problem, states, memory)
         if keeps:
-            memory.kept[0] = settled(here[:last], memory.factored, 1.0)
-    before = here[first_open(memory)].copy()
-    minimise(problem, track, n, here, max_iterations, tolerance, memory)
+            memory.kept[0] = settled(states[:last], memory.factored, 1.0)
+    before = states[first_open(memory)].copy()
+    minimise(problem, track, n, states, max_iterations, tolerance, memory)
     kept, memory.kept[0] = memory.kept[0], 0
     if ended[STATUS] != NOT_FINITE and kept > 0:
-        follow(here, kept - 1, before, memory)
-        if settled(here[:kept], memory.factored, 2.0) < kept:
+        follow(states, kept - 1, before, memory)
+        if settled(states[:kept], memory.factored, 2.0) < kept:
             # They had to go farther than predicted.
             kept = 0
-            minimise(problem, track, n, here, max_iterations, tolerance, memory)
+            minimise(problem, track, n, states, max_iterations, tolerance, memory)
     if ended[STATUS] == NOT_FINITE:
         return False
     cost, exact = ended[COST], ended[EXACT] > 0.0
     again = np.empty((last + 1, N))
-    if is_astray(problem, track, here):
+    if is_astray(problem, track, states):
         # The loss is not convex: whoever has followed false positions may have to be looked for elsewhere.
         if kept > 0:
             kept = 0
-            cost = cost_of(problem, track, n, here, memory)
-        assign(again, here)
+            cost = cost_of(problem, track, n, states, memory)
+        assign(again, states)
         find_by_squares(problem, track, again, max_iterations, tolerance, memory)
         leap = _LEAP * problem.shared[0].robust_threshold ** 2
         prior = problem.prior  # stays as it is
-        cost, exact = move_if_less(problem, here, again, cost, leap, prior, max_iterations, tolerance, memory)
-    if search and find_other_basin(problem, track, here, AT_END, memory):
+        cost, exact = move_if_less(
+            problem, states, again, cost, leap, prior, max_iterations, tolerance, memory
+        )
+    if search and find_other_basins(problem, tracks, problem, track, n, states, AT_END, memory):
         assign(again, memory.again[:n])
         if kept > 0:
-            cost = cost_of(problem, track, n, here, memory)
+            cost = cost_of(problem, track, n, states, memory)
         prior = problem.prior.copy()
-        turn_prior(problem.prior, here, again)
-        cost, exact = move_if_less(problem, here, again, cost, 0.0, prior, max_iterations, tolerance, memory)
-    if unwind(problem, track, n, here, memory):
+        turn_prior(problem.prior, states, again)
+        cost, exact = move_if_less(
+            problem, states, again, cost, 0.0, prior, max_iterations, tolerance, memory
+        )
+    if unwind(problem, track, n, states, memory):
         assign(again, memory.again[:n])
         if kept > 0:
-            cost = cost_of(problem, track, n, here, memory)
+            cost = cost_of(problem, track, n, states, memory)
         prior = problem.prior
-        cost, exact = move_if_less(problem, here, again, cost, 0.0, prior, max_iterations, tolerance, memory)
-    if not exact and not sweep_forward(problem, track, n, here, not full, memory)[1]:
+        cost, exact = move_if_less(
+            problem, states, again, cost, 0.0, prior, max_iterations, tolerance, memory
+        )
+    if not exact and not sweep_forward(problem, track, n, states, not full, memory)[1]:
         return False
     finite = True
     for i in range(N):
-        finite = finite and math.isfinite(here[last, i])
+        finite = finite and math.isfinite(states[last, i])
         for j in range(i + 1):
             total = 0.0
             for m in range(i, N):
@@ -133,7 +137,7 @@ def solve_window(
     return finite
 
 
-@allocating
+@inner_allocating
 def move_if_less(
     problem: Problem,
     states: FloatArray,
@@ -160,7 +164,7 @@ def move_if_less(
     return cost, sweep_forward(problem, track, n, states, as_variable(True), memory)[1]
 
 
-@inner
+@merged
 def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
     """Whether some of the newest positions that were seen are all farther from the states than k.
 
@@ -188,7 +192,7 @@ def is_astray(problem: Problem, track: int, states: FloatArray) -> bool:
     return _RUN <= count <= _LONGEST_RUN
 
 
-@inner
+@merged
 def find_by_squares(
     problem: Problem,
     track: int,
@@ -204,7 +208,7 @@ def find_by_squares(
     problem.shared[0].robust = robust
 
 
-@compiled
+@inner
 def settled(states: FloatArray, factored: FloatArray, times: float) -> int:
     """How many of the first frames are where they were factored, up to so many times what is allowed."""
     for k in range(len(states)):
@@ -214,7 +218,7 @@ def settled(states: FloatArray, factored: FloatArray, times: float) -> int:
     return len(states)
 
 
-@compiled
+@inner
 def follow(states: FloatArray, last: int, before: FloatArray, memory: Workspace) -> None:
     """Move the frames before one, which are kept, as that one has moved from ``before``."""
     solution, step = memory.solution, memory.step
@@ -256,28 +260,6 @@ def the_only(problem: Problem) -> int:
     As a constant it would have everything compiled once more, for that number alone.
     """
     return len(problem.offsets) - 2
-
-
-@allocating
-def from_frame(workspace: Workspace, begin: int) -> Workspace:
-    """The memory of the frames from ``begin`` on."""
-    return Workspace(
-        workspace.inverse[begin:],
-        workspace.link[begin:],
-        workspace.solution[begin:],
-        workspace.step[begin:],
-        workspace.candidate[begin:],
-        workspace.trigonometry[begin:],
-        workspace.scratch,
-        workspace.start,
-        workspace.ended,
-        workspace.length,
-        workspace.message[begin:],
-        workspace.factored[begin:],
-        workspace.kept,
-        workspace.again[begin:],
-        workspace.before[begin:],
-    )
 
 
 @compiled
@@ -336,22 +318,23 @@ def predict_newest(problem: Problem, states: FloatArray, memory: Workspace) -> N
             states[k, i] += memory.step[k, i]
 
 
-@allocating
-def marginalise_oldest(problem: Problem, states: FloatArray, workspace: Workspace) -> None:
+@inner
+def marginalise_oldest(problem: Problem, states: FloatArray, memory: Workspace) -> None:
     """Eliminate the oldest frame of the window for good: what it says about the next becomes the prior.
+
+    ``states`` (2, 6) and ``memory`` begin with it.
 
     The curvature is exact unless that leaves no positive definite prior, as it may at outliers.
     """
     begin = problem.offsets[0]
     prior, after = problem.prior, problem.records[begin + 1]
-    memory = from_frame(workspace, begin)
     for exact in (True, False):
-        if condense(problem, states[begin : begin + 2], exact, memory):
+        if condense(problem, states, exact, memory):
             break
     matrix, vector = memory.scratch[2], memory.scratch[0, 1]
     for i in range(N):
         prior[N, i] = -vector[i]
-        prior[N + 1, i] = states[begin + 1, i]
+        prior[N + 1, i] = states[1, i]
         for j in range(i + 1):
             prior[i, j] = prior[j, i] = matrix[i, j]
     # Its links to the frame before are part of the prior now.

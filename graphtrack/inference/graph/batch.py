@@ -20,14 +20,13 @@ from graphtrack.inference.initial import initial_states
 from graphtrack.inference.prior import variable_keys, variables
 from graphtrack.inference.solution import Solution, SolverOptions, estimated_tracks, seconds_to_ends
 from graphtrack.inference.state import Window, states_of, values_of
-from graphtrack.inference.warm import WHOLE, graph_rehearsal, has_own_kernels
+from graphtrack.inference.warm import has_own_kernels, make_solver_ready
 from graphtrack.later import gtsam
 from graphtrack.model import Model, States, Step
 from graphtrack.model.factors.derived import Couplings
 from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.observation import chain
 from graphtrack.model.terms.anchor import ANCHOR_KAPPA
-from graphtrack.readiness import make_ready
 from graphtrack.tracks import Track
 
 
@@ -200,7 +199,7 @@ def _view(track: Track, model: Model, camera: GroundCamera | None, steps: Sequen
         outliers = model.parameters.likelihood.outlier_probability > 0.0
         if not outliers and not any(step.is_ambiguous for step in steps):
             return None
-        make_ready(WHOLE, graph_rehearsal(known))
+        make_solver_ready(known, "gtsam", complete=True)
     return ChainView(track, known, camera)
 
 

@@ -10,7 +10,7 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import find_other_basin
 from graphtrack.inference.chain.coupling_modes import (
-    is_classified,
+    classified_in,
     mode_memory,
     renew_couplings,
     report_modes,
@@ -18,10 +18,10 @@ from graphtrack.inference.chain.coupling_modes import (
 from graphtrack.inference.chain.covariance import spread_track
 from graphtrack.inference.chain.elimination import Workspace, workspace
 from graphtrack.inference.chain.engine import never_seen
-from graphtrack.inference.chain.frame_rows import FrameRows
 from graphtrack.inference.chain.programs import program_of
 from graphtrack.inference.chain.winding import unwind
 from graphtrack.inference.chain.window import gait_of_model
+from graphtrack.inference.chain.window_arrays import FrameRows
 from graphtrack.inference.initial import pack, problem_of, seen_in
 from graphtrack.inference.prior import MarginalPrior, on_state
 from graphtrack.model import Model, Step
@@ -86,7 +86,7 @@ class _View:
         here, n = self._here(states), len(states)
         memory = mode_memory(n)
         memory.before[:] = self.before
-        classified = is_classified(self._problem, 0)
+        _, classified = classified_in(self._problem, 0)
         renew_couplings(self._problem, 0, n, float(n), here, gait, classified, True, memory)
         report_modes(n, 0, memory.held, self.modes)
         filtered = np.stack([memory.filtered_body, memory.filtered_head])

@@ -18,11 +18,10 @@ from graphtrack.inference.graph.isam import Isam2
 from graphtrack.inference.prior import MarginalPrior
 from graphtrack.inference.solution import SolverOptions
 from graphtrack.inference.state import FAILURES, Newest, Window, leaving, read_step, values_of
-from graphtrack.inference.warm import ONLINE, graph_rehearsal
+from graphtrack.inference.warm import make_online_ready
 from graphtrack.later import gtsam
 from graphtrack.model import Model, Step
 from graphtrack.model.factors.derived import COUPLED, is_recoupled
-from graphtrack.readiness import make_ready
 
 _LAG = 5.0
 """Seconds of a full history in which modes are inferred and basins are searched."""
@@ -150,7 +149,7 @@ class Guided:
 
     def _look(self, modes: FloatArray | None = None) -> WindowView:
         """A view of the window, with the modes before it."""
-        make_ready(ONLINE, graph_rehearsal(self._model))
+        make_online_ready(self._model, "isam2")
         view = WindowView(self._model, self._couplings)
         view.before = view.before if modes is None else modes
         return view

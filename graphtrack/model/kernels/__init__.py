@@ -5,7 +5,7 @@ the gradient and to the blocks of the Hessian, and returns its cost; see `Kernel
 """
 
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel, Search
+from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY, Field, X, Y
 
-__all__ = ["BODY", "HEAD", "VX", "VY", "Field", "Kernel", "Search", "X", "Y", "compiled"]
+__all__ = ["BODY", "HEAD", "VX", "VY", "Field", "Kernel", "X", "Y", "compiled"]

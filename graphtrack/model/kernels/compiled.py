@@ -27,6 +27,9 @@ OPTIONS = {
     "fastmath": {"contract", "reassoc", "nsz", "arcp"},
     "no_cfunc_wrapper": True,  # nobody calls them from C
 }
+INNER = {"_nrt": False, "no_cpython_wrapper": True}
+"""Options of what compiled code alone calls and makes no arrays."""
+
 _NUMBERS = re.compile(r"(None|bool|int|float|Any|tuple|\W|\.\.\.)+")
 """Annotations of numbers; "Any": floats or `lanes`."""
 
@@ -51,7 +54,7 @@ def compiled(function: Function, **options: bool) -> Function:
     returned = str(getattr(annotation, "__name__", annotation))
     if not _NUMBERS.fullmatch(returned):
         raise TypeError(f"{function.__name__} returns {returned}, expected numbers, or @allocating")
-    return _declared(function, _nrt=False, **options)
+    return _declared(function, **{"_nrt": False, **options})
 
 
 def inner(function: Function) -> Function:
@@ -59,7 +62,15 @@ def inner(function: Function) -> Function:
 
     Where arguments are tuples of dozens of arrays the wrapper takes longer to compile than the function.
     """
-    return compiled(function, no_cpython_wrapper=True)
+    return compiled(function, **INNER)
+
+
+def merged(function: Function) -> Function:
+    """`compiled`, for a function that one other calls: its statements become part of that function's.
+
+    Whatever a function calls is optimised again with it; each level of calls costs that once more.
+    """
+    return _declared(function, inline="always")
 
 
 def allocating(function: Function) -> Function:
@@ -67,7 +78,12 @@ def allocating(function: Function) -> Function:
     return _declared(function, _nrt=True)  # else it would be as its first caller is
 
 
-def _declared(function: Function, **options: bool) -> Function:
+def inner_allocating(function: Function) -> Function:
+    """`allocating`, for what compiled code alone calls."""
+    return _declared(function, _nrt=True, no_cpython_wrapper=True)
+
+
+def _declared(function: Function, **options: bool | str) -> Function:
     if numba.config.DISABLE_JIT:
         expected = "the environment variable NUMBA_DISABLE_JIT unset: the engines are compiled"
         raise InputError("a numba that is told not to compile", expected)

@@ -1,6 +1,6 @@
 """Frame programs: the kernels of some terms, called one after another, and which one a problem has.
 
-Compiled code calls `add_frame`, `cut`, `set_quarter_turns` and `add_grid_costs`. Their implementation is
+Compiled code calls `add_frame`, `cut` and `set_quarter_turns`. Their implementation is
 chosen where the call is compiled, by the type of the problem's records: that of the package's terms in
 `program`, or one that was generated for terms of a user's own. So the solver is compiled once more for such
 terms, from the same source.
@@ -19,7 +19,7 @@ from numba import types
 from numba.extending import overload
 
 from graphtrack.model.kernels import program
-from graphtrack.model.kernels.compiled import OPTIONS
+from graphtrack.model.kernels.compiled import INNER, OPTIONS
 from graphtrack.model.kernels.lanes import LaneRecordsType
 from graphtrack.model.kernels.packing import RecordTypes
 
@@ -79,7 +79,8 @@ def _chosen(name: str, records_of: Callable[..., Any]) -> Callable[..., Any]:
 
     # Numba compares the parameters' names.
     implementation.__signature__ = inspect.signature(getattr(program, name).py_func)  # type: ignore[attr-defined]
-    overload(stub, jit_options=OPTIONS)(implementation)
+    # As `inner`: else numba would compile them once more for callers that make arrays.
+    overload(stub, jit_options={**OPTIONS, **INNER})(implementation)
     return stub
 
 
@@ -89,5 +90,4 @@ def _of_problem(problem: Any, *_others: Any) -> Any:
 
 add_frame = _chosen("add_frame", _of_problem)
 set_quarter_turns = _chosen("set_quarter_turns", _of_problem)
-add_grid_costs = _chosen("add_grid_costs", _of_problem)
 cut = _chosen("cut", lambda frame: frame)

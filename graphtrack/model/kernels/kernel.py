@@ -13,25 +13,6 @@ Function = Callable[..., Any]
 
 
 @dataclass(frozen=True)
-class Search:
-    """How the search for other basins looks up a kernel's cost in many directions at once.
-
-    Attributes
-    ----------
-    add_grid_costs : compiled; adds to ``cost`` (n,) what the kernel costs at the directions ``cos``, ``sin``
-        (n,)
-    add_quarter_turns : compiled; the same of a direction ``cos``, ``sin`` and those one, two and three
-        quarters on, ``cost`` (4,), where there is a quicker way
-    prepare : compiled; from the directions of a grid ``cos``, ``sin`` what ``add_grid_costs`` takes as
-        ``prepared`` for every frame
-    """
-
-    add_grid_costs: Function
-    add_quarter_turns: Function | None = None
-    prepare: Function | None = None
-
-
-@dataclass(frozen=True)
 class Kernel:
     """A function that adds a term's part at one frame to the gradient and the Hessian, and returns its cost.
 
@@ -63,7 +44,8 @@ class Kernel:
     unless : field that keeps it from being called where that is greater than 0
     names : parameter → what it is given, where that is not its own name
     switched : whether the modes of the couplings switch it; see `gait.GaitOffsets`
-    search : a quicker way to look its cost up in many directions
+    add_quarter_turns : compiled; a quicker way, if there is one, to look its cost up in four directions. Adds
+        to ``cost`` (4,) what the kernel costs at its orientation, and one, two and three quarters on
     """
 
     function: Function
@@ -73,7 +55,7 @@ class Kernel:
     unless: str | None = None
     names: Mapping[str, str] = field(default_factory=dict)
     switched: bool = False
-    search: Search | None = None
+    add_quarter_turns: Function | None = None
 
     @cached_property
     def arguments(self) -> tuple[str, ...]:

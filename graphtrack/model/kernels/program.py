@@ -23,10 +23,9 @@ import graphtrack.model.terms.pose as pose_kernels
 import graphtrack.model.terms.pose_classes as pose_classes_kernels
 import graphtrack.model.terms.position as position_kernels
 import graphtrack.model.terms.turning as turning_kernels
-from graphtrack.geometry.angles import FloatArray
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lanes import any_of, choose, masked, negate
-from graphtrack.model.kernels.layout import BODY, HEAD, N
+from graphtrack.model.kernels.layout import BODY, HEAD
 from graphtrack.model.kernels.problem import Problem
 
 FRAME = np.dtype([
@@ -118,6 +117,8 @@ def add_frame(
     """
     place = problem.offsets[track] + k
     frame, state, shared = problem.records[place], states[k], problem.shared[0]
+    # Sums: kernels are compiled once more for each constant that they are given.
+    at_body, at_head = BODY + 0, HEAD + 0
     body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
     head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
     turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = body_cos, body_sin, head_cos, head_sin
@@ -128,160 +129,124 @@ def add_frame(
         head_cos_before, head_sin_before = turns[k - 1, 2], turns[k - 1, 3]
         gate = (frame.motion_information > 0.0) & negate(frame.steer_gain > 0.0)
         if any_of(gate):
-            found = motion_kernels.add_motion(
-                before, state, frame.dt, frame.motion_information, masked(gradient_before, gate),
-                masked(gradient, gate), masked(hessian_before, gate), masked(hessian, gate),
-                masked(transition, gate),
-            )
+            found = motion_kernels.add_motion(before, state, frame.dt, frame.motion_information,
+                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
+                masked(hessian, gate), masked(transition, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.body_turn_kappa > 0.0
         if any_of(gate):
-            found = turning_kernels.add_turn(
-                body_cos_before, body_sin_before, body_cos, body_sin, BODY, frame.body_turn_kappa, exact,
-                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
-                masked(hessian, gate), masked(transition, gate),
-            )
+            found = turning_kernels.add_turn(body_cos_before, body_sin_before, body_cos, body_sin, at_body,
+                frame.body_turn_kappa, exact, masked(gradient_before, gate), masked(gradient, gate),
+                masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.head_turn_kappa > 0.0
         if any_of(gate):
-            found = turning_kernels.add_turn(
-                head_cos_before, head_sin_before, head_cos, head_sin, HEAD, frame.head_turn_kappa, exact,
-                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
-                masked(hessian, gate), masked(transition, gate),
-            )
+            found = turning_kernels.add_turn(head_cos_before, head_sin_before, head_cos, head_sin, at_head,
+                frame.head_turn_kappa, exact, masked(gradient_before, gate), masked(gradient, gate),
+                masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.steer_gain > 0.0
         if any_of(gate):
-            found = intentional_motion_kernels.add_steered_motion(
-                before, state, head_cos_before, head_sin_before, frame.dt, frame.steer_gain,
-                frame.steer_reach, frame.steer_place, frame.steer_cross, frame.steer_spread, exact,
+            found = intentional_motion_kernels.add_steered_motion(before, state, head_cos_before,
+                head_sin_before, frame.dt, frame.steer_gain, frame.steer_reach, frame.steer_place,
+                frame.steer_cross, frame.steer_spread, exact, masked(gradient_before, gate), masked(gradient,
+                gate), masked(hessian_before, gate), masked(hessian, gate), masked(transition, gate))
+            cost += choose(gate, found, 0.0)
+        gate = frame.group_hold > 0.0
+        if any_of(gate):
+            found = holds_still_kernels.add_holds(body_cos_before, body_sin_before, body_cos, body_sin,
+                at_body, frame.group_hold, frame.group_drift, shared.group_body_hold, exact,
                 masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
-                masked(hessian, gate), masked(transition, gate),
-            )
+                masked(hessian, gate), masked(transition, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.group_hold > 0.0
         if any_of(gate):
-            found = holds_still_kernels.add_holds(
-                body_cos_before, body_sin_before, body_cos, body_sin, BODY, frame.group_hold,
-                frame.group_drift, shared.group_body_hold, exact, masked(gradient_before, gate),
-                masked(gradient, gate), masked(hessian_before, gate), masked(hessian, gate),
-                masked(transition, gate),
-            )
-            cost += choose(gate, found, 0.0)
-        gate = frame.group_hold > 0.0
-        if any_of(gate):
-            found = holds_still_kernels.add_holds(
-                head_cos_before, head_sin_before, head_cos, head_sin, HEAD, frame.group_hold,
-                frame.group_drift, shared.group_head_hold, exact, masked(gradient_before, gate),
-                masked(gradient, gate), masked(hessian_before, gate), masked(hessian, gate),
-                masked(transition, gate),
-            )
+            found = holds_still_kernels.add_holds(head_cos_before, head_sin_before, head_cos, head_sin,
+                at_head, frame.group_hold, frame.group_drift, shared.group_head_hold, exact,
+                masked(gradient_before, gate), masked(gradient, gate), masked(hessian_before, gate),
+                masked(hessian, gate), masked(transition, gate))
             cost += choose(gate, found, 0.0)
     if own:
         gate = frame.velocity_information > 0.0
         if any_of(gate):
-            found = motion_kernels.add_first_velocity(
-                state, frame.velocity_information, masked(gradient, gate), masked(hessian, gate),
-            )
+            found = motion_kernels.add_first_velocity(state, frame.velocity_information, masked(gradient,
+                gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = (frame.position_information > 0.0) & negate(frame.pixel_information > 0.0)
         if any_of(gate):
-            found = position_kernels.add_position(
-                state, problem.origin[track, 0], problem.origin[track, 1], frame.x, frame.y,
-                frame.position_information, shared.robust, shared.robust_threshold, exact,
-                masked(gradient, gate), masked(hessian, gate),
-            )
+            found = position_kernels.add_position(state, problem.origin[track, 0], problem.origin[track, 1],
+                frame.x, frame.y, frame.position_information, shared.robust, shared.robust_threshold, exact,
+                masked(gradient, gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.pixel_information > 0.0
         if any_of(gate):
-            found = position_kernels.add_pixel(
-                state, problem.origin[track, 0], problem.origin[track, 1], frame.u, frame.v,
-                frame.pixel_information, shared.to_image, shared.robust, shared.robust_threshold, exact,
-                masked(gradient, gate), masked(hessian, gate),
-            )
+            found = position_kernels.add_pixel(state, problem.origin[track, 0], problem.origin[track, 1],
+                frame.u, frame.v, frame.pixel_information, shared.to_image, shared.robust,
+                shared.robust_threshold, exact, masked(gradient, gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.body_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(
-                body_cos, body_sin, BODY, frame.seen_body_cos, frame.seen_body_sin, frame.body_kappa,
-                frame.body_uniform, exact, masked(gradient, gate), masked(hessian, gate),
-            )
+            found = pose_kernels.add_angle(body_cos, body_sin, at_body, frame.seen_body_cos,
+                frame.seen_body_sin, frame.body_kappa, frame.body_uniform, exact, masked(gradient, gate),
+                masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.body_class_kappa > 0.0
         if any_of(gate):
-            found = pose_classes_kernels.add_classes(
-                body_cos, body_sin, BODY, problem.body_heights[place], problem.body_directions,
-                frame.body_class_kappa, frame.body_doubt, exact, masked(gradient, gate),
-                masked(hessian, gate),
-            )
+            found = pose_classes_kernels.add_classes(body_cos, body_sin, at_body, problem.body_heights[place],
+                problem.body_directions, frame.body_class_kappa, frame.body_doubt, exact, masked(gradient,
+                gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.head_kappa > 0.0
         if any_of(gate):
-            found = pose_kernels.add_angle(
-                head_cos, head_sin, HEAD, frame.seen_head_cos, frame.seen_head_sin, frame.head_kappa,
-                frame.head_uniform, exact, masked(gradient, gate), masked(hessian, gate),
-            )
+            found = pose_kernels.add_angle(head_cos, head_sin, at_head, frame.seen_head_cos,
+                frame.seen_head_sin, frame.head_kappa, frame.head_uniform, exact, masked(gradient, gate),
+                masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.head_class_kappa > 0.0
         if any_of(gate):
-            found = pose_classes_kernels.add_classes(
-                head_cos, head_sin, HEAD, problem.head_heights[place], problem.head_directions,
-                frame.head_class_kappa, frame.head_doubt, exact, masked(gradient, gate),
-                masked(hessian, gate),
-            )
+            found = pose_classes_kernels.add_classes(head_cos, head_sin, at_head, problem.head_heights[place],
+                problem.head_directions, frame.head_class_kappa, frame.head_doubt, exact, masked(gradient,
+                gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.motion_body_kappa > 0.0
         if any_of(gate):
-            found = body_follows_motion_kernels.add_body_follows_motion(
-                state, body_cos, body_sin, frame.motion_body_kappa, frame.motion_body_cos,
-                frame.motion_body_sin, shared.speed_threshold, exact, masked(gradient, gate),
-                masked(hessian, gate),
-            )
+            found = body_follows_motion_kernels.add_body_follows_motion(state, body_cos, body_sin,
+                frame.motion_body_kappa, frame.motion_body_cos, frame.motion_body_sin, shared.speed_threshold,
+                exact, masked(gradient, gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.head_body_kappa > 0.0
         if any_of(gate):
-            found = head_follows_body_kernels.add_head_follows_body(
-                body_cos, body_sin, head_cos, head_sin, frame.head_body_kappa, frame.head_body_cos,
-                frame.head_body_sin, exact, masked(gradient, gate), masked(hessian, gate),
-            )
+            found = head_follows_body_kernels.add_head_follows_body(body_cos, body_sin, head_cos, head_sin,
+                frame.head_body_kappa, frame.head_body_cos, frame.head_body_sin, exact, masked(gradient,
+                gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.place_weight > 0.0
         if any_of(gate):
-            found = place_kernels.add_place(
-                state, problem.origin[track, 0], problem.origin[track, 1], frame.place_weight, shared.place_x,
-                shared.place_y, shared.place_radius, shared.place_sign, exact, masked(gradient, gate),
-                masked(hessian, gate),
-            )
+            found = place_kernels.add_place(state, problem.origin[track, 0], problem.origin[track, 1],
+                frame.place_weight, shared.place_x, shared.place_y, shared.place_radius, shared.place_sign,
+                exact, masked(gradient, gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = faces_group_kernels.add_faces_group(
-                BODY, body_cos, body_sin, frame.group_weight, frame.group_cos, frame.group_sin,
-                shared.group_body_kappa, shared.group_outliers, exact, masked(gradient, gate),
-                masked(hessian, gate),
-            )
+            found = faces_group_kernels.add_faces_group(at_body, body_cos, body_sin, frame.group_weight,
+                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
+                masked(gradient, gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.group_weight > 0.0
         if any_of(gate):
-            found = faces_group_kernels.add_faces_group(
-                HEAD, head_cos, head_sin, frame.group_weight, frame.group_cos, frame.group_sin,
-                shared.group_head_kappa, shared.group_outliers, exact, masked(gradient, gate),
-                masked(hessian, gate),
-            )
+            found = faces_group_kernels.add_faces_group(at_head, head_cos, head_sin, frame.group_weight,
+                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
+                masked(gradient, gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.body_anchor > 0.0
         if any_of(gate):
-            found = anchor_kernels.add_anchor(
-                body_cos, body_sin, BODY, start, frame.body_anchor, exact, masked(gradient, gate),
-                masked(hessian, gate),
-            )
+            found = anchor_kernels.add_anchor(body_cos, body_sin, at_body, start, frame.body_anchor, exact,
+                masked(gradient, gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
         gate = frame.head_anchor > 0.0
         if any_of(gate):
-            found = anchor_kernels.add_anchor(
-                head_cos, head_sin, HEAD, start, frame.head_anchor, exact, masked(gradient, gate),
-                masked(hessian, gate),
-            )
+            found = anchor_kernels.add_anchor(head_cos, head_sin, at_head, start, frame.head_anchor, exact,
+                masked(gradient, gate), masked(hessian, gate))
             cost += choose(gate, found, 0.0)
     return cost
 
@@ -298,129 +263,55 @@ def cut(frame: Any) -> None:
 
 @compiled
 def set_quarter_turns(
-    problem: Problem, track: int, k: int, states: Any, turns: Any, gradient: Any, hessian: Any, body: Any,
-    head: Any,
+    problem: Problem, track: int, k: int, state: Any, turns: Any, exact: bool, gradient: Any, hessian: Any,
+    body: Any, head: Any,
 ) -> None:
-    """Find what frame k costs with ``body`` or ``head`` as they are, and one, two and three quarters on.
+    """Find what frame k costs with body or head at the directions ``turns``, and a quarter, two and three on.
 
-    ``turns`` (n, 4) are noted of the frame; ``gradient`` and ``hessian`` are memory.
+    ``turns`` (4,) are cosine and sine of the body's direction and the head's; ``body`` and ``head`` (4,) are
+    filled in. ``gradient`` and ``hessian`` are memory.
     """
     place = problem.offsets[track] + k
-    frame, state, shared = problem.records[place], states[k], problem.shared[0]
-    body_cos, body_sin = math.cos(state[BODY]), math.sin(state[BODY])
-    head_cos, head_sin = math.cos(state[HEAD]), math.sin(state[HEAD])
-    turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3] = body_cos, body_sin, head_cos, head_sin
-    exact = False
+    frame, shared = problem.records[place], problem.shared[0]
+    at_body, at_head = BODY + 0, HEAD + 0
+    body_cos, body_sin, head_cos, head_sin = turns[0], turns[1], turns[2], turns[3]
     for q in range(4):
         body[q] = head[q] = 0.0 * body_cos
     gate = frame.body_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_angle_quarter_turns(
-            frame.seen_body_cos, frame.seen_body_sin, frame.body_kappa, frame.body_uniform, body_cos,
-            body_sin, masked(body, gate),
-        )
+        pose_kernels.add_angle_quarter_turns(frame.seen_body_cos, frame.seen_body_sin, frame.body_kappa,
+            frame.body_uniform, body_cos, body_sin, masked(body, gate))
     gate = frame.body_class_kappa > 0.0
     if any_of(gate):
-        pose_classes_kernels.add_class_quarter_turns(
-            body_cos, body_sin, problem.body_heights[place], problem.body_directions, frame.body_class_kappa,
-            frame.body_doubt, masked(body, gate),
-        )
+        pose_classes_kernels.add_class_quarter_turns(body_cos, body_sin, problem.body_heights[place],
+            problem.body_directions, frame.body_class_kappa, frame.body_doubt, masked(body, gate))
     gate = frame.head_kappa > 0.0
     if any_of(gate):
-        pose_kernels.add_angle_quarter_turns(
-            frame.seen_head_cos, frame.seen_head_sin, frame.head_kappa, frame.head_uniform, head_cos,
-            head_sin, masked(head, gate),
-        )
+        pose_kernels.add_angle_quarter_turns(frame.seen_head_cos, frame.seen_head_sin, frame.head_kappa,
+            frame.head_uniform, head_cos, head_sin, masked(head, gate))
     gate = frame.head_class_kappa > 0.0
     if any_of(gate):
-        pose_classes_kernels.add_class_quarter_turns(
-            head_cos, head_sin, problem.head_heights[place], problem.head_directions, frame.head_class_kappa,
-            frame.head_doubt, masked(head, gate),
-        )
+        pose_classes_kernels.add_class_quarter_turns(head_cos, head_sin, problem.head_heights[place],
+            problem.head_directions, frame.head_class_kappa, frame.head_doubt, masked(head, gate))
     gate = frame.motion_body_kappa > 0.0
     if any_of(gate):
-        body_follows_motion_kernels.add_motion_quarter_turns(
-            state, frame.motion_body_kappa, shared.speed_threshold, body_cos, body_sin, masked(body, gate),
-        )
+        body_follows_motion_kernels.add_motion_quarter_turns(state, frame.motion_body_kappa,
+            shared.speed_threshold, body_cos, body_sin, masked(body, gate))
     gate = frame.group_weight > 0.0
     if any_of(gate):
         cos, sin = body_cos, body_sin
         for q in range(4):
-            found = faces_group_kernels.add_faces_group(
-                BODY, cos, sin, frame.group_weight, frame.group_cos, frame.group_sin, shared.group_body_kappa,
-                shared.group_outliers, exact, masked(gradient, gate), masked(hessian, gate),
-            )
+            found = faces_group_kernels.add_faces_group(at_body, cos, sin, frame.group_weight,
+                frame.group_cos, frame.group_sin, shared.group_body_kappa, shared.group_outliers, exact,
+                masked(gradient, gate), masked(hessian, gate))
             body[q] += choose(gate, found, 0.0)
             cos, sin = -sin, cos
     gate = frame.group_weight > 0.0
     if any_of(gate):
         cos, sin = head_cos, head_sin
         for q in range(4):
-            found = faces_group_kernels.add_faces_group(
-                HEAD, cos, sin, frame.group_weight, frame.group_cos, frame.group_sin, shared.group_head_kappa,
-                shared.group_outliers, exact, masked(gradient, gate), masked(hessian, gate),
-            )
+            found = faces_group_kernels.add_faces_group(at_head, cos, sin, frame.group_weight,
+                frame.group_cos, frame.group_sin, shared.group_head_kappa, shared.group_outliers, exact,
+                masked(gradient, gate), masked(hessian, gate))
             head[q] += choose(gate, found, 0.0)
             cos, sin = -sin, cos
-
-
-@allocating
-def add_grid_costs(
-    problem: Problem, track: int, states: FloatArray, cos: FloatArray, sin: FloatArray, node: np.ndarray,
-    body: FloatArray, head: FloatArray,
-) -> None:
-    """Add what frames cost at each direction of a grid, to the rows of their groups.
-
-    ``node`` (n,) is each frame's group; ``body`` and ``head`` are (groups, directions).
-    """
-    shared, exact, gradient, hessian = problem.shared[0], False, np.zeros(N), np.zeros((N, N))
-    of_body_class_kappa = pose_classes_kernels.class_densities(cos, sin, problem.body_directions)
-    of_head_class_kappa = pose_classes_kernels.class_densities(cos, sin, problem.head_directions)
-    for k in range(len(states)):
-        place, state, g = problem.offsets[track] + k, states[k], node[k]
-        frame = problem.records[place]
-        gate = frame.body_kappa > 0.0
-        if any_of(gate):
-            pose_kernels.add_angle_grid(
-                frame.seen_body_cos, frame.seen_body_sin, frame.body_kappa, frame.body_uniform, cos, sin,
-                body[g],
-            )
-        gate = frame.body_class_kappa > 0.0
-        if any_of(gate):
-            pose_classes_kernels.add_class_grid(
-                problem.body_heights[place], of_body_class_kappa, frame.body_class_kappa, frame.body_doubt,
-                body[g],
-            )
-        gate = frame.head_kappa > 0.0
-        if any_of(gate):
-            pose_kernels.add_angle_grid(
-                frame.seen_head_cos, frame.seen_head_sin, frame.head_kappa, frame.head_uniform, cos, sin,
-                head[g],
-            )
-        gate = frame.head_class_kappa > 0.0
-        if any_of(gate):
-            pose_classes_kernels.add_class_grid(
-                problem.head_heights[place], of_head_class_kappa, frame.head_class_kappa, frame.head_doubt,
-                head[g],
-            )
-        gate = frame.motion_body_kappa > 0.0
-        if any_of(gate):
-            body_follows_motion_kernels.add_motion_grid(
-                state, frame.motion_body_kappa, shared.speed_threshold, cos, sin, body[g],
-            )
-        gate = frame.group_weight > 0.0
-        if any_of(gate):
-            for i in range(len(cos)):
-                body[g, i] += faces_group_kernels.add_faces_group(
-                    BODY, cos[i], sin[i], frame.group_weight, frame.group_cos, frame.group_sin,
-                    shared.group_body_kappa, shared.group_outliers, exact, masked(gradient, gate),
-                    masked(hessian, gate),
-                )
-        gate = frame.group_weight > 0.0
-        if any_of(gate):
-            for i in range(len(cos)):
-                head[g, i] += faces_group_kernels.add_faces_group(
-                    HEAD, cos[i], sin[i], frame.group_weight, frame.group_cos, frame.group_sin,
-                    shared.group_head_kappa, shared.group_outliers, exact, masked(gradient, gate),
-                    masked(hessian, gate),
-                )

@@ -10,7 +10,7 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.model.kernels.compiled import compiled
-from graphtrack.model.kernels.kernel import Kernel, Search
+from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.layout import BODY, VX, VY, Field
 from graphtrack.model.observation import States
@@ -94,35 +94,18 @@ def add_body_follows_motion(
 
 
 @compiled
-def add_motion_grid(
-    state: FloatArray,
-    motion_body_kappa: float,
-    speed_threshold: float,
-    cos: FloatArray,
-    sin: FloatArray,
-    cost: FloatArray,
-) -> None:
-    """What each direction of the body costs, as if the coupling rested at 0."""
-    vx, vy = state[VX], state[VY]
-    speed = math.sqrt(vx * vx + vy * vy)
-    if speed <= speed_threshold or speed < 1e-12:
-        return
-    kappa = motion_body_kappa * squared_excess(vx, vy, speed_threshold)
-    ux, uy = vx / speed, vy / speed
-    for i in range(len(cos)):
-        cost[i] += kappa * (1.0 - cos[i] * ux - sin[i] * uy)
-
-
-@compiled
 def add_motion_quarter_turns(
     state: FloatArray,
     motion_body_kappa: float,
     speed_threshold: float,
-    cos: float,
-    sin: float,
+    body_cos: float,
+    body_sin: float,
     cost: FloatArray,
 ) -> None:
-    """The same at a direction and one, two and three quarters on."""
+    """What a direction of the body costs, and those one, two and three quarters on.
+
+    As if the coupling rested at 0.
+    """
     vx, vy = state[VX], state[VY]
     speed = math.sqrt(vx * vx + vy * vy)
     moves = (speed > speed_threshold) & (speed >= 1e-12)
@@ -130,7 +113,8 @@ def add_motion_quarter_turns(
         return
     kappa = choose(moves, motion_body_kappa * squared_excess(vx, vy, speed_threshold), 0.0)
     speed = choose(moves, speed, 1.0)
-    close, across = (cos * vx + sin * vy) / speed, (sin * vx - cos * vy) / speed
+    close = (body_cos * vx + body_sin * vy) / speed
+    across = (body_sin * vx - body_cos * vy) / speed
     cost[0] += kappa * (1.0 - close)
     cost[1] += kappa * (1.0 + across)
     cost[2] += kappa * (1.0 + close)
@@ -142,7 +126,7 @@ ADD_BODY_FOLLOWS_MOTION = Kernel(
     gate="motion_body_kappa",
     variables=("velocity", "body"),
     switched=True,
-    search=Search(add_motion_grid, add_motion_quarter_turns),
+    add_quarter_turns=add_motion_quarter_turns,
 )
 
 

@@ -26,17 +26,12 @@ from graphtrack.model.factors.native import von_mises_prior
 from graphtrack.model.kernels.bessel import of_alike
 from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.elementary import exp, log
-from graphtrack.model.kernels.kernel import Kernel, Search
+from graphtrack.model.kernels.kernel import Kernel
 from graphtrack.model.kernels.lanes import any_of, choose
 from graphtrack.model.kernels.layout import Field
 from graphtrack.model.observation import Observation, States, Step
 from graphtrack.model.term import Term, Variable
-from graphtrack.model.terms.pose_classes import (
-    add_class_grid,
-    add_class_quarter_turns,
-    add_classes,
-    class_densities,
-)
+from graphtrack.model.terms.pose_classes import add_class_quarter_turns, add_classes
 from graphtrack.tracks import Track
 
 if TYPE_CHECKING:
@@ -101,25 +96,10 @@ def add_angle(
 
 
 @compiled
-def add_angle_grid(
-    mean_cos: float,
-    mean_sin: float,
-    kappa: float,
-    uniform: float,
-    cos: FloatArray,
-    sin: FloatArray,
-    cost: FloatArray,
-) -> None:
-    """What an observed angle costs at each of many directions."""
-    for i in range(len(cos)):
-        cost[i] += angle_cost(cos[i] * mean_cos + sin[i] * mean_sin, kappa, uniform)
-
-
-@compiled
 def add_angle_quarter_turns(
     mean_cos: float, mean_sin: float, kappa: float, uniform: float, cos: float, sin: float, cost: FloatArray
 ) -> None:
-    """The same at a direction and one, two and three quarters on, of which two cosines are all."""
+    """What an observed angle costs at a direction and one, two and three quarters on: two cosines are all."""
     close = cos * mean_cos + sin * mean_sin
     across = sin * mean_cos - cos * mean_sin
     cost[0] += angle_cost(close, kappa, uniform)
@@ -141,14 +121,14 @@ def _observed(name: Variable) -> tuple[Kernel, Kernel]:
             f"{name}_kappa",
             (name,),
             names=names | angle,
-            search=Search(add_angle_grid, add_angle_quarter_turns),
+            add_quarter_turns=add_angle_quarter_turns,
         ),
         Kernel(
             add_classes,
             f"{name}_class_kappa",
             (name,),
             names=names | classes,
-            search=Search(add_class_grid, add_class_quarter_turns, class_densities),
+            add_quarter_turns=add_class_quarter_turns,
         ),
     )
 
@@ -223,7 +203,7 @@ class _PoseLikelihood(Term):
             return ()
         return ((f"seen_{self.name}_cos", math.cos(angle)), (f"seen_{self.name}_sin", math.sin(angle)))
 
-    def _log_normaliser(self, track: Track) -> float:
+    def observed_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
         """log ∫ exp(−cost) of each observation: for mixtures, minus the constant that the cost has."""
         likelihood, n = self.parameters.likelihood, len(track)
         angle, classes = getattr(track, self.name), getattr(track, f"{self.name}_likelihood")
@@ -241,7 +221,8 @@ class _PoseLikelihood(Term):
             total -= float(np.sum(constant))
         return total
 
-    def _pack(self, packed: PackedTracks) -> None:
+    def pack(self, packed: PackedTracks) -> None:
+        """Observed angles, or classes where they are known."""
         likelihood, records, name = self.parameters.likelihood, packed.records, self.name
         heights = self._heights(packed)
         seen = packed.directions(name)
@@ -282,14 +263,7 @@ class BodyLikelihood(_PoseLikelihood):
     reads = _reads("body")
     fields = _fields("body")
     kernels = _observed("body")
-
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """Of what was observed of the body."""
-        return self._log_normaliser(track)
-
-    def pack(self, packed: PackedTracks) -> None:
-        """Observed angles or classes of the body."""
-        self._pack(packed)
+    log_normaliser = _PoseLikelihood.observed_normaliser
 
 
 class HeadLikelihood(_PoseLikelihood):
@@ -301,11 +275,4 @@ class HeadLikelihood(_PoseLikelihood):
     reads = _reads("head")
     fields = _fields("head")
     kernels = _observed("head")
-
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """Of what was observed of the head."""
-        return self._log_normaliser(track)
-
-    def pack(self, packed: PackedTracks) -> None:
-        """Observed angles or classes of the head."""
-        self._pack(packed)
+    log_normaliser = _PoseLikelihood.observed_normaliser

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.bessel import log_i0e
-from graphtrack.model.kernels.compiled import allocating, compiled
+from graphtrack.model.kernels.compiled import compiled
 from graphtrack.model.kernels.lanes import any_of
 
 
@@ -63,31 +61,6 @@ def add_classes(
     return 2.0 * kappa - math.log(density)
 
 
-@allocating
-def class_densities(cos: FloatArray, sin: FloatArray, directions: FloatArray) -> FloatArray:
-    """Densities (n, k) of the classes at many directions, over those at their centres."""
-    found = np.empty((len(cos), len(directions)))
-    kappa = (len(directions) / math.pi) ** 2
-    for i in range(len(cos)):
-        for c in range(len(directions)):
-            found[i, c] = math.exp(kappa * (cos[i] * directions[c, 0] + sin[i] * directions[c, 1] - 1.0))
-    return found
-
-
-@compiled
-def add_class_grid(
-    heights: FloatArray, prepared: FloatArray, kappa: float, doubt: float, cost: FloatArray
-) -> None:
-    """What class likelihoods cost at each of many directions, from the classes' densities there."""
-    n = prepared.shape[1]
-    believed, outliers = 1.0 - doubt, doubted(float(heights[n]), kappa, doubt)
-    for i in range(len(cost)):
-        density = 0.0
-        for c in range(n):
-            density += heights[c] * prepared[i, c]
-        cost[i] -= math.log(outliers + believed * density)
-
-
 @compiled
 def add_class_quarter_turns(
     cos: float,
@@ -98,7 +71,10 @@ def add_class_quarter_turns(
     doubt: float,
     cost: FloatArray,
 ) -> None:
-    """The same of class likelihoods. A quarter on, a class is where another was: its density is known."""
+    """What class likelihoods cost at a direction and one, two and three quarters on.
+
+    A quarter on, a class is where another was: its density is known.
+    """
     n = len(directions)
     quarter = n // 4
     here = onward = opposite = back = doubted(heights[n], kappa, doubt)

@@ -22,16 +22,6 @@ if TYPE_CHECKING:
     from graphtrack.model.kernels.packing import PackedTracks
 
 
-def _turn_kappa(dt: FloatArray, diffusion: float) -> FloatArray:
-    return np.divide(1.0, diffusion * dt, out=np.zeros_like(dt), where=dt > 0.0)
-
-
-def _turns_normaliser(track: Track, diffusion: float) -> float:
-    """log 2π·I₀(κ)·e^−κ of each turn, and log 2π of the first orientation, which may be any."""
-    kappa = 1.0 / (diffusion * np.diff(track.t))
-    return float(np.log(2.0 * np.pi * special.i0e(kappa)).sum() + np.log(2.0 * np.pi))
-
-
 @compiled
 def add_turn(
     cos_before: float,
@@ -70,61 +60,59 @@ def _turning(name: Variable) -> Kernel:
 _READ = ("diffusion", "white_share", "turn_rate", "turn_time")
 
 
-class BodyDynamics(Term):
+class _OrientationDynamics(Term):
+    """Rotational diffusion of one orientation."""
+
+    name: ClassVar[Variable]
+
+    @property
+    def _diffusion(self) -> float:
+        return float(getattr(self.parameters.orientation, f"{self.name}_diffusion"))
+
+    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
+        """One native factor from the step before."""
+        if step.previous is None or step.dt is None:
+            return []
+        key = f"{self.name}_key"
+        kappa = 1.0 / (self._diffusion * step.dt)
+        return [von_mises_between(getattr(step.previous, key), getattr(step, key), kappa)]
+
+    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
+        """Σ κ(Δt)·(1 − cos Δ)."""
+        turn = np.diff(getattr(states, self.name))
+        return float(np.sum((1.0 - np.cos(turn)) / (self._diffusion * np.diff(track.t))))
+
+    def turns_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
+        """log 2π·I₀(κ)·e^−κ of each turn, and log 2π of the first orientation, which may be any."""
+        kappa = 1.0 / (self._diffusion * np.diff(track.t))
+        return float(np.log(2.0 * np.pi * special.i0e(kappa)).sum() + np.log(2.0 * np.pi))
+
+    def pack(self, packed: PackedTracks) -> None:
+        """κ between frames."""
+        variance = self._diffusion * packed.dt
+        kappa = np.divide(1.0, variance, out=np.zeros_like(variance), where=variance > 0.0)
+        packed.records[f"{self.name}_turn_kappa"] = kappa
+
+
+class BodyDynamics(_OrientationDynamics):
     """V(θ_t; θ_{t−1}, 1/(diffusion·Δt)) (Chen et al. 2011, eq. 8, first factor)."""
 
+    name = "body"
     uses: ClassVar[frozenset[Variable]] = frozenset({"body"})
     repeats = True
     reads = tuple(f"orientation.body_{name}" for name in _READ)
     fields = (Field("body_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
     kernels = (_turning("body"),)
-
-    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        """One native factor from the step before."""
-        if step.previous is None or step.dt is None:
-            return []
-        kappa = 1.0 / (self.parameters.orientation.body_diffusion * step.dt)
-        return [von_mises_between(step.previous.body_key, step.body_key, kappa)]
-
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ κ(Δt)·(1 − cos Δθ)."""
-        kappa = 1.0 / (self.parameters.orientation.body_diffusion * np.diff(track.t))
-        return float(np.sum(kappa * (1.0 - np.cos(np.diff(states.body)))))
-
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """Of the von Mises densities of the turns."""
-        return _turns_normaliser(track, self.parameters.orientation.body_diffusion)
-
-    def pack(self, packed: PackedTracks) -> None:
-        """κ between frames."""
-        packed.records["body_turn_kappa"] = _turn_kappa(packed.dt, self.parameters.orientation.body_diffusion)
+    log_normaliser = _OrientationDynamics.turns_normaliser
 
 
-class HeadDynamics(Term):
+class HeadDynamics(_OrientationDynamics):
     """V(α_t; α_{t−1}, 1/(diffusion·Δt)) (Chen et al. 2011, eq. 10, first factor)."""
 
+    name = "head"
     uses: ClassVar[frozenset[Variable]] = frozenset({"head"})
     repeats = True
     reads = tuple(f"orientation.head_{name}" for name in _READ)
     fields = (Field("head_turn_kappa", "of rotational diffusion since the frame before; 0 at the first"),)
     kernels = (_turning("head"),)
-
-    def factors(self, step: Step) -> Sequence[gtsam.NonlinearFactor]:
-        """One native factor from the step before."""
-        if step.previous is None or step.dt is None:
-            return []
-        kappa = 1.0 / (self.parameters.orientation.head_diffusion * step.dt)
-        return [von_mises_between(step.previous.head_key, step.head_key, kappa)]
-
-    def cost(self, states: States, track: Track, camera: GroundCamera | None = None) -> float:
-        """Σ κ(Δt)·(1 − cos Δα)."""
-        kappa = 1.0 / (self.parameters.orientation.head_diffusion * np.diff(track.t))
-        return float(np.sum(kappa * (1.0 - np.cos(np.diff(states.head)))))
-
-    def log_normaliser(self, track: Track, camera: GroundCamera | None = None) -> float:
-        """Of the von Mises densities of the turns."""
-        return _turns_normaliser(track, self.parameters.orientation.head_diffusion)
-
-    def pack(self, packed: PackedTracks) -> None:
-        """κ between frames."""
-        packed.records["head_turn_kappa"] = _turn_kappa(packed.dt, self.parameters.orientation.head_diffusion)
+    log_normaliser = _OrientationDynamics.turns_normaliser
