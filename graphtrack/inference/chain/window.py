@@ -342,7 +342,7 @@ def _advanced(
     ]
     guesses = np.array([_guess(step, first._model) for step in steps])
     found = Advanced(np.zeros(n, bool), np.empty((n, N)), np.empty((n, N, N)), np.full((n, 2), math.nan))
-    gait = _gait_of(first._model) if first._model.has_modes else None
+    gait = gait_of_model(first._model) if first._model.has_modes else None
     advance(first._slot.windows, np.array(tasks, TASK), guesses, first._rules, gait, found)
     return found
 
@@ -366,7 +366,7 @@ def _size_for(frames: int) -> int:
 
 
 @lru_cache(16)
-def _gait_of(model: Model) -> Gait:
+def gait_of_model(model: Model) -> Gait:
     """The parameters of the modes."""
     return gait_of(model.parameters.gait)
 
