@@ -82,6 +82,7 @@ FIELDS: Mapping[str, Bounds] = {
     "observed": Bounds(0.0, 1.0),
     "aligned_p": FINITE,
     "gait_offset": RADIANS,
+    "glance_p": FINITE,
     "true_position": METRES,
     "true_body": RADIANS,
     "true_head": RADIANS,

@@ -74,6 +74,7 @@ class Track:
     covariance : (n, 6, 6) in the order of `STATE` (estimates); NaN where a quantity was not estimated
     aligned_p : (n,) probability that the body faces where the motion goes (estimates)
     gait_offset : (n,) radians from the direction of motion to the body, as expected (estimates)
+    glance_p : (n,) probability that the head glances aside (estimates)
     true_position, true_body, true_head : the truth, where it is known
     label : a name for people to read, such as the clip
     inputs : name → (n,) or (n, k) what else is known in each frame and a term of the model reads, such as a
@@ -100,6 +101,7 @@ class Track:
     covariance: FloatArray | None = None
     aligned_p: FloatArray | None = None
     gait_offset: FloatArray | None = None
+    glance_p: FloatArray | None = None
     true_position: FloatArray | None = None
     true_body: FloatArray | None = None
     true_head: FloatArray | None = None
@@ -204,6 +206,7 @@ class Track:
         head: FloatArray | None = None,
         aligned_p: FloatArray | None = None,
         gait_offset: FloatArray | None = None,
+        glance_p: FloatArray | None = None,
     ) -> Track:
         """The track with estimates in place of its observations; truth, label and inputs stay.
 
@@ -219,6 +222,7 @@ class Track:
             "covariance": covariance,
             "aligned_p": aligned_p,
             "gait_offset": gait_offset,
+            "glance_p": glance_p,
         }
         for value in estimates.values():
             if value is not None:

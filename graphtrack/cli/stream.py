@@ -350,6 +350,7 @@ def estimate_row(track_id: int, estimate: Estimate) -> dict[str, Any]:
     if math.isfinite(estimate.aligned_p):
         row["aligned_p"] = estimate.aligned_p
         row["gait_offset_deg"] = math.degrees(estimate.gait_offset)
+        row["glance_p"] = estimate.glance_p
     row["status"] = estimate.status
     if estimate.reason:
         row["reason"] = estimate.reason

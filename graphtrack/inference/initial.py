@@ -109,7 +109,7 @@ def empty_result(packed: PackedTracks) -> Result:
     """Room for the solution of packed tracks."""
     n, m = len(packed.records), len(packed.tracks)
     ended = np.zeros(m, np.int64)
-    modes = np.full((n, 2), np.nan)
+    modes = np.full((n, 3), np.nan)
     covariance = np.empty((n, 6, 6))
     return Result(np.zeros((n, 6)), covariance, np.zeros(m), np.zeros(m), ended.copy(), ended, modes)
 

@@ -351,7 +351,7 @@ class OnlineSmoother:
             calibration = calibration_of(self.model.parameters)
             calibrate(covariance[None], state[None], np.zeros(1), calibration)
         body, head = map(wrapped, state[4:].tolist())
-        aligned, offset = getattr(smoother, "modes", (math.nan, math.nan))
+        aligned, offset, glance = getattr(smoother, "modes", (math.nan, math.nan, math.nan))
         self._last = Estimate(
             t=observation.t,
             frame=observation.frame,
@@ -363,6 +363,7 @@ class OnlineSmoother:
             status=status,
             aligned_p=aligned,
             gait_offset=offset,
+            glance_p=glance,
         )
         return self._last
 

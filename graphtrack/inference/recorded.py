@@ -127,4 +127,5 @@ def as_track(track: Track, estimates: Iterable[Estimate], model: Model) -> Track
         covariance=np.array([e.covariance for e in found]),
         aligned_p=np.array([e.aligned_p for e in found]) if model.has_modes else None,
         gait_offset=np.array([e.gait_offset for e in found]) if model.has_modes else None,
+        glance_p=np.array([e.glance_p for e in found]) if model.has_modes else None,
     )

@@ -105,7 +105,7 @@ def estimated_tracks(
     """Tracks with estimates, (n, 6) states and (n, 6, 6) covariances, in place of their observations.
 
     Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
-    ``modes`` (n, 2), as in `problem.Result`, are absent where they begin with NaN, since they are found in
+    ``modes`` (n, 3), as in `chain.result.Result`, are absent where they begin with NaN, since they are found in
     all frames of a track or in none. All tracks share the arrays, ``covariance`` the caller's: to copy them
     for each takes as long as to smooth positions.
     """
@@ -115,6 +115,7 @@ def estimated_tracks(
         "head": states[:, 5],
         "aligned_p": modes[:, 0],
         "gait_offset": modes[:, 1],
+        "glance_p": modes[:, 2],
     }
     has = {name: np.isfinite(other[offsets[:-1]]) for name, other in others.items()}
     others = {name: other.copy() for name, other in others.items() if has[name].any()}

@@ -50,6 +50,7 @@ class Estimate:
     reason : why it failed
     aligned_p : probability that the body faces where the motion goes; NaN without modes
     gait_offset : radians from the direction of motion to the body, as expected; NaN without modes
+    glance_p : probability that the head glances aside; NaN without modes
     """
 
     t: float
@@ -63,6 +64,7 @@ class Estimate:
     reason: str = ""
     aligned_p: float = math.nan
     gait_offset: float = math.nan
+    glance_p: float = math.nan
 
     def __repr__(self) -> str:
         known = [f"{name} {value}" for name, value in self._described().items()]
@@ -239,7 +241,7 @@ def pack_state(state: SavedState) -> dict[str, Any]:
             "frame": last.frame,
             "state": _nulls((*last.position, *last.velocity, last.body, last.head)),
             "covariance": [_nulls(row) for row in last.covariance],
-            "modes": _nulls((last.aligned_p, last.gait_offset)),
+            "modes": _nulls((last.aligned_p, last.gait_offset, last.glance_p)),
         },
     }
 
@@ -331,7 +333,7 @@ def _tuples(value: Any) -> Any:
 
 def _estimate(saved: dict[str, Any]) -> Estimate:
     state = _nans(saved["state"]).reshape(6)
-    aligned, offset = _nans(saved["modes"]).tolist()
+    aligned, offset, glance = _nans(saved["modes"]).tolist()
     return Estimate(
         real(saved["t"]),
         whole(saved["frame"]),
@@ -343,6 +345,7 @@ def _estimate(saved: dict[str, Any]) -> Estimate:
         "new",
         aligned_p=aligned,
         gait_offset=offset,
+        glance_p=glance,
     )
 
 

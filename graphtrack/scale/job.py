@@ -200,7 +200,7 @@ def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
     for name, has in (("body", model.has_body), ("head", model.has_head)):
         if has:
             names |= {f"{name}_deg", f"{name}_std_deg"}
-    names |= {"aligned_p", "gait_offset_deg"} if model.has_modes else set()
+    names |= {"aligned_p", "gait_offset_deg", "glance_p"} if model.has_modes else set()
     names |= {name for name in dataset.columns if name == "label" or name.startswith(("true_", INPUT))}
     return schema.in_order(names)
 

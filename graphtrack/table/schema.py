@@ -89,6 +89,7 @@ COLUMNS: tuple[Column, ...] = (
     _number("observed", "observed"),
     Column("aligned_p", "aligned_p", (), Bounds(0.0, 1.0)),
     _angle("gait_offset_deg", "gait_offset"),
+    Column("glance_p", "glance_p", (), Bounds(0.0, 1.0)),
     _number("true_x", "true_position", 0),
     _number("true_y", "true_position", 1),
     _angle("true_body_deg", "true_body"),

@@ -72,7 +72,7 @@ class Advanced(NamedTuple):
     fine: NDArray[np.bool_]  # (P,) whether all went well; else the window is as it was
     state: FloatArray  # (P, 6) of the newest frame, in the world
     covariance: FloatArray  # (P, 6, 6) calibrated, with what the coupling modes leave open
-    modes: FloatArray  # (P, 2) probability of an aligned body and its offset
+    modes: FloatArray  # (P, 3) as in `Result`
 
 
 @inner

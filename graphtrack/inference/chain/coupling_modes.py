@@ -44,7 +44,7 @@ class ModeMemory(NamedTuple):
     after: FloatArray  # (2, ROW) likelihood of all that follows, for two frames
     weight: FloatArray  # (1, ROW) probabilities given all frames, not normalised
     before: FloatArray  # (2, ROW) filtered probabilities of both couplings in the frame before the first
-    held: FloatArray  # (n, 3) cosine and sine of the offset from motion to body, and probability of alignment
+    held: FloatArray  # (n, 4) offset from motion to body, cosine and sine; probabilities: aligned, a glance
     spread: FloatArray  # (n, 2) standard deviation of the pull of each coupling
 
 
@@ -61,7 +61,7 @@ def mode_memory(n: int) -> ModeMemory:
         np.empty((2, ROW)),
         np.empty((1, ROW)),
         np.zeros((2, ROW)),
-        np.empty((n, 3)),
+        np.empty((n, 4)),
         np.empty((n, 2)),
     )
 
@@ -421,6 +421,7 @@ class Smoothed(NamedTuple):
     near: Any
     near_cos: Any
     near_sin: Any
+    glance: Any
     glance_cos: Any
     glance_sin: Any
 
@@ -497,6 +498,7 @@ def smooth_modes(
         share * near,
         share * near_cos,
         share * near_sin,
+        share * glance,
         share * glance_cos,
         share * glance_sin,
     )
@@ -696,6 +698,7 @@ def renew_head(
         )
         frame.head_body_kappa, frame.head_body_cos = coupling.kappa, coupling.cos
         frame.head_body_sin, frame.head_doubt = coupling.sin, found.mistaken
+        memory.held[k, 3] = found.glance
         memory.spread[k, HEAD_MODE] = common * coupling.spread
         left += frame.dt
         if k < n - 1:
@@ -747,13 +750,14 @@ def renew_couplings(
 
 @compiled
 def report_modes(n: int, lane: int, held: FloatArray, modes: FloatArray) -> None:
-    """Probability of an aligned body and its offset from the motion in radians, (n, 2), of one lane.
+    """Probability of an aligned body, its offset from the motion in radians and probability of a glance.
 
-    ``held`` (n, 3) is that of `ModeMemory`.
+    They become ``modes`` (n, 3), of one lane; ``held`` (n, 4) is that of `ModeMemory`.
     """
     for k in range(n):
         modes[k, 0] = lane_of(held[k, 2], lane)
         modes[k, 1] = math.atan2(lane_of(held[k, 1], lane), lane_of(held[k, 0], lane))
+        modes[k, 2] = lane_of(held[k, 3], lane)
 
 
 @compiled

@@ -19,7 +19,9 @@ class Result(NamedTuple):
     cost: FloatArray  # (m,)
     iterations: NDArray[np.int64]  # (m,)
     status: NDArray[np.int64]  # (m,) see CONVERGED
-    modes: FloatArray  # (N, 2) probability of an aligned body, and its offset from the motion in radians
+    modes: (
+        FloatArray  # (N, 3) probability of an aligned body, its offset from the motion, and that of a glance
+    )
 
 
 CONVERGED, NOT_CONVERGED, NOT_FINITE = 0, 1, 2

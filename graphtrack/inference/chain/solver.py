@@ -371,7 +371,7 @@ def lane_modes(memory: Any) -> Any:
         lane_rows(memory.after, ROW),
         lane_rows(memory.weight, ROW),
         lane_rows(memory.before, ROW),
-        lane_rows(memory.held, 3),
+        lane_rows(memory.held, 4),
         lane_rows(memory.spread, 2),
     )
 

@@ -64,7 +64,7 @@ class ChainWindow:
         self._has_prior = False
         # Whether what was seen may speak for several directions: then other basins are searched.
         self._ambiguous = model.parameters.likelihood.outlier_probability > 0.0
-        self.modes = (math.nan, math.nan)
+        self.modes = (math.nan, math.nan, math.nan)
         self._warm = False
         self._take_slot(_LEAST_FRAMES)
 
@@ -326,7 +326,7 @@ def _solved_together(
         if leaving:
             del window._steps[:leaving]
             window._has_prior = True
-        window.modes = (modes[k][0], modes[k][1])
+        window.modes = (modes[k][0], modes[k][1], modes[k][2])
         found.append((advanced.state[k], advanced.covariance[k]))
     return found
 
@@ -341,7 +341,7 @@ def _advanced(
         for one, step in zip(windows, steps, strict=True)
     ]
     guesses = np.array([_guess(step, first._model) for step in steps])
-    found = Advanced(np.zeros(n, bool), np.empty((n, N)), np.empty((n, N, N)), np.full((n, 2), math.nan))
+    found = Advanced(np.zeros(n, bool), np.empty((n, N)), np.empty((n, N, N)), np.full((n, 3), math.nan))
     gait = gait_of_model(first._model) if first._model.has_modes else None
     advance(first._slot.windows, np.array(tasks, TASK), guesses, first._rules, gait, found)
     return found

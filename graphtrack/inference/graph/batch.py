@@ -187,7 +187,7 @@ def smooth_graph(
         raise SolveError(track.track_id, not_finite(track, model))
     if costs[-1] > costs[0]:
         raise SolveError(track.track_id, f"the cost rose from {costs[0]:.6g} to {costs[-1]:.6g}")
-    modes = np.full((len(track), 2), np.nan) if view is None else view.modes
+    modes = np.full((len(track), 3), np.nan) if view is None else view.modes
     (estimate,) = estimated_tracks([track], np.array([0, len(track)]), states, covariance, modes)
     return Solution(estimate, costs[0], costs[-1], len(costs) - 1, converged, "gtsam")
 

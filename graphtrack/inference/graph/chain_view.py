@@ -38,7 +38,7 @@ class _View:
     Attributes
     ----------
     couplings : index of a step → what its factors read the couplings from
-    modes : (n, 2) as in `chain.result.Result`; NaN until `renew`
+    modes : (n, 3) as in `chain.result.Result`; NaN until `renew`
     before : (2, ROW) probabilities of both couplings' modes in the frame before
     """
 
@@ -51,7 +51,7 @@ class _View:
     def _start(self, problem: Problem, n: int) -> None:
         """Take a problem of n frames, of whose modes nothing is known yet."""
         self._problem = problem
-        self.modes, self._spread = np.full((n, 2), np.nan), np.zeros((n, 2))
+        self.modes, self._spread = np.full((n, 3), np.nan), np.zeros((n, 2))
         self._filtered = np.empty((2, 0, ROW))
 
     def other(self, states: FloatArray, near: float) -> FloatArray | None:

@@ -138,8 +138,8 @@ class Guided:
         self._view.follow(steps, states, prior)
         if self._couplings is not None:
             self._view.renew(states)
-            aligned, offset = self._view.modes[-1].tolist()
-            self.modes = aligned, offset
+            aligned, offset, glance = self._view.modes[-1].tolist()
+            self.modes = aligned, offset, glance
 
     def _notice(self, steps: Sequence[Step]) -> None:
         """Search from the first step on that may speak for several directions."""
@@ -276,6 +276,6 @@ class Guided:
         """Begin with a window: nothing is known about its couplings, nor where to search."""
         if self._couplings is not None:
             self._couplings.clear()
-        self.modes, self._searches, self._search_from = (math.nan, math.nan), False, -math.inf
+        self.modes, self._searches, self._search_from = (math.nan,) * 3, False, -math.inf
         self._view = self._look(window.modes) if self._model.has_modes else None
         self._notice(window.steps)
