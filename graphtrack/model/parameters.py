@@ -185,21 +185,21 @@ class GaitParameters(_Group):
     head_switching: float = _number(0.0022, 0.0, 1e3, "1/s")
     head_spread: float = _number(0.083, 0.0, math.pi, "rad")
     head_drift: float = _number(0.003, 0.0, 1e3, "rad²/s")
-    head_strength: float = _number(2.4, 0.0, 1e3)
+    head_strength: float = _number(4.0, 0.0, 1e3)
     head_free_strength: float = _number(5.5, 0.0, 1e3)
     head_lead: float = _number(0.12, 0.0, 10.0, "s")
     body_offset_kappa: float = _number(0.8, 0.0, 100.0)
     head_offset_kappa: float = _number(2.5, 0.0, 100.0)
     head_rate_seen: float = _share(0.013)
-    glance_share: float = _share(0.1, 0.9)
-    glance_time: float = _number(3.1, 0.05, 1e3, "s")
+    glance_share: float = _share(0.2, 0.9)
+    glance_time: float = _number(2.0, 0.05, 1e3, "s")
     glance_kappa: float = _number(0.92, 0.0, 100.0)
-    glance_strength: float = _number(0.47, 0.0, 1e3)
+    glance_strength: float = _number(1.0, 0.0, 1e3)
     # Of classifiers: how people move says nothing of them.
     head_class_bias: float = _number(0.43, 0.0, 1.0, learned=False)
     head_class_bias_kappa: float = _number(1.0, 0.0, 100.0, learned=False)
     # It changes what is stated and nothing that is estimated.
-    head_common: float = _number(1.0, 0.0, 1.0, learned=False)
+    head_common: float = _number(0.27, 0.0, 1.0, learned=False)
 
 
 @dataclass(frozen=True)

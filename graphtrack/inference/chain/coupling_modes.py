@@ -264,7 +264,8 @@ def judge_head(
         if not any_of(active):
             continue
         cos, sin = cos_sin(memory.ahead[k, AHEAD_BODY])
-        share = coupling / (coupling + frame.head_information) * known / (known + coupling)
+        tight = modes.strength * coupling
+        share = tight / (tight + frame.head_information) * known / (known + coupling)
         share = choose(active, share, 0.0)
         add_head_evidence(problem, offset + k, modes, share, cos, sin, row)
 
