@@ -170,6 +170,7 @@ class GaitParameters(_Group):
     glance_time : seconds that a glance lasts on average
     glance_kappa : concentration about 0 of the angle of a glance; none is beyond the neck's reach
     glance_strength : κ₂ about the angle of a glance, as a multiple of ``head_body_kappa``
+    glance_std : radians, 1-σ that is added to that of a head that surely glances aside
     head_common : share of what the head's modes leave open that all frames have in common, 0 to 1
     """
 
@@ -195,6 +196,8 @@ class GaitParameters(_Group):
     glance_time: float = _number(2.0, 0.05, 1e3, "s")
     glance_kappa: float = _number(0.92, 0.0, 100.0)
     glance_strength: float = _number(1.0, 0.0, 1e3)
+    # It changes what is reported of uncertainty, and no estimate.
+    glance_std: float = _number(0.47, 0.0, math.pi, "rad", learned=False)
     # Of classifiers: how people move says nothing of them.
     head_class_bias: float = _number(0.43, 0.0, 1.0, learned=False)
     head_class_bias_kappa: float = _number(1.0, 0.0, 100.0, learned=False)
@@ -342,5 +345,5 @@ def steady(parameters: Parameters) -> Parameters:
             body_turn_rate=0.0,
             head_turn_rate=0.0,
         ),
-        gait=replace(parameters.gait, head_common=1.0),
+        gait=replace(parameters.gait, head_common=1.0, glance_std=0.0),
     )

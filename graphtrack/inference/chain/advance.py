@@ -15,9 +15,11 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.calibration import Calibration, add_lags, calibrate_frame
 from graphtrack.inference.chain.coupling_modes import (
     BODY_MODE,
+    GLANCE,
     HEAD_MODE,
     ModeMemory,
     classified_in,
+    glance_variance,
     is_observed,
     mode_memory,
     normalise,
@@ -175,6 +177,7 @@ def advance(
                 continue
             if gait is not None:
                 spread_newest(problem, end - begin, states, modes.spread, own, covariance)
+                covariance[HEAD, HEAD] += glance_variance(modes.held[end - begin - 1, GLANCE], gait)
             report(windows, slot, rules, covariance, lags, p, advanced)
             for k in range(task.leave):
                 oldest = problem.offsets[0]

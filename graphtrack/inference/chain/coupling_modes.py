@@ -17,7 +17,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.kernels.compiled import allocating, compiled, inner, merged
 from graphtrack.model.kernels.elementary import cos_sin, direction_of, exp, log, whole_of
 from graphtrack.model.kernels.lanes import any_of, choose, lane_count, lane_of, masked, only_lane
-from graphtrack.model.kernels.layout import BODY, VX, VY
+from graphtrack.model.kernels.layout import BODY, HEAD, VX, VY
 from graphtrack.model.kernels.problem import Problem
 from graphtrack.model.terms.body_follows_motion import squared_excess
 from graphtrack.model.terms.gait import BASE, BINS, MOST_DRIFT, ROW, Gait, Modes
@@ -27,6 +27,9 @@ BODY_MODE, HEAD_MODE = 0, 1
 """Places of the two couplings in arrays of both."""
 
 AHEAD_VX, AHEAD_VY, AHEAD_BODY = range(3)
+
+GLANCE = 3
+"""Place of the probability of a glance in `ModeMemory.held`."""
 
 _TURN = 2.0 * math.pi
 _LAST = BINS - 1
@@ -699,7 +702,7 @@ def renew_head(
         )
         frame.head_body_kappa, frame.head_body_cos = coupling.kappa, coupling.cos
         frame.head_body_sin, frame.head_doubt = coupling.sin, found.mistaken
-        memory.held[k, 3] = found.glance
+        memory.held[k, GLANCE] = found.glance
         memory.spread[k, HEAD_MODE] = common * coupling.spread
         left += frame.dt
         if k < n - 1:
@@ -749,6 +752,25 @@ def renew_couplings(
     renew_head(problem, track, n, length, states, gait, classified, has_spread, memory)
 
 
+@inner
+def glance_variance(glance: Any, gait: Gait) -> Any:
+    """What is added to the variance of a head that glances aside with a probability.
+
+    Where that is more than in the long run, it rises to ``gait.glance_variance``: when a glance begins and
+    ends, and where to, is known less well than the inverse curvature about one course of it says.
+    """
+    more = (glance - gait.head.glance_share) / (1.0 - gait.head.glance_share)
+    less = 1.0 - choose(more > 0.0, more, 0.0)
+    return gait.glance_variance * (1.0 - less * less)
+
+
+@compiled
+def add_glance_variance(n: int, held: FloatArray, gait: Gait, covariance: FloatArray) -> None:
+    """Add it to the covariances (n, 6, 6), in place; ``held`` (n, 4) is that of `ModeMemory`."""
+    for k in range(n):
+        covariance[k, HEAD, HEAD] += glance_variance(held[k, GLANCE], gait)
+
+
 @compiled
 def report_modes(n: int, lane: int, held: FloatArray, modes: FloatArray) -> None:
     """Probability of an aligned body, its offset from the motion in radians and probability of a glance.
@@ -758,7 +780,7 @@ def report_modes(n: int, lane: int, held: FloatArray, modes: FloatArray) -> None
     for k in range(n):
         modes[k, 0] = lane_of(held[k, 2], lane)
         modes[k, 1] = math.atan2(lane_of(held[k, 1], lane), lane_of(held[k, 0], lane))
-        modes[k, 2] = lane_of(held[k, 3], lane)
+        modes[k, 2] = lane_of(held[k, GLANCE], lane)
 
 
 @compiled

@@ -15,6 +15,7 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.inference.chain.basin_search import AT_END, AT_START, find_other_basins
 from graphtrack.inference.chain.coupling_modes import (
     ModeMemory,
+    add_glance_variance,
     classified_in,
     mode_memory,
     renew_couplings,
@@ -250,6 +251,7 @@ def solve_group(
     note(tracks, workspace.ended, result)
     find_covariances(problem, track, n, states, group.modes, workspace, group.covariance)
     if gait is not None:
+        add_glance_variance(n, group.modes.held, gait, group.covariance)
         for lane in range(lane_count(length)):
             if tracks[lane] >= 0:
                 begin, frames = whole.offsets[tracks[lane]], int(lane_of(length, lane))

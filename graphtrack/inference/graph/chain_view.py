@@ -10,6 +10,7 @@ from graphtrack.geometry.angles import BoolArray, FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.chain.basin_search import find_other_basin
 from graphtrack.inference.chain.coupling_modes import (
+    add_glance_variance,
     classified_in,
     mode_memory,
     renew_couplings,
@@ -90,6 +91,7 @@ class _View:
         renew_couplings(self._problem, 0, n, float(n), here, gait, classified, True, memory)
         report_modes(n, 0, memory.held, self.modes)
         filtered = np.stack([memory.filtered_body, memory.filtered_head])
+        self._held = memory.held
         self._spread, self._filtered = memory.spread, filtered / filtered.sum(axis=2, keepdims=True)
         self._note()
 
@@ -98,6 +100,7 @@ class _View:
         memory = workspace(len(states))
         here = self._here(states)
         spread_track(self._problem, len(here), here, self._spread, memory, covariance)
+        add_glance_variance(len(here), self._held, gait_of_model(self._model), covariance)
 
     def _note(self) -> None:
         raise NotImplementedError

@@ -71,6 +71,7 @@ class Gait(NamedTuple):
     head_evidence: float
     head_rate_seen: float
     head_common: float
+    glance_variance: float  # rad²
 
 
 _GRID = 2.0 * np.pi * np.arange(72) / 72
@@ -86,6 +87,7 @@ def gait_of(parameters: GaitParameters) -> Gait:
         parameters.head_evidence,
         parameters.head_rate_seen,
         parameters.head_common,
+        parameters.glance_std**2,
     )
 
 
