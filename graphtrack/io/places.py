@@ -153,7 +153,7 @@ def _identity(path: Path) -> _Identity:
     """The same for all paths of a file or folder; of one that is not there, for all that would make it."""
     try:
         status = path.stat()
-    except OSError:
+    except (OSError, ValueError):  # ValueError: a path with a null byte
         final = destination(path).absolute()
     else:
         return status.st_dev, status.st_ino
