@@ -126,8 +126,13 @@ def out_of_bounds(name: str, value: float, frame: int, track_id: int, **place: A
 
 def check_positive(name: str, value: float | None, highest: float) -> None:
     """Raise InputError unless a setting is a number above 0, ``highest`` at most, or None."""
-    if value is not None and not (np.isfinite(value) and 0.0 < value <= highest):
-        raise InputError(f"{name} = {value}", f"a positive number up to {highest:g}")
+    if value is not None and not (is_number(value) and np.isfinite(value) and 0.0 < value <= highest):
+        raise InputError(f"{name} = {value!r}", f"a positive number up to {highest:g}")
+
+
+def is_number(value: object) -> bool:
+    """Return whether a setting is a real number; text and truth values are none."""
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
 def check_count(name: str, value: object) -> None:
@@ -137,7 +142,9 @@ def check_count(name: str, value: object) -> None:
 
 
 def real_numbers(given: Any) -> NDArray[np.float64]:
-    """An array of doubles, a copy; complex numbers are refused, whose imaginary part NumPy would drop.
+    """An array of doubles, a copy; masked values are NaN.
+
+    NumPy would drop masks and imaginary parts, and take dates and durations for counts of their unit.
 
     Raises
     ------
@@ -147,7 +154,27 @@ def real_numbers(given: Any) -> NDArray[np.float64]:
     value = np.asarray(given)
     if np.iscomplexobj(value):
         raise TypeError("complex numbers, of which only real ones can be used")
-    return np.array(value, dtype=float)
+    if value.dtype.kind in "mM":
+        raise TypeError("dates or durations; expected seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
+    numbers = np.array(value, dtype=float)
+    if isinstance(given, np.ma.MaskedArray):
+        numbers[np.ma.getmaskarray(given)] = np.nan
+    return numbers
+
+
+TEXT = "text in Unicode characters (no half of a surrogate pair)"
+"""Labels and identities, as messages expect them."""
+
+
+def is_text(value: object) -> bool:
+    """Return whether a value is text that UTF-8 can hold; the half of a surrogate pair is not."""
+    if not isinstance(value, str):
+        return False
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def check_frame_rate(fps: float | None) -> None:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.bounds import LARGEST_FRAME
+from graphtrack.bounds import LARGEST_FRAME, is_number
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import Track, TrackSet
@@ -82,8 +82,9 @@ def with_times_at(tracks: TrackSet, hz: float) -> TrackSet:
     InputError
         If ``hz`` is not positive, or the rows would be more than 20 million.
     """
-    if not (math.isfinite(hz) and hz > 0.0):
-        raise InputError(f"{hz:g} Hz to resample to", "a positive number of frames a second")
+    if not (is_number(hz) and math.isfinite(hz) and hz > 0.0):
+        shown = f"{hz:g}" if is_number(hz) else repr(hz)
+        raise InputError(f"{shown} Hz to resample to", "a positive number of frames a second")
     origin = min(float(track.t[0]) for track in tracks)
     seconds = sum(float(track.t[-1] - track.t[0]) for track in tracks)
     last = max(float(track.t[-1]) for track in tracks) - origin

@@ -49,6 +49,10 @@ class RemoteFile(type(Path())):  # type: ignore[misc]
                 return io.BytesIO(stream.read())
         except FileNotFoundError as error:
             raise InputError("no such file", "an existing file", path=url) from error
+        except ImportError as error:
+            said = " ".join(str(error).split())
+            expected = "fsspec's packages for such URLs (for http: pip install requests aiohttp)"
+            raise InputError(said, expected, path=url) from error
         except Exception as error:  # each store has errors of its own
             said = " ".join(str(error).split()) or type(error).__name__
             raise InputError(said, "the URL of a file that can be read", path=url) from error

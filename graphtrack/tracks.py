@@ -26,6 +26,8 @@ from graphtrack.bounds import (
     LARGEST_ID,
     SHAPES,
     STATE,
+    TEXT,
+    is_text,
 )
 from graphtrack.channels import checked_channel, checked_inputs, input_of_size
 from graphtrack.display import html_of_track, html_of_tracks, line_of_track, line_of_tracks, listed
@@ -109,8 +111,11 @@ class Track:
     inputs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.track_id, int | np.integer) or abs(int(self.track_id)) > LARGEST_ID:
+        is_whole = isinstance(self.track_id, int | np.integer) and not isinstance(self.track_id, bool)
+        if not is_whole or abs(int(self.track_id)) > LARGEST_ID:
             raise InputError(f"track_id {self.track_id!r}", f"a whole number within ±{LARGEST_ID}")
+        if not is_text(self.label):
+            raise InputError(f"label {self.label!r} of track {self.track_id}", TEXT)
         frame = np.asarray(self.frame)
         if frame.ndim != 1 or frame.size == 0 or not np.issubdtype(frame.dtype, np.integer):
             raise InputError(
@@ -270,6 +275,9 @@ class TrackSet:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tracks", tuple(self.tracks))
+        for one in self.tracks:
+            if not isinstance(one, Track):
+                raise InputError(f"a {type(one).__name__} among tracks", "a Track")
         ids = [track.track_id for track in self.tracks]
         if len(set(ids)) != len(ids):
             twice = next(i for i in ids if ids.count(i) > 1)

@@ -202,3 +202,79 @@ def test_nothing_of_it_warns() -> None:
         warnings.simplefilter("error")
         TrackSet.from_table(COLUMNS)
         refused(replace, PERSON, position=np.full((12, 2), 1e200))
+
+
+def test_whatever_takes_tracks_takes_paths_and_tables_and_refuses_the_rest(path, tmp_path) -> None:
+    entries = {
+        "groups": gt.groups,
+        "forecast": lambda given: gt.forecast(given, horizon=0.4),
+        "associate": gt.associate,
+        "write_report": lambda given: gt.write_report(tmp_path / "report.html", given),
+        "view": lambda given: gt.view(given, save=tmp_path / "view.rrd"),
+    }
+    for entry in entries.values():
+        for form in FORMS.values():
+            entry(form(path))
+        assert "no such file" in refused(entry, "missing.csv")
+        for wrong in (None, 3, [1, 2]):
+            refused(entry, wrong)
+
+
+def test_what_cannot_be_read_or_written_is_refused(path, tmp_path) -> None:
+    for wrong in (None, 3, [path, 3], {path}):
+        assert "a path" in refused(gt.read, wrong)
+    for wrong in (None, TABLE, [PERSON, PERSON]):
+        assert "TrackSet" in refused(gt.write, wrong, tmp_path / "out.csv")
+    with (tmp_path / "open.txt").open("w") as stream:
+        assert "path of a file" in refused(gt.write, PEOPLE, stream)
+    assert "found a int among tracks" in refused(TrackSet, (1, 2))
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_unknown_options_alone_are_named(path) -> None:
+    for entry in (gt.read, gt.smooth):
+        assert refused(entry, path, fsp=10).startswith("found unknown options fsp, expected some of fps")
+
+
+def test_a_file_is_read_once(path, tmp_path) -> None:
+    link = tmp_path / "link.csv"
+    link.symlink_to(path)
+    for second in (path, str(path), link):
+        assert "again, expected each file once" in refused(gt.read, [path, second])
+
+
+def test_masked_values_are_missing() -> None:
+    position = np.array(PERSON.position)
+    position[4] = 1e3
+    masked = np.ma.masked_greater(position, 100.0)
+    position[4] = np.nan
+    np.testing.assert_array_equal(replace(PERSON, position=masked).position, position)
+    whole = np.ma.masked_equal(np.arange(12), 3)
+    assert np.flatnonzero(np.isnan(replace(PERSON, head=whole).head)).tolist() == [3]
+
+
+@pytest.mark.parametrize("unit", ["timedelta64[ns]", "datetime64[s]"])
+def test_durations_and_dates_are_no_seconds(unit) -> None:
+    assert "expected seconds" in refused(replace, PERSON, t=np.arange(12).astype(unit))
+
+
+def test_names_and_numbers_of_people_are_checked() -> None:
+    for wrong in (True, np.True_):
+        assert "track_id" in refused(replace, PERSON, track_id=wrong)
+    for wrong in (3, None, "\ud800"):
+        assert "label" in refused(replace, PERSON, label=wrong)
+    for name in ("label", "track_id"):
+        refused(TrackSet.from_table, {**COLUMNS, name: ["\ud800"] * len(TABLE)})
+
+
+def test_settings_that_are_no_numbers_are_refused() -> None:
+    for wrong in ("10", True, np.nan):
+        assert "Hz to resample to" in refused(gt.smooth, PERSON, model="position", resample=wrong)
+        assert "lag" in refused(gt.track_online, PERSON, model="position", lag=wrong)
+        assert "fps" in refused(gt.simulate, fps=wrong)
+        assert "n_tracks" in refused(gt.simulate, n_tracks=wrong)
+
+
+def test_one_method_may_be_named_by_itself() -> None:
+    assert {row["method"] for row in gt.compare(PEOPLE, "kf", model="position").rows} == {"kf"}
+    assert "method 'fk'" in refused(gt.compare, PEOPLE, "fk")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from graphtrack.association.rows import associated
+from graphtrack.io.given import tracks_of
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.reading import is_table, rows_of_file, rows_of_frame
 from graphtrack.model import Model
@@ -76,7 +77,4 @@ def rows_of(
         return rows_of_file(detections, format, ReadOptions(fps=fps, **options))
     if is_table(detections):
         return rows_of_frame(detections, ReadOptions(fps=fps, **options))
-    tracks = TrackSet((detections,)) if isinstance(detections, Track) else detections
-    if not isinstance(tracks, TrackSet):
-        tracks = TrackSet(tuple(tracks))  # type: ignore[arg-type]
-    return rows_of_table(to_columns(tracks))
+    return rows_of_table(to_columns(tracks_of(detections)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -16,6 +15,7 @@ from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.bounds import with_table
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
+from graphtrack.io.toml import read_toml
 
 Made = TypeVar("Made", GroupParameters, AttentionParameters)
 
@@ -62,13 +62,7 @@ def _loaded(path: str | Path, name: str, made: Callable[[dict[str, Any]], Made])
 
 
 def _table(path: str | Path, name: str) -> dict[str, Any]:
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(error.strerror or str(error), "a readable file of parameters", path=path) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"no TOML ({error})", "a file of parameters", path=path) from error
-    table = content.get(name)
+    table = read_toml(path, "a file of parameters").get(name)
     if not isinstance(table, dict):
         raise InputError(f"no table [{name}]", f"what 'graphtrack fit --{name}' writes", path=path)
     return table

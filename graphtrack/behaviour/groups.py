@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,10 +14,12 @@ from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.behaviour.partition import partitions
 from graphtrack.behaviour.people import IntArray, People, people_of
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.tracks import Track
+from graphtrack.io.given import tracks_of
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from graphtrack.io.given import Given
 
 KINDS = ("", "conversing", "walking")
 """Alone, in a conversation, walking together."""
@@ -81,9 +82,7 @@ class Groups:
         }
 
 
-def groups(
-    tracks: Iterable[Track], parameters: GroupParameters | None = None, *, online: bool = False
-) -> Groups:
+def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: bool = False) -> Groups:
     """Find who stands in conversation, and who walks together.
 
     Parameters
@@ -94,7 +93,7 @@ def groups(
     online : whether the past alone counts in each frame, or both sides
     """
     chosen = DEFAULT if parameters is None else parameters
-    people = people_of(tracks, online=online)
+    people = people_of(tracks_of(tracks), online=online)
     return groups_of(people, chosen, pair_evidence(people, chosen, both_sides=not online))
 
 

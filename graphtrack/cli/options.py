@@ -243,6 +243,9 @@ class Reading(OfTables, _OfAnyFile):
         if unused and tracks.camera is None:
             console.print(f"  note: {', '.join(unused)} not used: the input has no pixels", markup=False)
         if self.select:
+            if not all(self.select):
+                expected = "a label, an id or a pattern such as '*walk*'"
+                raise InputError("an empty pattern for --select", expected)
             chosen = tracks.select(*self.select)
             if not len(chosen):
                 wanted = " or ".join(self.select)

@@ -13,6 +13,7 @@ from graphtrack.cli.console import console
 from graphtrack.errors import InputError
 
 TOKEN = "GRAPHTRACK_TOKEN"
+_LONGEST_TOKEN = 4096
 
 
 def serve(
@@ -136,6 +137,9 @@ def serve(
     token = os.environ.get(TOKEN) if token_file is None else _read_token(token_file)
     if token == "":
         raise InputError("an empty token", "some characters, or none at all", path=token_file)
+    if token is not None and not all("!" <= character <= "~" for character in token):
+        expected = "printable ASCII characters without spaces, which a header can hold"
+        raise InputError("a token with other characters", expected, path=token_file)
     if token is None and host not in ("127.0.0.1", "::1", "localhost"):
         console.print(f"note: no token: whoever reaches {host} may open streams", markup=False)
     clients = clients_of(host, allow_host or [], allow_origin or [])
@@ -146,8 +150,12 @@ def serve(
 
 
 def _read_token(path: Path) -> str:
+    with path.open("rb") as file:
+        content = file.read(_LONGEST_TOKEN + 1)  # of a device there may be no end
+    if len(content) > _LONGEST_TOKEN:
+        raise InputError(f"more than {_LONGEST_TOKEN} bytes", "a token in one line", path=path)
     try:
-        return path.read_text("utf-8").strip()
+        return content.decode().strip()
     except UnicodeDecodeError as error:
         found = f"byte {error.start + 1} is no UTF-8"
         raise InputError(found, "a token as text, in one line", path=path) from error

@@ -29,6 +29,7 @@ VERSION = 2
 
 _MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")
 _MARK_LENGTH = 76
+_BEGINNING = b"graphtrack-state "
 _DIGEST_LENGTH = 32
 _VERSION_1 = re.compile(rb'[0-9a-f]{8} \{"graphtrack state":1,')
 _EXPECTED = "a file that 'graphtrack track - --state' wrote"
@@ -330,16 +331,24 @@ def remove(path: Path) -> bool:
     ------
     StateInUse
         If a process has it open, or is about to make it. The file is not changed.
+    InputError
+        If it is no state file. The file is not changed.
     OSError
         If it cannot be deleted.
     """
     final, new = _places(path)
     found = False
     for place in (final, new):
+        if place.exists() and not place.is_file():
+            raise InputError("no file", _EXPECTED, path=path)
         file = _locked(place, path, 0) if place.exists() else None
         if file is None:
             continue
         try:
+            # A link may lead to any file. One that is being made has no first line yet.
+            first = os.pread(file, _MARK_LENGTH, 0)
+            if place == final and not first.startswith(_BEGINNING) and not _VERSION_1.match(first):
+                raise InputError("no saved state", _EXPECTED, path=path)
             place.unlink()
             if place == final:
                 found = True

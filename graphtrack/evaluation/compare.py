@@ -201,7 +201,8 @@ def common_tracks(records: Sequence[TrackScore]) -> list[TrackScore]:
 
 
 def _make(methods: Sequence[str | Method], model: Model | None) -> tuple[Method, ...]:
-    made = tuple(make_method(method, model) for method in methods)
+    listed = [methods] if isinstance(methods, str) else methods  # and not its letters
+    made = tuple(make_method(method, model) for method in listed)
     names = [method.name for method in made]
     if not names:
         raise InputError("no methods", f"some of {', '.join(METHODS)}")

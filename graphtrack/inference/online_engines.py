@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+from graphtrack.bounds import is_number
 from graphtrack.errors import InputError
 from graphtrack.inference.chain.engine import is_chain
 from graphtrack.inference.offline import engine_of
@@ -35,5 +36,5 @@ def check_lag(lag: float | None, engine: OnlineEngine) -> None:
     """Raise InputError for what is no length of a window (seconds), or none where the engine needs one."""
     if lag is None and engine != "isam2":
         raise InputError(f"no lag with the engine {engine}", "seconds; the full history is for isam2")
-    if lag is not None and not (math.isfinite(lag) and lag > 0.0):
-        raise InputError(f"lag = {lag}", "a positive number of seconds")
+    if lag is not None and not (is_number(lag) and math.isfinite(lag) and lag > 0.0):
+        raise InputError(f"lag = {lag!r}", "a positive number of seconds")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.io.options import Associate
-from graphtrack.io.reading import is_table, read
+from graphtrack.io.reading import are_paths, is_table, read
 from graphtrack.scene import GivenScene
 from graphtrack.tracks import Track, TrackSet
 
@@ -38,7 +38,7 @@ def tracks_of(
     InputError
         For anything else, and for a file or table that cannot be read.
     """
-    if reading and not (isinstance(given, str | Path) or is_table(given) or _are_paths(given)):
+    if reading and not (isinstance(given, str | Path) or is_table(given) or are_paths(given)):
         names = ", ".join(reading)
         raise InputError(
             f"{names} with a {type(given).__name__}", "options of reading with a path or a table"
@@ -54,13 +54,9 @@ def tracks_of(
     if isinstance(given, list | tuple) and given:
         if all(isinstance(one, Track) for one in given):
             return TrackSet(tuple(given))
-        if _are_paths(given):
+        if are_paths(given):
             return read(given, associate=associate, scene=scene, **reading)
     raise InputError(_described(given), f"a TrackSet, a Track, a table or the path of a file{_hint(given)}")
-
-
-def _are_paths(given: object) -> TypeGuard[Sequence[str | Path]]:
-    return isinstance(given, list | tuple) and all(isinstance(one, str | Path) for one in given)
 
 
 def _described(given: object) -> str:

@@ -99,6 +99,21 @@ def check_distinct(
         _claimed(name, path, taken, closed)
 
 
+def check_read_once(inputs: Iterable[Path]) -> None:
+    """Refuse a file that is given twice: its people would be read as others who walk the same way.
+
+    Raises
+    ------
+    InputError
+        With both paths.
+    """
+    known: dict[_Identity, Path] = {}
+    for path in inputs:
+        before = known.setdefault(_identity(path), path)
+        if before is not path:
+            raise InputError(f"the file {before} again", "each file once", path=path)
+
+
 @dataclass(frozen=True)
 class _Claim:
     """A place that has its use already."""
@@ -138,7 +153,7 @@ def _identity(path: Path) -> _Identity:
     """The same for all paths of a file or folder; of one that is not there, for all that would make it."""
     try:
         status = path.stat()
-    except OSError:
+    except (OSError, ValueError):  # ValueError: a path with a null byte
         final = destination(path).absolute()
     else:
         return status.st_dev, status.st_ino

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard, cast
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from numpy.typing import NDArray
 
@@ -22,6 +22,7 @@ from graphtrack.io.library_errors import read_errors
 from graphtrack.io.marks import as_told
 from graphtrack.io.merging import merged_tracks
 from graphtrack.io.options import ReadOptions
+from graphtrack.io.places import check_read_once
 from graphtrack.io.readers.native_parquet import has_moments
 from graphtrack.io.registry import (
     Format,
@@ -77,15 +78,22 @@ def read(
     try:
         read_options = ReadOptions(**options)
     except TypeError as error:
-        known = ", ".join(ReadOptions.__dataclass_fields__)
-        raise InputError(f"options {', '.join(options)}", f"some of {known}") from error
+        known = ReadOptions.__dataclass_fields__
+        unknown = ", ".join(name for name in options if name not in known)
+        raise InputError(f"unknown options {unknown}", f"some of {', '.join(known)}") from error
     if is_table(path):
         if format is not None:
             raise InputError(f"format {format!r} of a table", "a file, or no format")
         return tracks_of_rows(rows_of_frame(path, read_options), read_options)
-    if isinstance(path, str | Path):
-        return read_with([path], format, read_options)
-    return read_with(list(cast("Sequence[str | Path]", path)), format, read_options)
+    paths = [path] if isinstance(path, str | Path) else path
+    if not are_paths(paths):
+        raise InputError(f"a {type(path).__name__}", "a path, several paths, or a table")
+    return read_with(list(paths), format, read_options)
+
+
+def are_paths(given: object) -> TypeGuard[Sequence[str | Path]]:
+    """Return whether something is a list or tuple of paths."""
+    return isinstance(given, list | tuple) and all(isinstance(one, str | Path) for one in given)
 
 
 def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
@@ -124,6 +132,7 @@ def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOpti
     if not paths:
         raise InputError("no paths", "at least one")
     sets: list[TrackSet] = []
+    check_read_once([place_of(one) for one in paths])
     for one in paths:
         sets.append(_read_one(one, format, options))
         options = replace(options, beside=options.beside or sets[0].as_read)
@@ -370,7 +379,12 @@ def write(
     InputError
         If the format cannot be written, the tracks lack what it needs, or the place cannot be written to.
     """
+    if not isinstance(path, str | Path):
+        raise InputError(f"a {type(path).__name__} to write to", "the path of a file")
     path, tracks = Path(path), TrackSet((tracks,)) if isinstance(tracks, Track) else tracks
+    if not isinstance(tracks, TrackSet):
+        expected = "a TrackSet or a Track; gt.read makes one of a table"
+        raise InputError(f"a {type(tracks).__name__} to write", expected, path=path)
     chosen = format_for_writing(path) if format is None else format_named(format)
     if chosen.write is None:
         names = ", ".join(one.name for one in formats() if one.write is not None)

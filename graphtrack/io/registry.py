@@ -118,6 +118,8 @@ def detect(source: Source) -> Format:
     for candidate in formats():
         if not name.endswith(".txt") and candidate.suffixes and name.endswith(candidate.suffixes):
             return candidate
+    if source.head.lstrip().startswith((b"[{", b"[\n", b"[ ", b"[\r")):
+        raise InputError("a JSON list", "one JSON object a line, each a row (.ndjson)", path=source.path)
     is_text = b"\0" not in source.head or source.wide is not None
     if is_text and (error := other_delimiter(source)) is not None:
         raise error

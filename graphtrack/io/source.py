@@ -22,7 +22,7 @@ MAX_BYTES = 4 * 2**30
 HEAD_BYTES = 8192
 """How much of a file the formats may look at to recognise it."""
 
-_GZIP_MAGIC = b"\x1f\x8b"
+_GZIP_MAGIC, _ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
 _MARKS = {
     codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16, whose mark it begins with
     codecs.BOM_UTF32_BE: "utf-32",
@@ -119,6 +119,9 @@ class Source:
             kind = self.wide[:6]
             expected = f"UTF-8 text, or {kind} with a mark at its beginning; --encoding {self.wide} reads it"
             raise InputError(f"{kind} text", expected, path=self.path, line=1)
+        if self.data.startswith(_ZIP_MAGIC):
+            expected = "text: an archive unpacked, the sheet of a workbook saved as CSV"
+            raise InputError("a ZIP archive (an Excel workbook?)", expected, path=self.path)
         null = self.data.find(b"\0")
         if null >= 0:
             raise InputError("a null byte (a binary file?)", "text", path=self.path, line=self._line(null))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from dataclasses import asdict
 from functools import cached_property
@@ -15,6 +14,7 @@ from graphtrack.display import html_table, listed, shortened
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.atomic import atomic_path
+from graphtrack.io.toml import read_toml
 from graphtrack.later import gtsam
 from graphtrack.model.factors.derived import COUPLED, Couplings, derived_factors
 from graphtrack.model.kernels.packing import FramePacker, PackedTracks, RecordTypes
@@ -263,12 +263,7 @@ class Model:
 
         One without a preset has `BEST_PRESET`, as `Model.named` says.
         """
-        try:
-            content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(error.strerror or str(error), "a readable model file", path=path) from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"no TOML ({error})", "a model file", path=path) from error
+        content = read_toml(path, "a model file")
         try:
             return cls.from_dict(content)
         except InputError as error:

@@ -6,22 +6,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from graphtrack.io.given import tracks_of
 from graphtrack.report import html
 from graphtrack.report.behaviour.given import behaviour_of
 from graphtrack.report.build import tracking_report
-from graphtrack.tracks import TrackSet
 
 if TYPE_CHECKING:
     from graphtrack.behaviour.attention import Attention
     from graphtrack.behaviour.forecast.recorded import Forecasts
     from graphtrack.behaviour.groups import Groups
     from graphtrack.behaviour.places import Place
+    from graphtrack.io.given import Given
 
 
 def write_report(
     path: str | Path,
-    tracks: TrackSet,
-    observations: TrackSet | None = None,
+    tracks: Given,
+    observations: Given | None = None,
     *,
     groups: Groups | str | Path | None = None,
     attention: Sequence[Attention] | str | Path | None = None,
@@ -49,6 +50,8 @@ def write_report(
         For groups, looks and forecasts of people or frames that the tracks have not, files that cannot be
         read, and a place that cannot be written to.
     """
+    tracks = tracks_of(tracks)
+    observations = None if observations is None else tracks_of(observations)
     behaviour = behaviour_of(tracks, groups=groups, attention=attention, forecast=forecast, places=places)
     report = tracking_report(tracks, observations, title=title, subtitle=subtitle, behaviour=behaviour)
     html.write_report(path, report)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from graphtrack.bounds import check_count, check_frame_rate
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.model import Model
@@ -196,9 +197,7 @@ def _missing(rng: np.random.Generator, n_tracks: int, n_steps: int, probability:
 
 def _check(n_tracks: int, n_steps: int, fps: float, missing: float) -> None:
     for name, count in (("n_tracks", n_tracks), ("n_steps", n_steps)):
-        if count < 1:
-            raise InputError(f"{name} = {count!r}", "an integer, at least 1")
-    if not (np.isfinite(fps) and fps > 0.0):
-        raise InputError(f"fps = {fps!r}", "a positive number of frames a second")
+        check_count(name, count)
+    check_frame_rate(fps)
     if not 0.0 <= missing < 1.0:
         raise InputError(f"missing = {missing!r}", "a probability in [0, 1)")

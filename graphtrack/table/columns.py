@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import INPUT, SHAPES, STATE, check_frame_rate
+from graphtrack.bounds import INPUT, SHAPES, STATE, TEXT, check_frame_rate, is_text
 from graphtrack.display import listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
@@ -123,7 +123,10 @@ def frame_of(table: Any) -> pd.DataFrame:
         return pa.table(table).to_pandas()
     if not isinstance(table, Mapping):
         raise InputError(f"a {type(table).__name__}", "a DataFrame, or a dict of columns")
-    columns = {str(name): pd.Series(column) for name, column in _arrays(table)}
+    try:
+        columns = {str(name): pd.Series(column) for name, column in _arrays(table)}
+    except UnicodeEncodeError as error:
+        raise InputError(f"the text {error.object!r}", TEXT) from error
     sizes = {name: len(column) for name, column in columns.items()}
     if len(set(sizes.values())) > 1:
         found = ", ".join(f"{name} ({size})" for name, size in sizes.items())
@@ -321,6 +324,8 @@ def _labels(
     for row, (identity, label) in enumerate(zip(track_id.tolist(), labels.tolist(), strict=True)):
         if not isinstance(label, str) or not label:
             continue
+        if not is_text(label):
+            raise fail(repr(label), TEXT, row, "label")
         if found.setdefault(identity, label) != label:
             raise fail(
                 f"{label!r} after {found[identity]!r}", f"one label for track {identity}", row, "label"

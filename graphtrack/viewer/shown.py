@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from graphtrack.errors import InputError
+from graphtrack.io.given import tracks_of
 from graphtrack.io.places import check_place
 from graphtrack.report.behaviour.given import behaviour_of
 from graphtrack.report.pairing import finite_rows, observed_angle
@@ -23,10 +24,11 @@ if TYPE_CHECKING:
     from graphtrack.behaviour.forecast.recorded import Forecasts
     from graphtrack.behaviour.groups import Groups
     from graphtrack.geometry.angles import FloatArray
+    from graphtrack.io.given import Given
 
 
 def view(
-    tracks: TrackSet,
+    tracks: Given,
     *,
     save: str | Path | None = None,
     connect: str | None = None,
@@ -59,6 +61,7 @@ def view(
     """
     target = Target(None if save is None else Path(save), connect)
     target.check()
+    tracks = tracks_of(tracks)
     if target.save is not None:
         check_place(target.save)
     placed = [track for track in tracks if finite_rows(track.position).any()]

@@ -117,6 +117,21 @@ def test_groups_and_forecasts_are_shown_when_their_frame_has_ended(tmp_path: Pat
     np.testing.assert_allclose(np.hypot(*(np.array(circle) - [5.0, 6.0]).T), 0.5, rtol=1e-5)
 
 
+def test_the_ground_has_room_for_the_whole_circles_of_forecasts(tmp_path: Path) -> None:
+    view = LiveView(Target(tmp_path / "run.rrd"))
+    for k, (x, y, radius) in enumerate([(1.0, 1.0, 0.5), (-30.0, 4.0, 20.0), (2.0, 90.0, 1.0)]):
+        step = {"ahead": 0.4, "x": x, "y": y, "radius_90": radius}
+        view.show([answer(1, k, 0.1 * k), {"track_id": 1, "frame": k, "t": 0.2 * k, "forecast": [step]}])
+    view.close()
+    found = read_recording(tmp_path / "run.rrd")
+    (lines,) = found["/ground/grid"]["LineStrips2D:strips"].values()
+    strips = found["/ground/people/1/forecast"]["LineStrips2D:strips"]
+    assert len(strips) == 3
+    for _, circle in strips.values():
+        assert np.all(np.min(lines, axis=(0, 1)) <= np.min(circle, axis=0))
+        assert np.all(np.max(circle, axis=0) <= np.max(lines, axis=(0, 1)))
+
+
 def test_an_answer_becomes_a_track_in_radians() -> None:
     track = track_of(4, [answer(4, 2, 7.0, body_deg=90.0, body_std_deg=10.0, head_deg=None, vx=1.0)])
     assert track.body is not None and track.body[0] == pytest.approx(math.pi / 2)

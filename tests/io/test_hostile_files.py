@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import datetime
 import gzip
+import json
 import os
 import resource
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import graphtrack as gt
+from graphtrack.behaviour.files import load_parameters
 from graphtrack.errors import InputError
 
 HEADER = "track_id,frame,t,x,y"
@@ -167,3 +170,71 @@ def test_byte_order_marks_are_no_part_of_the_first_name(tmp_path: Path, count: i
     path.write_bytes(b"\xef\xbb\xbf" * count + TEXT.encode())
     assert gt.read(path)[1].position.shape == (20, 2)
     assert not any("ignored" in note for note in gt.read(path).summary.notes)
+
+
+def test_a_comment_before_the_header_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n# recorded in the hall\n" + TEXT)
+    with pytest.raises(InputError, match=r"line 2: found a comment, expected a header"):
+        gt.read(path)
+    path.write_text("#" + TEXT.replace("track_id", "id", 1))
+    assert gt.read(path).n_frames == 20  # NumPy's savetxt writes names behind this mark
+
+
+def refused(path: Path, **options: object) -> str:
+    with pytest.raises(InputError) as caught:
+        gt.read(path, **options)
+    return str(caught.value)
+
+
+def test_lists_and_workbooks_are_told_what_they_are(tmp_path: Path) -> None:
+    for name in ("a.json", "a.txt"):
+        (tmp_path / name).write_text('[{"track_id": 1, "frame": 0, "t": 0, "x": 0, "y": 0}]')
+        assert "found a JSON list, expected one JSON object a line" in refused(tmp_path / name)
+    for name in ("a.xlsx", "a.csv"):
+        with zipfile.ZipFile(tmp_path / name, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("xl/workbook.xml", "<workbook/>" * 99)
+        assert "Excel" in refused(tmp_path / name) and "saved as CSV" in refused(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["label", "who"])
+def test_half_a_surrogate_pair_is_no_text(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "a.ndjson"
+    row = {"track_id": 1, "frame": 0, "t": 0.0, "x": 0.0, "y": 0.0, name: "\ud800"}
+    options = {}
+    if name == "who":
+        del row["track_id"]
+        options = {"columns": "id=who"}
+    path.write_text(json.dumps(row) + "\n")
+    said = refused(path, **options)
+    assert "line 1" in said and "surrogate" in said  # it was an error of the output, without a place
+
+
+def test_brackets_without_end_in_a_model_file_are_one_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("a = " + "[" * 50_000 + "]" * 50_000)
+    for load in (gt.Model.load, gt.ForecastParameters.load, load_parameters):
+        with pytest.raises(InputError, match="brackets within brackets"):
+            load(path)
+
+
+def test_a_time_of_the_day_is_not_said_to_be_read_with_an_option(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    x = np.arange(5.0)
+    columns = {
+        "track_id": [1] * 5,
+        "frame": range(5),
+        "t": pa.array(range(5), pa.time32("s")),
+        "x": x,
+        "y": x,
+    }
+    pq.write_table(pa.table({name: pa.array(one) for name, one in columns.items()}), tmp_path / "a.parquet")
+    assert "--no-stream" not in refused(tmp_path / "a.parquet")
+
+
+def test_an_empty_pattern_selects_nobody(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(TEXT)
+    done = command("info", tmp_path / "a.csv", "--select", "")
+    assert done.returncode == 2 and "empty pattern" in done.stderr

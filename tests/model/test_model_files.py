@@ -267,7 +267,7 @@ def test_a_file_that_is_no_toml_is_named(tmp_path: Path, content: bytes) -> None
 def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
     (tmp_path / "folder.toml").mkdir()
     for path in (tmp_path / "missing.toml", tmp_path / "folder.toml"):
-        with pytest.raises(InputError, match="a readable model file") as caught:
+        with pytest.raises(InputError, match="a readable file: a model file") as caught:
             Model.named(path)
         assert caught.value.path == str(path)
 

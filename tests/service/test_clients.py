@@ -1,5 +1,6 @@
 """Clients that vanish, stay silent or are foreign web pages."""
 
+import gzip
 import http.client
 import json
 import signal
@@ -161,6 +162,65 @@ def test_a_token_file_that_is_no_text_is_one_error(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "token" in done.stderr and "UTF-8" in done.stderr
+
+
+@pytest.mark.parametrize("token", ["one\ntwo", "grün", "two words", "x" * 5000])
+def test_a_token_that_no_header_can_hold_is_refused(token, tmp_path):
+    (tmp_path / "token").write_text(token, "utf-8")
+    command = [sys.executable, "-m", "graphtrack", "serve", *OPTIONS, "--token-file", "token"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    assert done.returncode == 2 and done.stderr.startswith("error: token: ")
+
+
+def test_a_client_that_waits_to_be_asked_for_its_body_is_asked(service):
+    """As curl does with large bodies."""
+    body = rows(3)[0].encode() + b"\n"
+    headers = b"Expect: 100-continue\r\nContent-Length: %d\r\n\r\n" % len(body)
+    with begin(service, b"waiting", headers) as client:
+        client.settimeout(10.0)
+        found = client.recv(1 << 16)
+        assert found.startswith(b"HTTP/1.1 100 ")
+        client.sendall(body)
+        while b"\r\n0\r\n" not in found:
+            found += client.recv(1 << 16)
+        assert found.count(b'"status":"new"') == 1
+
+
+def test_a_compressed_body_is_refused(service):
+    body = gzip.compress("\n".join(rows(3)).encode())
+    status, answer = service.request("POST", "/v1/streams/packed", body, **{"Content-Encoding": "gzip"})
+    assert status == 415 and "gzip" in json.loads(answer)["error"]
+    status, answer = service.request(
+        "POST", "/v1/streams/packed", rows(3)[0], **{"Content-Encoding": "identity"}
+    )
+    assert status == 200 and '"new"' in answer
+
+
+def test_clients_do_not_learn_where_states_are_kept(tmp_path):
+    with serving("--state", str(tmp_path)) as keeping:
+        keeping.request("POST", "/v1/streams/hall", "\n".join(rows(3)))
+        state = tmp_path / "hall.state"
+        state.write_bytes(state.read_bytes()[:-9])
+        _, answer = keeping.request("POST", "/v1/streams/hall", rows(3)[0])
+        (told,) = map(json.loads, answer.splitlines())
+        assert told["error"].startswith("state of stream hall: found a file that was cut off")
+        assert str(tmp_path) not in answer
+        assert keeping.request("DELETE", "/v1/streams/hall")[0] == 204 and not state.exists()
+
+
+def test_what_is_no_state_is_not_removed(tmp_path):
+    states, other = tmp_path / "states", tmp_path / "other"
+    states.mkdir()
+    other.write_text("of somebody else")
+    (states / "link.state").symlink_to(other)
+    (states / "folder.state").mkdir()
+    with serving("--state", str(states)) as keeping:
+        for name in ("link", "folder"):
+            status, answer = keeping.request("DELETE", f"/v1/streams/{name}")
+            assert status == 409 and "expected" not in answer and name in json.loads(answer)["error"]
+        assert keeping.stop() == 0
+    assert other.read_text() == "of somebody else"
+    assert {one.name for one in states.iterdir()} == {"link.state", "folder.state"}
 
 
 FOREIGN = {"Origin": "http://evil.example"}

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import tomli_w
 
 from graphtrack.bounds import check_numbers, number, with_table
 from graphtrack.errors import InputError
 from graphtrack.io.atomic import atomic_path
+from graphtrack.io.toml import read_toml
 
 TABLE = "forecast"
 """The table of a parameter file."""
@@ -80,12 +78,7 @@ class ForecastParameters:
             With the file and the key that cannot be used.
         """
         expected = f"a file of graphtrack fit --forecast, with a table [{TABLE}]"
-        try:
-            content: Mapping[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(error.strerror or str(error), expected, path=path) from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"no TOML ({error})", expected, path=path) from error
+        content = read_toml(path, expected)
         if list(content) != [TABLE]:
             raise InputError(f"the keys {', '.join(content) or 'none'}", expected, path=path)
         try:

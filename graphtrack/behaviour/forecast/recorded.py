@@ -16,10 +16,13 @@ from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.bounds import check_positive
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.given import tracks_of
 from graphtrack.tracks import STATE, Track, TrackSet
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from graphtrack.io.given import Given
 
 _LONGEST = 86400.0
 _MOST_ROWS = 20_000_000
@@ -111,7 +114,7 @@ def frames_of(tracks: TrackSet | list[Track]) -> Iterator[SeenFrame]:
 
 
 def forecast(
-    tracks: TrackSet | Track,
+    tracks: Given,
     *,
     horizon: float = 4.8,
     step: float = 0.4,
@@ -145,7 +148,7 @@ def forecast(
         raise InputError(f"history = {history:g}", f"seconds from 0 to {_LONGEST:g}")
     if not 0 <= samples <= 1000:
         raise InputError(f"samples = {samples}", "a number from 0 to 1000")
-    tracks = TrackSet((tracks,)) if isinstance(tracks, Track) else tracks
+    tracks = tracks_of(tracks)
     if isinstance(parameters, str | Path):
         parameters = ForecastParameters.load(parameters)
     forecaster, random = Forecaster(parameters), np.random.default_rng(seed)

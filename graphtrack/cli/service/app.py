@@ -24,6 +24,7 @@ from graphtrack.cli.service.metrics import Metrics
 from graphtrack.cli.service.settings import STREAM_NAME, Service
 from graphtrack.cli.service.stream import Stream, open_stream, prepare
 from graphtrack.cli.state_file import StateInUse, remove
+from graphtrack.errors import InputError
 
 _NOT_TAKEN = {401: 4401, 404: 4404, 409: 4409, 429: 4429}
 """HTTP's status of a request that is not taken → the code with which a WebSocket is closed."""
@@ -162,6 +163,9 @@ class Streams:
             is_removed = state is not None and remove(state)
         except StateInUse as error:
             raise Refused(409, f"stream {name} is open in another process; expected none") from error
+        except (InputError, OSError) as error:
+            found = error.found if isinstance(error, InputError) else error.strerror
+            raise Refused(409, f"the state of stream {name} cannot be removed: {found}") from error
         if not is_removed:
             raise Refused(404, f"nothing is kept of stream {name}")
 
@@ -273,8 +277,9 @@ class Exchange(Response):
         connection: Connection = self._request.state.connection
         patience = streams.service.limits.patience
         async with streams.opened(self._name) as stream:
-            outgoing = asyncio.create_task(self._answers(stream, send, patience))
+            # First the body is asked for: who sent ``Expect: 100-continue`` waits for that.
             incoming = asyncio.create_task(self._rows(stream, patience))
+            outgoing = asyncio.create_task(self._answers(stream, send, patience))
             gone = asyncio.create_task(connection.gone.wait())
             stopping = asyncio.create_task(streams.stopping.wait())
             tasks = (outgoing, incoming, gone, stopping)
@@ -338,7 +343,11 @@ class Exchange(Response):
 async def by_http(request: Request) -> Response:
     """A whole stream, or its next piece where states are kept: NDJSON in the body, NDJSON back as it goes."""
     streams: Streams = request.app.state.streams
-    return Exchange(request, streams.checked_name(request))
+    name = streams.checked_name(request)
+    encoding = request.headers.get("content-encoding", "identity")
+    if encoding.lower() != "identity":
+        raise Refused(415, f"a body with the encoding {encoding[:40]!r}; expected rows as they are")
+    return Exchange(request, name)
 
 
 async def _cancel(*tasks: asyncio.Task[Any]) -> None:

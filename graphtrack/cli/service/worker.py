@@ -22,7 +22,7 @@ from typing import Any
 from graphtrack.cli.live import Listener, track_stream, warm_up
 from graphtrack.cli.saving import Answering
 from graphtrack.cli.service.settings import Answers, Limits
-from graphtrack.errors import GraphtrackError
+from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.inference.online_engines import online_engine
 from graphtrack.model import Model
 
@@ -138,6 +138,9 @@ def work(connection: socket.socket, answers: Answers, limits: Limits, state: Pat
         )
         said.send()
     except GraphtrackError as error:
+        if isinstance(error, InputError) and state is not None and error.path == str(state):
+            place = f"state of stream {state.stem}"  # clients do not learn where it is kept
+            error = InputError(error.found, error.expected, path=place, line=error.line)
         with suppress(OSError):  # nobody may be there any more
             aside({"error": str(error)})
         sys.exit(1)

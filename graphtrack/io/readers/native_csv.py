@@ -72,6 +72,9 @@ def _header(source: Source) -> list[str]:
         header = [name.strip() for name in next(csv.reader([first]))]
     except csv.Error as error:
         raise InputError(str(error), "a header", path=source.path, line=1) from error
+    if header[0].startswith("#") and not set(header) & set(schema.NAMES):
+        line = _lines_to_data(source)
+        raise InputError("a comment", "a header, without comments before it", path=source.path, line=line)
     if len(set(header) & set(schema.NAMES)) < 2 and (other := other_delimiter(source)) is not None:
         raise other
     twice = schema.repeated(header)

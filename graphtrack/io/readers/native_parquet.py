@@ -6,7 +6,7 @@ import io
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from graphtrack.table.as_read import restored
 from graphtrack.table.columns import from_columns, to_columns
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 ROW_GROUP = 131_072
 """Rows of a row group in written files: few enough that a reader can take one at a time."""
@@ -65,7 +68,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 def has_moments(source: Source) -> bool:
     """Whether the column ``t`` holds dates or durations, by Arrow's types."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     with damage_told(source.path):
@@ -73,6 +75,13 @@ def has_moments(source: Source) -> bool:
         if schema_arrow.names.count("t") != 1:
             return False
         kind = schema_arrow.field("t").type
+    return _is_moment(kind)
+
+
+def _is_moment(kind: pa.DataType) -> bool:
+    """Return whether values of an Arrow type are dates or durations; a time of the day has no date."""
+    import pyarrow as pa
+
     return bool(pa.types.is_timestamp(kind) or pa.types.is_date(kind) or pa.types.is_duration(kind))
 
 
@@ -118,7 +127,7 @@ def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDA
         hint = ""
         if name == "t" and pa.types.is_string(column.type):
             hint = "; --time-unit iso reads dates and times as text"
-        elif name == "t" and pa.types.is_temporal(column.type):
+        elif name == "t" and _is_moment(column.type):
             hint = " (seconds); --no-stream reads dates and times"
         raise InputError(f"values of type {column.type}", f"numbers{hint}", path=path, column=name)
     values = column.to_numpy(zero_copy_only=False).astype(float)

@@ -59,9 +59,11 @@ def _of_duckdb(place: Path, query: str, head: bytes) -> Cells:
                 )
                 rows = getattr(connection, reader)(str(place))
                 rows.create_view(TABLE)
+            kinds = [one.type for one in duckdb.extract_statements(query)]
+            # Others write files (copy, export, attach) or settings, and give rows all the same.
+            if kinds != [duckdb.StatementType.SELECT]:
+                raise InputError("a query that is no single select", "a select (--sql)", path=place)
             answer = connection.sql(query)
-            if answer is None:
-                raise InputError("a query without rows", "a select (--sql)", path=place)
             return cells_of_arrow(pa.table(answer), place, "sql")
     except duckdb.Error as error:
         raise _told(error, place) from error
@@ -70,12 +72,23 @@ def _of_duckdb(place: Path, query: str, head: bytes) -> Cells:
 def _of_sqlite(place: Path, query: str) -> Cells:
     try:
         with closing(sqlite3.connect(f"{place.absolute().as_uri()}?mode=ro", uri=True)) as connection:
+            connection.set_authorizer(_reads_alone)
             cursor = connection.execute(query)
             if cursor.description is None:
                 raise InputError("a query without rows", "a select (--sql)", path=place)
             return _of_rows(place, [one[0] for one in cursor.description], cursor.fetchall())
     except sqlite3.Error as error:
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_AUTH:
+            raise InputError("a query that does more than read", "a select (--sql)", path=place) from error
         raise _told(error, place) from error
+
+
+_READING = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE}
+
+
+def _reads_alone(action: int, *_: str | None) -> int:
+    """SQLite's answer to what a query does: others than reading (attach) make files."""
+    return sqlite3.SQLITE_OK if action in _READING else sqlite3.SQLITE_DENY
 
 
 def _of_url(place: RemoteFile, query: str) -> Cells:

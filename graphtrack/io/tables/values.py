@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import LARGEST_ID
+from graphtrack.bounds import LARGEST_ID, TEXT
+from graphtrack.bounds import is_text as is_unicode
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.numbers import expected_number, parse_number
 from graphtrack.io.tables.cells import Cells
@@ -103,6 +104,9 @@ def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
         numbered = np.full(len(values), np.nan)
         numbered[[row for row, _ in known]] = [float(cell) for _, cell in known]
         return numbered, {}
+    for row, cell in known:
+        if not is_unicode(cell):
+            raise cells.fail(f"{cell[:_LONGEST]!r}", TEXT, row, name)
     number: dict[str, int] = {}
     ids = np.full(len(values), np.nan)
     for row, cell in known:
