@@ -180,7 +180,7 @@ class GaitParameters(_Group):
     body_drift: float = _number(0.0008, 0.0, 1e3, "rad²/s")
     body_strength: float = _number(2.4, 0.0, 1e3)
     body_free_strength: float = _number(0.74, 0.0, 1e3)
-    body_lead: float = _number(0.06, 0.0, 10.0, "s")
+    body_lead: float = _number(0.08, 0.0, 10.0, "s")
     head_evidence: float = _share(0.15)
     head_aligned: float = _share(0.51)
     head_switching: float = _number(0.0022, 0.0, 1e3, "1/s")
