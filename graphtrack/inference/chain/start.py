@@ -9,6 +9,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.inference.chain.linear import Linear, solve_linear
+from graphtrack.inference.chain.winding import SLOW
 from graphtrack.model.kernels.compiled import allocating, compiled, inner
 from graphtrack.model.kernels.layout import BODY, HEAD, TIME_TOLERANCE, VX, VY
 
@@ -55,12 +56,15 @@ def running_mean(t: FloatArray, vectors: FloatArray, window: float, angle: Float
 
 
 @inner
-def headings(states: FloatArray, threshold: float, angle: FloatArray) -> None:
-    """Direction of travel where the speed is above the threshold, else NaN."""
+def headings(states: FloatArray, threshold: float, angle: FloatArray) -> int:
+    """Direction of travel where the speed is above the threshold, else NaN; returns how often it is."""
+    count = 0
     for k in range(len(states)):
         vx, vy = states[k, VX], states[k, VY]
         moving = vx * vx + vy * vy > threshold * threshold
         angle[k] = math.atan2(vy, vx) if moving else math.nan
+        count += 1 if moving else 0
+    return count
 
 
 @compiled
@@ -102,7 +106,9 @@ def initialise(linear: Linear, seen: Seen, angles: FloatArray, states: FloatArra
         n, t, here = b - a, seen.t[a:b], states[a:b]
         solve_linear(linear, track, here, spread, memory)
         heading = angles[0, :n]
-        headings(here, seen.moving, heading)
+        # Whoever stands has a path whose direction may go all around.
+        if headings(here, max(seen.moving, SLOW), heading) == 0:
+            headings(here, seen.moving, heading)
         for place, vectors, row in ((BODY, seen.body, 1), (HEAD, seen.head, 2)):
             angle = angles[row, :n]
             if len(vectors) == 0:
