@@ -524,7 +524,7 @@ def smooth_modes(
     )
 
 
-@inner
+@compiled
 def expected(found: Any, strength: float, free_strength: float, glance_strength: float) -> tuple[Any, Any]:
     """Resultant of the couplings over all modes and offsets: cosine and sine times the concentration."""
     cos = free_strength * found.own_cos + strength * (found.mistaken + found.near_cos)
