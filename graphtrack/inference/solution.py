@@ -106,8 +106,8 @@ def estimated_tracks(
 
     Those of track m are in the rows from ``offsets`` (m + 1,) on. Angles are wrapped. Orientations and
     ``modes`` (n, 3), as in `chain.result.Result`, are absent where they begin with NaN, since they are
-    found in all frames of a track or in none. All tracks share the arrays, ``covariance`` the caller's: to copy them
-    for each takes as long as to smooth positions.
+    found in all frames of a track or in none. All tracks share the arrays, ``covariance`` the caller's: to
+    copy them for each takes as long as to smooth positions.
     """
     position, velocity = states[:, :2].copy(), states[:, 2:4].copy()
     others = {

@@ -21,7 +21,7 @@ from graphtrack.model import Model, Observation, Step
 from graphtrack.model.kernels.layout import TIME_TOLERANCE
 from graphtrack.saved import DAMAGES, damaged, from_text, real, to_text, whole
 
-STATE_VERSION = 3
+STATE_VERSION = 4
 
 FAILURES = (RuntimeError, ArithmeticError, np.linalg.LinAlgError, GraphtrackError)
 """What an observation raises that a smoother cannot take in."""

@@ -77,8 +77,8 @@ def every_term() -> tuple[type[Term], ...]:
 
 
 _FULL = Parameters(
-    motion=MotionParameters(head_rate=2.7, sway_std=0.0118, lasting_std=0.28),
-    likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=8.0, outlier_probability=0.03),
+    motion=MotionParameters(acceleration_density=0.18, head_rate=2.7, sway_std=0.0118, lasting_std=0.28),
+    likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=5.0, outlier_probability=0.05),
 )
 # Couplings that always hold take a turn's beginning for noise: more is stated of what they lag behind.
 _JOINT = Parameters(

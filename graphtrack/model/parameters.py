@@ -197,7 +197,7 @@ class GaitParameters(_Group):
     glance_kappa: float = _number(0.92, 0.0, 100.0)
     glance_strength: float = _number(1.0, 0.0, 1e3)
     # It changes what is reported of uncertainty, and no estimate.
-    glance_std: float = _number(0.47, 0.0, math.pi, "rad", learned=False)
+    glance_std: float = _number(0.6, 0.0, math.pi, "rad", learned=False)
     # Of classifiers: how people move says nothing of them.
     head_class_bias: float = _number(0.43, 0.0, 1.0, learned=False)
     head_class_bias_kappa: float = _number(1.0, 0.0, 100.0, learned=False)
