@@ -94,14 +94,7 @@ def swinging(seed: int) -> tuple[Track, np.ndarray]:
     return track, seen
 
 
-@pytest.mark.parametrize(
-    "preset",
-    [
-        "separate",
-        "joint",
-        pytest.param("full", marks=pytest.mark.xfail(reason="its modes follow no glances", strict=False)),
-    ],
-)
+@pytest.mark.parametrize("preset", ["separate", "joint", "full"])
 def test_smoothing_improves_a_head_that_swings_and_is_seen_without_bias(preset: str) -> None:
     """Against the observed angles themselves."""
     for seed in range(3):
