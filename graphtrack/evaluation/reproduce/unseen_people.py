@@ -389,5 +389,5 @@ EXPERIMENT = Experiment(
     "no paper's: whether the default holds for people of sources that nothing was fitted to",
     work,
     run,
-    "half of the people and one step of each fit",
+    "8 people in each setting, half of the clips, and one round of each fit",
 )
