@@ -52,7 +52,7 @@ class _View:
     def _start(self, problem: Problem, n: int) -> None:
         """Take a problem of n frames, of whose modes nothing is known yet."""
         self._problem = problem
-        self.modes, self._spread = np.full((n, 3), np.nan), np.zeros((n, 2))
+        self.modes, self._spread, self._held = np.full((n, 3), np.nan), np.zeros((n, 2)), np.zeros((n, 4))
         self._filtered = np.empty((2, 0, ROW))
 
     def other(self, states: FloatArray, near: float) -> FloatArray | None:
@@ -91,8 +91,8 @@ class _View:
         renew_couplings(self._problem, 0, n, float(n), here, gait, classified, True, memory)
         report_modes(n, 0, memory.held, self.modes)
         filtered = np.stack([memory.filtered_body, memory.filtered_head])
-        self._held = memory.held
-        self._spread, self._filtered = memory.spread, filtered / filtered.sum(axis=2, keepdims=True)
+        self._spread, self._held = memory.spread, memory.held
+        self._filtered = filtered / filtered.sum(axis=2, keepdims=True)
         self._note()
 
     def widen(self, states: FloatArray, covariance: FloatArray) -> None:
