@@ -59,7 +59,7 @@ def test_identities_are_forgotten_on_request(here: Path) -> None:
 WRONG = {
     "seen.csv --criterion truth": "--criterion",
     "seen.csv --select 1": "--select",
-    "seen.csv seen.csv": "rows without identities",
+    "seen.csv seen.csv": "each file once",
     "seen.csv seen.csv --scene": "one recording at a time",
     "seen.csv --associate never": "rows without identities",
     "labelled.csv --scene --associate repair": "--associate repair",

@@ -206,7 +206,7 @@ def test_every_preset_online_is_within_the_uncertainty_of_the_chain(preset: str)
         away = np.abs(apart(found, chained))[:, known] / spread
         assert np.median(away) < 0.03 and np.sqrt(np.mean(away**2)) < 0.1, (engine, lag)
         # A mode that is in doubt is so for longer where states are relinearised seldom.
-        assert np.quantile(away, 0.99) < 0.4 and away.max() < 0.8, (engine, lag)
+        assert np.quantile(away, 0.99) < 0.6 and away.max() < 0.8, (engine, lag)
 
 
 def test_likelihoods_of_classes_are_followed_as_closely_as_by_the_chain() -> None:
