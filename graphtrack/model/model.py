@@ -77,7 +77,7 @@ def every_term() -> tuple[type[Term], ...]:
 
 
 _FULL = Parameters(
-    motion=MotionParameters(acceleration_density=0.18, head_rate=2.7, sway_std=0.0118, lasting_std=0.28),
+    motion=MotionParameters(acceleration_density=0.18, head_rate=2.7, lasting_std=0.25),
     likelihood=LikelihoodParameters(robust="cauchy", robust_threshold=5.0, outlier_probability=0.05),
 )
 # Couplings that always hold take a turn's beginning for noise: more is stated of what they lag behind.
