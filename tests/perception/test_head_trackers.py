@@ -162,8 +162,10 @@ def test_the_seed_decides(clip: HeadClip) -> None:
         for seed in (3, 3, 4):
             tracker = make(seed=seed, particles=20)
             tracker.start(first, tuple(clip.boxes[0]))
-            runs.append([tracker.step(image).box for image in rest])
-        assert runs[0] == runs[1] != runs[2]
+            runs.append(np.array([tracker.step(image).box for image in rest]))
+        # Sums of vectorised code depend on how memory is aligned: equal up to rounding.
+        np.testing.assert_allclose(runs[0], runs[1], rtol=1e-9)
+        assert np.abs(runs[0] - runs[2]).max() > 1e-3
 
 
 @pytest.mark.parametrize("name", MAKE)
