@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from graphtrack.association.reading import from_supervision, from_ultralytics, read
     from graphtrack.association.tracker import OnlineTracker, PersonEstimate
     from graphtrack.association.tracks import associate
     from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster
@@ -30,9 +31,8 @@ if TYPE_CHECKING:
         track_online,
         warm_up,
     )
-    from graphtrack.io import ReadOptions, read, write
-    from graphtrack.io.detections import from_supervision, from_ultralytics
-    from graphtrack.io.geo import to_geopandas, to_mfjson, to_movingpandas
+    from graphtrack.io import ReadOptions, write
+    from graphtrack.io.geo import to_geopandas
     from graphtrack.io.movement.dataset import from_movement, to_movement
     from graphtrack.io.pedpy import from_pedpy, to_pedpy
     from graphtrack.model import Model, Observation, Parameters, Term, presets
@@ -96,9 +96,7 @@ __all__ = [
     "smooth",
     "solve",
     "to_geopandas",
-    "to_mfjson",
     "to_movement",
-    "to_movingpandas",
     "to_pedpy",
     "track_online",
     "view",
@@ -109,6 +107,7 @@ __all__ = [
 
 _HOMES = {
     "scene": ("SceneParameters",),
+    "association.reading": ("from_supervision", "from_ultralytics", "read"),
     "association.tracker": ("OnlineTracker", "PersonEstimate"),
     "association.tracks": ("associate",),
     "behaviour.forecast.forecaster": ("Forecast", "Forecaster"),
@@ -134,9 +133,8 @@ _HOMES = {
         "track_online",
         "warm_up",
     ),
-    "io": ("ReadOptions", "read", "write"),
-    "io.detections": ("from_supervision", "from_ultralytics"),
-    "io.geo": ("to_geopandas", "to_mfjson", "to_movingpandas"),
+    "io": ("ReadOptions", "write"),
+    "io.geo": ("to_geopandas",),
     "io.movement.dataset": ("from_movement", "to_movement"),
     "io.pedpy": ("from_pedpy", "to_pedpy"),
     "model": ("Model", "Observation", "Parameters", "Term", "presets"),

@@ -202,13 +202,7 @@ Parameters = TypeVar("Parameters")
 
 
 def with_table(parameters: Parameters, table: str, values: Any) -> Parameters:
-    """A dataclass of parameters with the values of a table, as a file has it, in place of some of them.
-
-    Raises
-    ------
-    InputError
-        If it is no table, or has an unknown key or a value that is out of its range.
-    """
+    """A dataclass of parameters with the values of a table, as a file has it, in place of some of them."""
     if not isinstance(values, Mapping):
         raise InputError(f"{table} = {values!r}", f"a table [{table}]")
     names = [one.name for one in fields(parameters)]  # type: ignore[arg-type]

@@ -1,15 +1,16 @@
-"""What objects say of themselves: one short line, and a small table for notebooks."""
+"""Text and colours for people: lists, counts, durations, small HTML tables, and what stands for whom."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING
+from typing import Final
 
-import numpy as np
-
-if TYPE_CHECKING:
-    from graphtrack.tracks import Track, TrackSet
+BODY_COLOUR: Final = "#0072B2"
+HEAD_COLOUR: Final = "#D55E00"
+VELOCITY_COLOUR: Final = "#009E73"
+PERSON_COLOURS: Final = ("#56B4E9", "#E69F00", "#CC79A7", "#8A8F98", "#94641A", "#8C4A7B")
+"""Colours of Okabe & Ito (2008), which people with any common colour blindness can tell apart."""
 
 MOST = 10
 """Rows of a table, and names in a list, beyond which the rest is only counted."""
@@ -57,67 +58,11 @@ def shortened(text: str) -> str:
     return repr(text if len(text) <= LONGEST else text[: LONGEST - 1] + "…")
 
 
-def line_of_track(track: Track) -> str:
-    """Such as ``Track(7, 'crosses', 200 frames, 0.0–19.9 s, body, head; truth)``."""
-    label = [shortened(track.label)] if track.label else []
-    parts = [str(track.track_id), *label, counted(len(track), "frame"), _contents([track])]
-    return f"Track({', '.join(parts)})"
+def person_colour(index: int) -> str:
+    """The colour of the person at ``index`` in the set; colours repeat after six people."""
+    return PERSON_COLOURS[index % len(PERSON_COLOURS)]
 
 
-def line_of_tracks(tracks: TrackSet) -> str:
-    """Such as ``TrackSet(3 tracks, 600 person-frames, 0.0–19.9 s, body, head; truth)``."""
-    parts = [counted(len(tracks), "track")]
-    if len(tracks):
-        parts += [counted(tracks.n_frames, "person-frame"), _contents(tracks.tracks)]
-    return f"TrackSet({', '.join(parts)}{'; camera' if tracks.camera is not None else ''})"
-
-
-def _contents(tracks: Sequence[Track]) -> str:
-    begin, end = min(track.t[0] for track in tracks), max(track.t[-1] for track in tracks)
-    words = [f"{begin:.1f}–{end:.1f} s"]
-    for name, fields in (
-        ("pixels", ("pixel",)),
-        ("body", ("body", "body_likelihood")),
-        ("head", ("head", "head_likelihood")),
-    ):
-        if any(getattr(track, field) is not None for track in tracks for field in fields):
-            words.append(name)
-    text = ", ".join(words)
-    if any(track.covariance is not None for track in tracks):
-        text += "; estimates"
-    return text + ("; truth" if any(track.has_truth for track in tracks) else "")
-
-
-def html_of_track(track: Track) -> str:
-    """The channels of a track, and in how many of its frames each is known."""
-    rows = []
-    for name in ("position", "pixel", "body", "body_likelihood", "head", "head_likelihood", "velocity"):
-        values = getattr(track, name)
-        if values is not None:
-            rows.append((name, _known(values)))
-    return html_table(line_of_track(track), ("channel", f"of {counted(len(track), 'frame')}"), rows)
-
-
-def html_of_tracks(tracks: TrackSet) -> str:
-    """The first tracks of a set: how long each is, and in how many frames what is known."""
-    header = ("id", "label", "frames", "from (s)", "to (s)", "position", "body", "head")
-    rows = (
-        (
-            track.track_id,
-            track.label[:LONGEST],
-            len(track),
-            f"{track.t[0]:.1f}",
-            f"{track.t[-1]:.1f}",
-            _known(track.position),
-            _known(track.body, track.body_likelihood),
-            _known(track.head, track.head_likelihood),
-        )
-        for track in tracks.tracks[:MOST]
-    )
-    return html_table(line_of_tracks(tracks), header, rows, max(0, len(tracks) - MOST))
-
-
-def _known(*channels: np.ndarray | None) -> int:
-    """In how many frames any of the channels is known."""
-    given = [np.isfinite(c.reshape(len(c), -1)).all(axis=1) for c in channels if c is not None]
-    return int(np.logical_or.reduce(given).sum()) if given else 0
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue, from 0 to 255, of a colour such as ``#0072B2``."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

@@ -76,11 +76,6 @@ def with_times_at(tracks: TrackSet, hz: float) -> TrackSet:
     -------
     TrackSet
         Tracks whose frames are numbered anew; `at_times` takes the rows at the multiples from estimates.
-
-    Raises
-    ------
-    InputError
-        If ``hz`` is not positive, or the rows would be more than 20 million.
     """
     if not (is_number(hz) and math.isfinite(hz) and hz > 0.0):
         shown = f"{hz:g}" if is_number(hz) else repr(hz)

@@ -1,10 +1,14 @@
-"""Modules that take longer to import than most of what is done without them: imported at their first use."""
+"""Packages that are optional, or that take longer to import than most of what is done without them."""
 
 from __future__ import annotations
 
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+from graphtrack.errors import InputError
+
+__all__ = ["gtsam", "package", "special"]
 
 
 class _Later(ModuleType):
@@ -22,4 +26,10 @@ if TYPE_CHECKING:
 else:
     gtsam, special = _Later("gtsam"), _Later("scipy.special")
 
-__all__ = ["gtsam", "special"]
+
+def package(name: str, extra: str) -> Any:
+    """Return a package, imported when it is needed; an InputError names the extra that brings it."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise InputError(f"no package {name}", f"the extra: pip install 'graphtrack[{extra}]'") from error

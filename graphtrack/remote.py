@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from graphtrack.errors import InputError
+from graphtrack.later import package
 
 _MARK = "://"
 
@@ -30,20 +31,9 @@ class RemoteFile(type(Path())):  # type: ignore[misc]
         return type(self), (str(self),)
 
     def open(self, *arguments: Any, **options: Any) -> Any:
-        """The content, read whole, as a stream.
-
-        Raises
-        ------
-        InputError
-            Where it cannot be had.
-        """
+        """The content, read whole, as a stream."""
         url = str(self)
-        try:
-            import fsspec
-        except ImportError as error:
-            raise InputError(
-                "no package fsspec", "the extra: pip install 'graphtrack[cloud]'", path=url
-            ) from error
+        fsspec = package("fsspec", "cloud")
         try:
             with fsspec.open(url, "rb") as stream:
                 return io.BytesIO(stream.read())

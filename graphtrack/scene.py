@@ -104,13 +104,7 @@ GivenScene: TypeAlias = SceneParameters | Mapping[str, Any] | None
 
 
 def known_values(scene: GivenScene) -> Known:
-    """What is given of a scene, by the names of the parameters.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, and for a value out of its range.
-    """
+    """What is given of a scene, by the names of the parameters."""
     if scene is None:
         return {}
     if isinstance(scene, SceneParameters):

@@ -7,10 +7,10 @@ a smoother holds estimates in the same fields, with ``velocity`` and ``covarianc
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, overload
 
@@ -27,16 +27,19 @@ from graphtrack.bounds import (
     SHAPES,
     STATE,
     TEXT,
+    bounds_of,
     is_text,
+    out_of_bounds,
+    real_numbers,
 )
-from graphtrack.channels import checked_channel, checked_inputs, input_of_size
-from graphtrack.display import html_of_track, html_of_tracks, line_of_track, line_of_tracks, listed
-from graphtrack.errors import InputError, UnknownTrackError
+from graphtrack.display import LONGEST, MOST, counted, html_table, listed, shortened
+from graphtrack.errors import InputError, InputWarning, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.table import schema
 from graphtrack.table.as_read import AsRead, restored
-from graphtrack.table.columns import rows_of_table, to_columns
+from graphtrack.table.columns import rows_of_table
 from graphtrack.table.rows import Rows, check_identities, in_order
-from graphtrack.table.speeds import with_speeds_checked
+from graphtrack.table.speeds import Speeds
 from graphtrack.table.summary import ReadSummary
 
 if TYPE_CHECKING:
@@ -44,7 +47,7 @@ if TYPE_CHECKING:
 
     from graphtrack.geometry.camera import GroundCamera
 
-__all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet"]
+__all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "TrackSet", "to_columns"]
 
 _ABSENT = dict.fromkeys(SHAPES)
 _KEPT = {"t", "identity_p", "observed", "true_position", "true_body", "true_head"}
@@ -132,8 +135,8 @@ class Track:
             value = getattr(self, name)
             if value is None:
                 continue
-            self._set(name, checked_channel(name, value, (len(frame), *tail), self))
-        object.__setattr__(self, "inputs", checked_inputs(self))
+            self._set(name, self._checked(name, value, (len(frame), *tail)))
+        object.__setattr__(self, "inputs", self._checked_inputs())
         if np.any(np.diff(self.frame) <= 0):
             raise InputError(
                 "frames that do not increase", f"each frame once, in order, in track {self.track_id}"
@@ -163,11 +166,56 @@ class Track:
                 value.setflags(write=False)
         return track
 
+    def _checked(self, name: str, given: Any, shape: tuple[int, ...]) -> FloatArray:
+        """Return a copy of what is given for a channel, an array of that shape within its bounds."""
+        try:
+            value = real_numbers(given)
+        except (TypeError, ValueError) as error:
+            found = f"{name} of track {self.track_id} that is no array of numbers ({error})"
+            raise InputError(found, f"shape {shape}") from error
+        if value.shape != shape:
+            what = ": x and y in metres" if name == "position" else ""
+            raise InputError(
+                f"{name} of shape {value.shape} in track {self.track_id}", f"shape {shape}{what}"
+            )
+        place = bounds_of(name).first_outside(value)
+        if place is not None:
+            raise out_of_bounds(name, value[place], self.frame[place[0]], self.track_id)
+        return value
+
+    def _checked_inputs(self) -> dict[str, FloatArray]:
+        """Return read-only copies of the inputs: rows are all finite or all NaN."""
+        n, found = len(self.frame), {}
+        for name, given in self.inputs.items():
+            if not isinstance(name, str) or not schema.is_input_name(name):
+                raise InputError(f"an input {name!r} of track {self.track_id}", schema.INPUT_NAME)
+            try:
+                size = np.shape(given)[1:2]
+            except ValueError:  # rows of different lengths, which `_checked` refuses
+                size = ()
+            value = self._checked(f"{INPUT}{name}", given, (n, *size))
+            missing = np.isnan(value).reshape(n, -1)
+            partial = missing.any(axis=1) & ~missing.all(axis=1)
+            if not value.size or partial.any():
+                place = f"in frame {self.frame[partial.argmax()]}" if value.size else "without a number"
+                expected = "rows that are all finite or all NaN, of one number at least"
+                raise InputError(f"input {name!r} of track {self.track_id} {place}", expected)
+            value.setflags(write=False)
+            found[name] = value
+        return found
+
     def __repr__(self) -> str:
-        return line_of_track(self)
+        label = [shortened(self.label)] if self.label else []
+        parts = [str(self.track_id), *label, counted(len(self), "frame"), _contents([self])]
+        return f"Track({', '.join(parts)})"
 
     def _repr_html_(self) -> str:
-        return html_of_track(self)
+        rows = []
+        for name in ("position", "pixel", "body", "body_likelihood", "head", "head_likelihood", "velocity"):
+            values = getattr(self, name)
+            if values is not None:
+                rows.append((name, _n_known(values)))
+        return html_table(repr(self), ("channel", f"of {counted(len(self), 'frame')}"), rows)
 
     def _set(self, name: str, value: NDArray[Any]) -> None:
         value.setflags(write=False)
@@ -199,7 +247,13 @@ class Track:
         InputError
             If the track has it in another size.
         """
-        return input_of_size(self, name, size)
+        value = self.inputs.get(name)
+        if value is None:
+            return np.full((len(self), *size), np.nan)
+        if value.shape[1:] != size:
+            has, wanted = (f"{one[0]} numbers" if one else "one number" for one in (value.shape[1:], size))
+            raise InputError(f"input {name!r} of {has} a frame in track {self.track_id}", wanted)
+        return value
 
     def with_estimates(
         self,
@@ -288,10 +342,27 @@ class TrackSet:
                 track.input(name, *sizes.setdefault(name, values.shape[1:]))
 
     def __repr__(self) -> str:
-        return line_of_tracks(self)
+        parts = [counted(len(self), "track")]
+        if len(self):
+            parts += [counted(self.n_frames, "person-frame"), _contents(self.tracks)]
+        return f"TrackSet({', '.join(parts)}{'; camera' if self.camera is not None else ''})"
 
     def _repr_html_(self) -> str:
-        return html_of_tracks(self)
+        header = ("id", "label", "frames", "from (s)", "to (s)", "position", "body", "head")
+        rows = (
+            (
+                track.track_id,
+                track.label[:LONGEST],
+                len(track),
+                f"{track.t[0]:.1f}",
+                f"{track.t[-1]:.1f}",
+                _n_known(track.position),
+                _n_known(track.body, track.body_likelihood),
+                _n_known(track.head, track.head_likelihood),
+            )
+            for track in self.tracks[:MOST]
+        )
+        return html_table(repr(self), header, rows, max(0, len(self) - MOST))
 
     def __iter__(self) -> Iterator[Track]:
         return iter(self.tracks)
@@ -361,8 +432,29 @@ class TrackSet:
             Naming the row (from 1) and column that cannot be used.
         """
         rows = rows_of_table(table, fps)
+        return cls.from_identified_rows(rows)
+
+    @classmethod
+    def from_identified_rows(cls, rows: Rows) -> TrackSet:
+        """Tracks from rows with identities, with a note and a warning where no pedestrian is that fast.
+
+        Raises
+        ------
+        InputError
+            If rows have no identities, and as `in_order`.
+        """
         check_identities(rows)
-        return with_speeds_checked(cls.from_rows(rows), Path("table"))
+        tracks = cls.from_rows(rows)
+        note = tracks.speeds.note
+        if note is None:
+            return tracks
+        warnings.warn(f"{rows.path}: {note}", InputWarning, stacklevel=2)
+        return replace(tracks, summary=replace(tracks.summary, notes=(*tracks.summary.notes, note)))
+
+    @property
+    def speeds(self) -> Speeds:
+        """The median speeds of the tracks."""
+        return Speeds.of((track.t, track.position) for track in self)
 
     @classmethod
     def from_rows(cls, rows: Rows) -> TrackSet:
@@ -396,3 +488,79 @@ class TrackSet:
             tracks.append(Track._trusted(identity, rows.frame[start:stop], channels, label, inputs))
         summary = ReadSummary(rows.format, rows.n_read, dict(rows.refused), rows.notes)
         return cls(tuple(tracks), rows.camera, summary, rows.as_read)
+
+
+def _contents(tracks: Sequence[Track]) -> str:
+    """The time that tracks span and what they hold, such as ``0.0–19.9 s, body, head; truth``."""
+    begin, end = min(track.t[0] for track in tracks), max(track.t[-1] for track in tracks)
+    words = [f"{begin:.1f}–{end:.1f} s"]
+    for name, fields_ in (
+        ("pixels", ("pixel",)),
+        ("body", ("body", "body_likelihood")),
+        ("head", ("head", "head_likelihood")),
+    ):
+        if any(getattr(track, one) is not None for track in tracks for one in fields_):
+            words.append(name)
+    text = ", ".join(words)
+    if any(track.covariance is not None for track in tracks):
+        text += "; estimates"
+    return text + ("; truth" if any(track.has_truth for track in tracks) else "")
+
+
+def _n_known(*channels: np.ndarray | None) -> int:
+    """The number of frames in which any of the channels is known."""
+    given = [np.isfinite(c.reshape(len(c), -1)).all(axis=1) for c in channels if c is not None]
+    return int(np.logical_or.reduce(given).sum()) if given else 0
+
+
+def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
+    """The columns that any of the tracks has, in the order of `schema.in_order`; missing numbers are NaN.
+
+    Of a covariance the table has the diagonal, as standard deviations.
+    """
+    columns: dict[str, NDArray[Any]] = {
+        "track_id": np.repeat([track.track_id for track in tracks], [len(track) for track in tracks]).astype(
+            np.int64
+        ),
+        "frame": _joined([track.frame for track in tracks], np.int64),
+    }
+    for column in (*schema.COLUMNS, *_input_columns(tracks)):
+        if any(_channel(track, column.field) is not None for track in tracks):
+            columns[column.name] = _joined([_cells(track, column) for track in tracks], np.float64)
+    # Spreads that no engine estimated are NaN throughout: leave the column out.
+    for column in schema.COLUMNS:
+        if column.field == "covariance" and column.name in columns and np.isnan(columns[column.name]).all():
+            del columns[column.name]
+    if any(track.label for track in tracks):
+        labels = [track.label for track in tracks]
+        columns["label"] = np.repeat(np.array(labels, dtype=object), [len(track) for track in tracks])
+    return columns
+
+
+def _joined(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
+    return np.concatenate(parts).astype(dtype) if parts else np.empty(0, dtype)
+
+
+def _input_columns(tracks: TrackSet) -> list[schema.Column]:
+    """The columns of all inputs that any track has, by name; a set's tracks agree on their sizes."""
+    sizes = {name: values.shape[1:] for track in tracks for name, values in track.inputs.items()}
+    names = [column.name for name in sizes for column in schema.input_columns(f"{INPUT}{name}", sizes[name])]
+    return [column for name in schema.in_order(names) if (column := schema.numeric(name)) is not None]
+
+
+def _channel(track: Track, field: str) -> FloatArray | None:
+    if field.startswith(INPUT):
+        return track.inputs.get(field.removeprefix(INPUT))
+    value: FloatArray | None = getattr(track, field)
+    return value
+
+
+def _cells(track: Track, column: schema.Column) -> FloatArray:
+    value = _channel(track, column.field)
+    if value is None:
+        return np.full(len(track), np.nan)
+    place: tuple[Any, ...] = (..., *column.index)
+    cells: FloatArray = value[place]
+    if column.field == "covariance":
+        cells = np.sqrt(cells)
+    return np.rad2deg(cells) if column.degrees else cells

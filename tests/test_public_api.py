@@ -28,7 +28,7 @@ def test_every_public_name_is_there_and_listed():
     for name in gt.__all__:
         assert getattr(gt, name) is not None, name
     assert dir(gt) == sorted([*gt.__all__, "__version__"])
-    assert gt.read is graphtrack.io.read and gt.ReadOptions is graphtrack.io.ReadOptions
+    assert gt.write is graphtrack.io.write and gt.ReadOptions is graphtrack.io.ReadOptions
     assert gt.compare is compare and gt.simulate is simulate
 
 
@@ -39,7 +39,7 @@ def test_an_unknown_name_is_an_attribute_error():
 
 def test_public_functions_stay_functions_whatever_was_imported_first():
     code = "import graphtrack.evaluation.compare, graphtrack.simulation.sampling, graphtrack as gt\n"
-    code += "gt.io.formats()\nfunctions = (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.formats)\n"
+    code += "gt.io.FORMATS\nfunctions = (gt.compare, gt.simulate, gt.smooth, gt.read, gt.io.read)\n"
     code += "assert all(map(callable, functions))"
     modules_after(code)
 

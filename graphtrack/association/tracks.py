@@ -12,8 +12,8 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.reading import is_table, rows_of_file, rows_of_frame
 from graphtrack.model import Model
 from graphtrack.scene import GivenScene, known_values
-from graphtrack.table.columns import rows_of_table, to_columns
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.table.columns import rows_of_table
+from graphtrack.tracks import Track, TrackSet, to_columns
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.behaviour.evidence import PairEvidence, pair_evidence, with_bodies
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.numbering import Numbering, numbered
@@ -14,7 +15,6 @@ from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.behaviour.partition import partitions
 from graphtrack.behaviour.people import IntArray, People, people_of
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.given import tracks_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -146,10 +146,10 @@ def describe(track: Track) -> dict[str, Any]:
 
 def formats() -> None:
     """List the file formats that can be read and written."""
-    from graphtrack.io import formats as all_formats
+    from graphtrack.io import FORMATS
 
     rows = [
         {"format": one.name, "written": ", ".join(one.suffixes) if one.write else "", "what": one.description}
-        for one in all_formats()
+        for one in FORMATS
     ]
     print_table("Formats", rows)

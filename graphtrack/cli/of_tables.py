@@ -62,16 +62,6 @@ class OfTables:
             rich_help_panel=_TABLES,
         ),
     ] = None
-    sql: Annotated[
-        str | None,
-        typer.Option(
-            "--sql",
-            metavar="QUERY",
-            help="Read the answer of a query: of a database (DuckDB, SQLite, or a URL for SQLAlchemy), or of "
-            "a table, which is called input. Needs the extra sql, but for SQLite.",
-            rich_help_panel=_TABLES,
-        ),
-    ] = None
     topic: Annotated[
         str | None,
         typer.Option(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hints
 
@@ -232,12 +232,14 @@ class Reading(OfTables, _OfAnyFile):
         InputError
             If nothing can be read or nothing matches the selection.
         """
+        from graphtrack.association.reading import tracks_of_rows
         from graphtrack.cli.console import console, print_summary, quiet_input_warnings
-        from graphtrack.io.reading import read_with, tracks_of_rows
+        from graphtrack.io.reading import read_with
 
-        told = replace(self.options(), scene=scene, beside=None if beside is None else beside.as_read)
+        told = replace(self.options(), beside=None if beside is None else beside.as_read)
+        to_tracks = partial(tracks_of_rows, scene=scene)
         with quiet_input_warnings():
-            tracks = read_with(paths, self.format, told) if rows is None else tracks_of_rows(rows, told)
+            tracks = read_with(paths, self.format, told, to_tracks) if rows is None else to_tracks(rows, told)
         print_summary(tracks, ", ".join(str(path) for path in paths))
         unused = [option_name(name) for name in (*_CAMERA_FILES, "metres_per_pixel") if name in self.given()]
         if unused and tracks.camera is None:
@@ -279,7 +281,8 @@ class SceneReading(CameraReading):
 
     def rows(self, path: Path) -> tuple[Rows, bool]:
         """The rows of a file, and whether it has to be found out whose they are."""
-        from graphtrack.io.reading import has_detections, rows_of_file
+        from graphtrack.association.reading import has_detections
+        from graphtrack.io.reading import rows_of_file
 
         rows = rows_of_file(path, self.format, self.options())
         return rows, has_detections(rows, self.options())

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.display import counted, html_table, listed
 from graphtrack.errors import InputError
 from graphtrack.evaluation.calibration import calibration_rows
@@ -21,7 +22,6 @@ from graphtrack.evaluation.resampling import bootstrap, mean_difference
 from graphtrack.evaluation.scoring import METRICS, QUANTITIES, TrackScore, score
 from graphtrack.geometry.angles import BoolArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.simulation.degrade import Occlusion, occlude
 from graphtrack.tracks import Track, TrackSet

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.evaluation.calibration import DEGREES, TrackCalibration, pooled, track_calibration
 from graphtrack.evaluation.metrics import consistency, true_velocity
 from graphtrack.geometry.angles import FloatArray, difference
-from graphtrack.io.given import tracks_of
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.bounds import check_count
 from graphtrack.errors import NO_POSITION, InputError, InputWarning, SolveError
 from graphtrack.gaps import at_times, filled, with_times_at
@@ -31,7 +32,6 @@ from graphtrack.inference.solution import (
     estimated_tracks,
 )
 from graphtrack.inference.warm import make_solver_ready
-from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.model.kernels.layout import LANES
 from graphtrack.readiness import processors

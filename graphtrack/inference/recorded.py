@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.conversations import Conversations
 from graphtrack.inference.online import OnlineSmoother
 from graphtrack.inference.online_engines import OnlineEngine
 from graphtrack.inference.social import lacks_groups
 from graphtrack.inference.state import Estimate
-from graphtrack.io.given import tracks_of
 from graphtrack.model import Model
 from graphtrack.model.observation import observations
 from graphtrack.tracks import Track, TrackSet

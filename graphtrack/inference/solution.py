@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.bounds import check_count
-from graphtrack.display import counted, html_pairs, line_of_track
+from graphtrack.display import counted, html_pairs
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.tracks import Track
@@ -71,7 +71,7 @@ class Solution:
         return f"Solution({', '.join(parts)})"
 
     def _repr_html_(self) -> str:
-        return html_pairs(f"Solution: {line_of_track(self.track)}", self._outcome())
+        return html_pairs(f"Solution: {self.track!r}", self._outcome())
 
     def _outcome(self) -> dict[str, str]:
         return {

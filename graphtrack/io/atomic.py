@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
+import socket
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -72,60 +75,32 @@ def _told_of(path: Path, temporary: Path) -> Iterator[None]:
 
 @contextmanager
 def _scratch(path: Path) -> Iterator[Path]:
-    """A hidden folder beside ``path``, locked while this process lives, and gone afterwards.
+    """A hidden folder next to ``path``, gone afterwards; its name says which process of which host writes.
 
-    The lock (flock) ends with the process, however it ends: that is how leftovers are told from the folders
-    of those who still write. On file systems without such locks leftovers stay.
+    Folders of processes of this host that have ended are removed first.
     """
-    _remove_leftovers(path)
-    lock = None
-    while lock is None:
-        folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=_UNFINISHED, dir=path.parent))
-        # Before it is locked, another process may take it for a leftover.
-        lock = _locked(folder, wait=True)
+    owner = f".{path.name}.{zlib.crc32(socket.gethostname().encode()):08x}-"
+    left = re.compile(re.escape(owner) + r"(\d+)-[a-z0-9_]{8}" + re.escape(_UNFINISHED))
+    with contextlib.suppress(PermissionError):  # a folder that can be written to but not listed
+        for entry in list(path.parent.iterdir()):
+            match = left.fullmatch(entry.name)
+            if match is not None and not _is_running(int(match[1])):
+                shutil.rmtree(entry, ignore_errors=True)
+    folder = tempfile.mkdtemp(prefix=f"{owner}{os.getpid()}-", suffix=_UNFINISHED, dir=path.parent)
     try:
-        yield folder
+        yield Path(folder)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        os.close(lock)
 
 
-def _remove_leftovers(path: Path) -> None:
-    """Remove the folders that killed processes left when they wrote to ``path``."""
-    name = re.compile(re.escape(f".{path.name}.") + "[a-z0-9_]{8}" + re.escape(_UNFINISHED))
+def _is_running(process: int) -> bool:
     try:
-        found = [entry for entry in path.parent.iterdir() if name.fullmatch(entry.name)]
-    except PermissionError:  # a folder that can be written to and not be looked into
-        return
-    for folder in found:
-        lock = _locked(folder, wait=False)
-        if lock is not None:
-            shutil.rmtree(folder, ignore_errors=True)
-            os.close(lock)
-
-
-def _locked(folder: Path, *, wait: bool) -> int | None:
-    """The open, locked descriptor of a folder; None if it is gone or, without waiting, not to be had.
-
-    Who waits gets a descriptor without a lock where the file system has no locks.
-    """
-    import fcntl  # only POSIX has it, and reading needs none of it
-
-    try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    except OSError:
-        if wait and folder.exists():
-            raise
-        return None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-        good = True
-    except OSError:
-        good = wait
-    if good and folder.exists():
-        return descriptor
-    os.close(descriptor)
-    return None
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # somebody else's
+        return True
+    return True
 
 
 def _flush(path: Path) -> None:

@@ -16,11 +16,6 @@ def placed_boxes(rows: Rows, options: ReadOptions) -> Rows:
     Parameters
     ----------
     rows : with the channel ``box`` (n, 4), left, top, width and height in pixels, NaN where a row has none
-
-    Raises
-    ------
-    InputError
-        For rows with neither.
     """
     left, top, width, height = rows.channels["box"].T
     pixel = np.column_stack([left + width / 2.0, top + height])

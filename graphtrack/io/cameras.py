@@ -104,13 +104,7 @@ def on_ground(rows: Rows, camera: GroundCamera, notes: tuple[str, ...] = ()) -> 
 
 
 def place_pixels(rows: Rows, options: ReadOptions) -> Rows:
-    """Give rows of the native table positions, from their pixels if they have none.
-
-    Raises
-    ------
-    InputError
-        If there are only pixels and no camera is known.
-    """
+    """Give rows of the native table positions, from their pixels if they have none."""
     pixel = rows.channels.get("pixel")
     if pixel is None:
         return rows

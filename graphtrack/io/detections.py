@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import LARGEST_ID, check_frame_rate
+from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.boxes import placed_boxes, with_scores
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.reading import tracks_of_rows
 from graphtrack.table.rows import Rows
-from graphtrack.tracks import TrackSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +47,6 @@ def boxes_of_supervision(detections: Any, person: int | None = 0) -> FoundBoxes:
     ----------
     detections : with ``xyxy`` (n, 4) and perhaps ``confidence``, ``class_id`` and ``tracker_id``
     person : the class of people; None: all are people
-
-    Raises
-    ------
-    InputError
-        If it is no such object, or its arrays do not fit together.
     """
     corners = array_of(detections, "xyxy", "a supervision.Detections")
     names = ("confidence", "class_id", "tracker_id")
@@ -121,55 +114,26 @@ def _found(
     return FoundBoxes(box, sure, None if ids is None else ids.ravel()[place].astype(np.int64), place, n)
 
 
-def from_supervision(
-    detections: Iterable[Any] | Mapping[int, Any], *, fps: float, person: int | None = 0, **options: Any
-) -> TrackSet:
-    """Tracks of what detectors and trackers found in the frames of a video, as ``supervision.Detections``.
-
-    Where there are ids (``tracker_id``, as after ``tracker.update`` of the package trackers), they are the
-    tracks; else detections are associated. A person stands at the middle of the box's lower edge.
+def rows_of_supervision(
+    detections: Iterable[Any] | Mapping[int, Any], options: ReadOptions, person: int | None = 0
+) -> Rows:
+    """Return the rows of ``supervision.Detections`` of frames, on the ground; see `boxes_of_supervision`.
 
     Parameters
     ----------
     detections : one for each frame, from 0 on, or frame → one
-    fps : frames a second
-    person : the class of people; None: all are people
-    **options : fields of `ReadOptions`, such as ``homography``, ``calibration`` or ``metres_per_pixel``
-
-    Raises
-    ------
-    InputError
-        If one is no such object, some frames have ids and others none, or nobody was found.
+    options : with the frame rate
     """
-    return _tracks(
-        {k: boxes_of_supervision(one, person) for k, one in _numbered(detections)},
-        fps,
-        "supervision",
-        options,
-    )
+    found = {k: boxes_of_supervision(one, person) for k, one in _numbered(detections)}
+    return _rows(found, "supervision", options)
 
 
-def from_ultralytics(
-    results: Iterable[Any] | Mapping[int, Any], *, fps: float, person: int | None = None, **options: Any
-) -> TrackSet:
-    """Tracks of Ultralytics' ``Results`` of the frames of a video, as ``model.track`` gives them.
-
-    As `from_supervision`; keypoints are for ``perception observe``.
-
-    Parameters
-    ----------
-    results : one for each frame, from 0 on, or frame → one
-    person : the class of people; None: the one that ``results.names`` calls "person", or else 0
-    fps, **options : as there
-
-    Raises
-    ------
-    InputError
-        As there.
-    """
-    return _tracks(
-        {k: boxes_of_ultralytics(one, person) for k, one in _numbered(results)}, fps, "ultralytics", options
-    )
+def rows_of_ultralytics(
+    results: Iterable[Any] | Mapping[int, Any], options: ReadOptions, person: int | None = None
+) -> Rows:
+    """Return the rows of Ultralytics' ``Results`` of frames, on the ground; as `rows_of_supervision`."""
+    found = {k: boxes_of_ultralytics(one, person) for k, one in _numbered(results)}
+    return _rows(found, "ultralytics", options)
 
 
 def _numbered(given: Iterable[Any] | Mapping[int, Any]) -> Iterable[tuple[int, Any]]:
@@ -180,9 +144,7 @@ def _numbered(given: Iterable[Any] | Mapping[int, Any]) -> Iterable[tuple[int, A
     return enumerate(given)
 
 
-def _tracks(found: Mapping[int, FoundBoxes], fps: float, format: str, options: Mapping[str, Any]) -> TrackSet:
-    check_frame_rate(fps)
-    chosen = ReadOptions(fps=fps, **options)
+def _rows(found: Mapping[int, FoundBoxes], format: str, options: ReadOptions) -> Rows:
     some = {frame: one for frame, one in found.items() if len(one.box)}
     if not some:
         raise InputError(f"nobody in {len(found)} frames", "at least one person")
@@ -206,5 +168,5 @@ def _tracks(found: Mapping[int, FoundBoxes], fps: float, format: str, options: M
         lambda row: int(frame[row]),
         has_identity=not of_nobody,
     )
-    rows = with_scores(placed_boxes(rows, chosen).with_times(fps)).without("box", "confidence")
-    return tracks_of_rows(rows, chosen)
+    assert options.fps is not None
+    return with_scores(placed_boxes(rows, options).with_times(options.fps)).without("box", "confidence")

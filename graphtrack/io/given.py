@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.io.options import Associate
 from graphtrack.io.reading import are_paths, is_table, read
-from graphtrack.scene import GivenScene
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -23,50 +21,34 @@ if TYPE_CHECKING:
     Given: TypeAlias = Track | Scene
 
 
-def tracks_of(
-    given: Given, associate: Associate = "auto", scene: GivenScene = None, **reading: Any
-) -> TrackSet:
+def tracks_of(given: Given, read: Callable[..., TrackSet] = read, **reading: Any) -> TrackSet:
     """Tracks, a track, several of them, the path of a file or of several, or a table, as a set of tracks.
 
     Parameters
     ----------
-    associate, scene : what to do with a file's rows without identities, as in `ReadOptions`
-    **reading : other options of `read`, for paths and tables
-
-    Raises
-    ------
-    InputError
-        For anything else, and for a file or table that cannot be read.
+    read : what reads files, and tables with options
+    **reading : its options
     """
-    if reading and not (isinstance(given, str | Path) or is_table(given) or are_paths(given)):
-        names = ", ".join(reading)
-        raise InputError(
-            f"{names} with a {type(given).__name__}", "options of reading with a path or a table"
-        )
+    if isinstance(given, str | Path) or (are_paths(given) and given):
+        return read(given, **reading)
+    if is_table(given):
+        return read(given, **reading) if reading else TrackSet.from_table(given)
+    if reading:
+        found = f"{', '.join(reading)} with a {type(given).__name__}"
+        raise InputError(found, "options of reading with a path or a table")
     if isinstance(given, TrackSet):
         return given
     if isinstance(given, Track):
         return TrackSet((given,))
-    if isinstance(given, str | Path):
-        return read(given, associate=associate, scene=scene, **reading)
-    if is_table(given):
-        return read(given, **reading) if reading else TrackSet.from_table(given)
-    if isinstance(given, list | tuple) and given:
-        if all(isinstance(one, Track) for one in given):
-            return TrackSet(tuple(given))
-        if are_paths(given):
-            return read(given, associate=associate, scene=scene, **reading)
-    raise InputError(_described(given), f"a TrackSet, a Track, a table or the path of a file{_hint(given)}")
-
-
-def _described(given: object) -> str:
+    if isinstance(given, list | tuple) and given and all(isinstance(one, Track) for one in given):
+        return TrackSet(tuple(given))
     shape = _shape(given)
-    return f"a {type(given).__name__}" + (f" of shape {shape}" if shape else "")
+    found = f"a {type(given).__name__}" + (f" of shape {shape}" if shape else "")
+    raise InputError(found, f"a TrackSet, a Track, a table or the path of a file{_hint(shape)}")
 
 
-def _hint(given: object) -> str:
+def _hint(shape: tuple[int, ...]) -> str:
     """How an array of positions becomes a track."""
-    shape = _shape(given)
     if len(shape) != 2 or shape[1] != 2:
         return ""
     n = shape[0]

@@ -157,13 +157,7 @@ def _whole(source: Source, line: int, name: str, cell: str) -> int:
 
 
 def read_group_rows(path: str | Path) -> dict[str, np.ndarray]:
-    """The rows of a table of groups: ``frame``, ``t``, ``track_id``, ``group``; ``t`` is NaN if it has none.
-
-    Raises
-    ------
-    InputError
-        As `read_groups`.
-    """
+    """The columns frame, t, track_id and group of a table of groups; a missing t is NaN."""
     source = Source.open(path)
     lines = [(number, line) for number, line in enumerate(source.lines, 1) if line.strip()]
     _read_table(source, lines)
@@ -177,7 +171,7 @@ def read_group_rows(path: str | Path) -> dict[str, np.ndarray]:
 
 def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
     """Write columns as CSV, whole or not at all; NaN and "" are empty cells."""
-    from graphtrack.io.readers.native_csv import write_columns as write
+    from graphtrack.io.readers.native_csv import write_csv_columns as write
 
     with atomic_path(path) as temporary:
         write(columns, temporary)

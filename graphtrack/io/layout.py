@@ -67,11 +67,6 @@ def parse_columns(given: Mapping[str, object] | str | None) -> dict[str, str]:
     """Native name → name in the file, from a mapping or from text such as ``id=agent,t=timestamp``.
 
     A name that holds a comma stands, with its key, in double quotes.
-
-    Raises
-    ------
-    InputError
-        For what is no such list, keys that no column has, and a key or a name that comes twice.
     """
     if given is None:
         return {}

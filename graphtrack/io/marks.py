@@ -19,13 +19,7 @@ _DECIMAL = re.compile(r"\s*[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d+)?\s*", re.ASCII)
 
 
 def delimiter_of(given: str | None) -> str | None:
-    """The mark that is meant, one character.
-
-    Raises
-    ------
-    InputError
-        For anything else.
-    """
+    """The mark that is meant, one character."""
     if given is None:
         return None
     mark = DELIMITERS.get(given.lower(), given)
@@ -52,13 +46,7 @@ def check_encoding(given: str | None) -> None:
 
 
 def as_told(source: Source, delimiter: str | None, decimal: str | None, encoding: str | None) -> Source:
-    """The file as it would be in UTF-8, with commas between its cells and decimal points; lines stay lines.
-
-    Raises
-    ------
-    InputError
-        Where it is not as it is said to be.
-    """
+    """The file in UTF-8, with commas between its cells and decimal points; lines stay lines."""
     if encoding is not None:
         source = _decoded(source, encoding)
     mark = delimiter_of(delimiter)

@@ -14,13 +14,7 @@ from graphtrack.tracks import Track, TrackSet
 
 
 def merged_tracks(sets: Sequence[TrackSet], paths: Sequence[Path]) -> TrackSet:
-    """The tracks of several files, each with an id of its own, and a label if it has none.
-
-    Raises
-    ------
-    InputError
-        Where some have numbers for identities and others text.
-    """
+    """The tracks of several files, each with an id of its own, and a label if it has none."""
     tracks: list[Track] = []
     taken: set[int] = set()
     numbered: list[dict[int, int]] = []

@@ -109,11 +109,6 @@ def read_numbers(
     widths : the numbers of columns that a row may have; all rows have the same
     names : names of the columns, for messages
     comments : whether ``#`` begins a comment
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that is not a finite number, or of a row of another width.
     """
     rows: list[list[str]] = []
     line_numbers: list[int] = []

@@ -13,7 +13,6 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.layout import Layout, parse_columns
 from graphtrack.io.marks import check_decimal, check_encoding, delimiter_of
-from graphtrack.scene import GivenScene, known_values
 from graphtrack.table.as_read import AsRead
 
 Associate = Literal["auto", "never", "always", "repair"]
@@ -48,13 +47,9 @@ class ReadOptions:
     crs : the coordinate reference system of its places, such as "EPSG:4326", which become local metres
     delimiter, decimal : marks between the cells of a text file, and before its decimals
     encoding : of a text file that is not UTF-8
-    sql : a query whose answer is the table, of a database of DuckDB or SQLite, a table (called ``input``), or
-        of a database that SQLAlchemy connects to by its URL
     topic : of a ROS 2 recording, the topic that tells of people, or a pattern for topics of one person each
     fixed_frame : the frame of reference of its places, to which ``tf`` brings them
     beside : what another table was read as; times and local metres count from the same
-    scene : what is then known of how people come, go and are detected: `SceneParameters`, or some of them by
-        their names; the others are learned
     """
 
     fps: float | None = None
@@ -78,11 +73,9 @@ class ReadOptions:
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
-    sql: str | None = None
     topic: str | None = None
     fixed_frame: str | None = None
     beside: AsRead | None = None
-    scene: GivenScene = None
 
     def __post_init__(self) -> None:
         check_frame_rate(self.fps)
@@ -95,7 +88,6 @@ class ReadOptions:
         object.__setattr__(
             self, "classes", (self.classes,) if isinstance(self.classes, str) else tuple(self.classes)
         )
-        object.__setattr__(self, "scene", known_values(self.scene))
         if self.columns is not None:
             object.__setattr__(self, "columns", parse_columns(self.columns))
         object.__setattr__(self, "delimiter", delimiter_of(self.delimiter))

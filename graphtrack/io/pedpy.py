@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from graphtrack.bounds import check_frame_rate
 from graphtrack.errors import InputError
-from graphtrack.io.extras import package
-from graphtrack.io.options import ReadOptions
 from graphtrack.io.rates import rate_to_write, times_told
-from graphtrack.io.reading import tracks_of_rows
-from graphtrack.table.columns import frame_of, rows_of_table, to_columns
-from graphtrack.tracks import TrackSet
+from graphtrack.later import package
+from graphtrack.table.columns import frame_of, rows_of_table
+from graphtrack.tracks import TrackSet, to_columns
 
 EXTRA = "pedpy"
 _IDENTITY, _POINT = "id", "point"
@@ -39,7 +37,7 @@ def from_pedpy(trajectory: Any) -> TrackSet:
     check_frame_rate(float(rate))
     table = frame_of(data).drop(columns=_POINT, errors="ignore").rename(columns={_IDENTITY: "track_id"})
     rows = rows_of_table(table, None if "t" in table.columns else float(rate))
-    return tracks_of_rows(replace(rows, format="pedpy"), ReadOptions(associate="never"))
+    return TrackSet.from_identified_rows(replace(rows, format="pedpy"))
 
 
 def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> Any:
@@ -66,13 +64,7 @@ def to_pedpy(tracks: TrackSet, *, frame_rate: float | None = None) -> Any:
 def trajectory_columns(
     tracks: TrackSet, *, path: Path | None = None, frame_rate: float | None = None
 ) -> tuple[Mapping[str, NDArray[Any]], float]:
-    """Columns id, frame, x, y and the native table's others, of rows with a position, and their rate.
-
-    Raises
-    ------
-    InputError
-        As `rate_to_write`.
-    """
+    """Columns id, frame, x, y and the native table's others, of rows with a position, and their rate."""
     rate = rate_to_write(tracks, path, frame_rate)
     columns = to_columns(tracks)
     known = np.isfinite(columns["x"]) & np.isfinite(columns["y"])

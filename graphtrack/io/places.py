@@ -18,13 +18,7 @@ _Identity = tuple[int | str, ...]
 
 
 def destination(path: Path) -> Path:
-    """Where writing to a path ends up: of a symbolic link its target, whether it is there already or not.
-
-    Raises
-    ------
-    InputError
-        For links that lead back to themselves.
-    """
+    """Where writing to a path ends up: of a symbolic link its target, whether it is there already or not."""
     if not path.is_symlink():
         return path
     try:
@@ -38,14 +32,7 @@ def destination(path: Path) -> Path:
 
 
 def check_place(path: Path, *, directory: bool = False) -> None:
-    """Refuse a path where no file, or else no ``directory``, can be written whole.
-
-    Raises
-    ------
-    InputError
-        For a folder that is missing, one where a file should be or that is not empty, a device, or links that
-        lead back to themselves.
-    """
+    """Refuse a path where no file, or else no ``directory``, can be written whole."""
     if path.is_dir():
         if not directory:
             raise InputError("a folder", "the path of a file to write", path=path)
@@ -100,13 +87,7 @@ def check_distinct(
 
 
 def check_read_once(inputs: Iterable[Path]) -> None:
-    """Refuse a file that is given twice: its people would be read as others who walk the same way.
-
-    Raises
-    ------
-    InputError
-        With both paths.
-    """
+    """Refuse a file that is given twice: its people would be read as others who walk the same way."""
     known: dict[_Identity, Path] = {}
     for path in inputs:
         before = known.setdefault(_identity(path), path)

@@ -40,11 +40,6 @@ def rate_to_write(tracks: TrackSet, path: Path | None = None, given: float | Non
     Parameters
     ----------
     given : by the caller, for tracks of a single frame
-
-    Raises
-    ------
-    InputError
-        Where they have none.
     """
     check_frame_rate(given)
     if given is not None:

@@ -16,6 +16,7 @@ from graphtrack.io.atomic import atomic_path
 from graphtrack.io.cameras import read_homography
 from graphtrack.io.delimiters import other_delimiter
 from graphtrack.io.folders import sequence_file, table_in
+from graphtrack.io.format import Format
 from graphtrack.io.hints import hinted
 from graphtrack.io.layout import Layout
 from graphtrack.io.library_errors import read_errors
@@ -25,18 +26,16 @@ from graphtrack.io.options import ReadOptions
 from graphtrack.io.places import check_read_once
 from graphtrack.io.readers.native_parquet import has_moments
 from graphtrack.io.registry import (
-    Format,
+    FORMATS,
     detect,
     format_for_writing,
     format_named,
     format_taking,
-    formats,
 )
 from graphtrack.io.source import Source
 from graphtrack.remote import place_of
 from graphtrack.ros.bag import is_bag
 from graphtrack.table.rows import Rows, check_identities, check_rows
-from graphtrack.table.speeds import with_speeds_checked
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -47,14 +46,25 @@ if TYPE_CHECKING:
 BAG = "bag"
 """The format of recordings, which are not read whole."""
 
+ToTracks = Callable[[Rows, ReadOptions], TrackSet]
+"""Makes tracks of the rows of one file."""
+
+
+def tracks_of_rows(rows: Rows, options: ReadOptions) -> TrackSet:
+    """The tracks of a file's rows, which have identities."""
+    return TrackSet.from_identified_rows(rows)
+
 
 def read(
     path: str | Path | Sequence[str | Path] | pd.DataFrame | Mapping[str, Any],
     *,
     format: str | None = None,
+    to_tracks: ToTracks = tracks_of_rows,
     **options: Any,
 ) -> TrackSet:
     """Read tracks from one file or several, in any known format, or from a table in memory.
+
+    Rows need identities; `graphtrack.read` associates those that have none.
 
     Parameters
     ----------
@@ -63,6 +73,7 @@ def read(
         label get the name of their file. Or a DataFrame (pandas, polars), another table that speaks Arrow, or
         a mapping name → column
     format : name of the format; None: recognised by the content
+    to_tracks : (rows of a file, options) → tracks
     **options : the fields of `ReadOptions`, such as ``fps`` and ``homography``
 
     Returns
@@ -84,11 +95,11 @@ def read(
     if is_table(path):
         if format is not None:
             raise InputError(f"format {format!r} of a table", "a file, or no format")
-        return tracks_of_rows(rows_of_frame(path, read_options), read_options)
+        return to_tracks(rows_of_frame(path, read_options), read_options)
     paths = [path] if isinstance(path, str | Path) else path
     if not are_paths(paths):
         raise InputError(f"a {type(path).__name__}", "a path, several paths, or a table")
-    return read_with(list(paths), format, read_options)
+    return read_with(list(paths), format, read_options, to_tracks)
 
 
 def are_paths(given: object) -> TypeGuard[Sequence[str | Path]]:
@@ -102,13 +113,7 @@ def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
 
 
 def rows_of_frame(table: Any, options: ReadOptions) -> Rows:
-    """The rows of a table in memory; see `read`.
-
-    Raises
-    ------
-    InputError
-        As for a file; lines are rows, from 1.
-    """
+    """The rows of a table in memory; see `read`."""
     from graphtrack.io.tables.cells import cells_of_frame
 
     return rows_of_table(cells_of_frame(table), options)
@@ -127,45 +132,23 @@ def rows_of_table(cells: Cells, options: ReadOptions) -> Rows:
     return place_pixels(rows.with_notes(*notes), found)
 
 
-def read_with(paths: Sequence[str | Path], format: str | None, options: ReadOptions) -> TrackSet:
+def read_with(
+    paths: Sequence[str | Path],
+    format: str | None,
+    options: ReadOptions,
+    to_tracks: ToTracks = tracks_of_rows,
+) -> TrackSet:
     """`read`, where the options stand together."""
     if not paths:
         raise InputError("no paths", "at least one")
     sets: list[TrackSet] = []
     check_read_once([place_of(one) for one in paths])
     for one in paths:
-        sets.append(_read_one(one, format, options))
+        sets.append(to_tracks(rows_of_file(one, format, options), options))
         options = replace(options, beside=options.beside or sets[0].as_read)
     if len(sets) == 1:
         return sets[0]
     return merged_tracks(sets, [place_of(one) for one in paths])
-
-
-def _read_one(path: str | Path, format: str | None, options: ReadOptions) -> TrackSet:
-    return tracks_of_rows(rows_of_file(path, format, options), options)
-
-
-def has_detections(rows: Rows, options: ReadOptions) -> bool:
-    """Whether it has to be found out whose the rows of a file are.
-
-    Raises
-    ------
-    InputError
-        If it has to, and is not allowed.
-    """
-    if options.associate == "never":
-        check_identities(rows)
-    return not rows.has_identity or options.associate == "always"
-
-
-def tracks_of_rows(rows: Rows, options: ReadOptions) -> TrackSet:
-    """The tracks of a file's rows, whose identities are found out where that is asked for."""
-    associates = has_detections(rows, options)
-    if not associates and options.associate != "repair":
-        return with_speeds_checked(TrackSet.from_rows(rows), rows.path)
-    from graphtrack.association.rows import associated
-
-    return associated(rows, options.scene, repair=not associates)
 
 
 def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
@@ -183,16 +166,10 @@ def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
 
 
 def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path], None]:
-    """What writes columns to a file of that name.
-
-    Raises
-    ------
-    InputError
-        If its ending is none of a table.
-    """
+    """What writes columns to a file of that name."""
     write = format_for_writing(path).write_columns
     if write is None:
-        names = ", ".join(s for one in formats() if one.write_columns is not None for s in one.suffixes)
+        names = ", ".join(s for one in FORMATS if one.write_columns is not None for s in one.suffixes)
         found = f"detections without identities for {path.name}"
         raise InputError(found, f"a name that ends with one of {names}", path=path)
     return write
@@ -215,7 +192,7 @@ def read_boxes(path: str | Path, format: str | None = None, options: ReadOptions
     rows = boxes_of_file(path, format, options)
     if rows is None:
         chosen = _chosen(_opened(path, options), format)
-        names = ", ".join(one.name for one in formats() if one.read_boxes is not None)
+        names = ", ".join(one.name for one in FORMATS if one.read_boxes is not None)
         found = f"the format {chosen.name}, of which no boxes are read"
         raise InputError(found, f"a format with boxes: {names}", path=path)
     check_identities(rows)
@@ -264,8 +241,6 @@ def rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> 
 
 
 def _rows_of_file(path: str | Path, format: str | None, options: ReadOptions) -> Rows:
-    if options.sql is not None:
-        return rows_of_table(_answer(path, format, options), options)
     source = _opened(path, options)
     layout = options.layout()
     if layout is None:
@@ -299,7 +274,7 @@ def _table_with_synonyms(source: Source, format: str | None, options: ReadOption
 
     known = format
     if known is None:
-        known = next((one.name for one in formats() if one.looks_like(source.head, source.path)), "csv")
+        known = next((one.name for one in FORMATS if one.looks_like(source.head, source.path)), "csv")
     if not source.data or known not in ("csv", "ndjson", "parquet"):
         return None
     names = names_in(source, known)
@@ -313,19 +288,6 @@ def _check_taken(taking: Format, options: ReadOptions, path: Path) -> None:
         if getattr(options, name) is not None and name not in taking.takes:
             known = " or ".join(f"--{one}" for one in taking.takes)
             raise InputError(f"--{name.replace('_', '-')} for the format {taking.name}", known, path=path)
-
-
-def _answer(path: str | Path, format: str | None, options: ReadOptions) -> Cells:
-    """The cells that a query gives."""
-    from graphtrack.io.tables.sql import cells_of_query
-
-    told = {"format": format, "delimiter": options.delimiter, "decimal": options.decimal}
-    for name, value in {**told, "encoding": options.encoding}.items():
-        if value is not None:
-            raise InputError(f"{name} with sql", "one of them: a query has its own", path=path)
-    assert options.sql is not None
-    with read_errors(place_of(path)):
-        return cells_of_query(place_of(path), options.sql)
 
 
 def cells_of_file(path: str | Path, options: ReadOptions) -> Cells:
@@ -387,7 +349,7 @@ def write(
         raise InputError(f"a {type(tracks).__name__} to write", expected, path=path)
     chosen = format_for_writing(path) if format is None else format_named(format)
     if chosen.write is None:
-        names = ", ".join(one.name for one in formats() if one.write is not None)
+        names = ", ".join(one.name for one in FORMATS if one.write is not None)
         raise InputError(f"format {chosen.name!r}", f"a format that can be written: {names}")
     if homography is not None:
         matrix = read_homography(homography) if isinstance(homography, str | Path) else homography

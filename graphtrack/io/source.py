@@ -54,13 +54,7 @@ class Source:
 
     @classmethod
     def open(cls, path: str | Path) -> Source:
-        """Read a file whole.
-
-        Raises
-        ------
-        InputError
-            If it is missing, not a file, unreadable, empty, larger than `MAX_BYTES` or a broken gzip file.
-        """
+        """Read a file whole."""
         path = place_of(path)
         try:
             if path.is_dir():
@@ -108,13 +102,7 @@ class Source:
 
     @cached_property
     def text(self) -> str:
-        """The content as UTF-8 text, with or without a byte order mark.
-
-        Raises
-        ------
-        InputError
-            On binary files and other encodings, with the line of the first bad byte.
-        """
+        """The content as UTF-8 text, with or without a byte order mark."""
         if self.wide is not None:
             kind = self.wide[:6]
             expected = f"UTF-8 text, or {kind} with a mark at its beginning; --encoding {self.wide} reads it"
@@ -138,13 +126,7 @@ class Source:
 
     @cached_property
     def lines(self) -> list[str]:
-        """The lines of `text` without their ends (LF or CR LF).
-
-        Raises
-        ------
-        InputError
-            For a carriage return within a line, which some readers take for an end and others do not.
-        """
+        """The lines of `text` without their ends (LF or CR LF)."""
         text = self.text
         count = text.count("\n")
         if count >= _LINES_FROM and len(text) < (1 + _SHORTEST) * count:
@@ -176,13 +158,7 @@ def mostly(head: bytes, matches: Callable[[str], bool]) -> bool:
 
 
 def _read_limited(stream: io.BufferedIOBase, path: Path, most: float = math.inf) -> bytes | None:
-    """All that a stream gives, read piece by piece; None once it is more than ``most`` bytes.
-
-    Raises
-    ------
-    InputError
-        For more than `MAX_BYTES`.
-    """
+    """All that a stream gives, read piece by piece; None once it is more than ``most`` bytes."""
     content = io.BytesIO()
     while chunk := stream.read(_CHUNK):
         content.write(chunk)

@@ -16,11 +16,6 @@ def read_toml(path: str | Path, expected: str) -> dict[str, Any]:
     ----------
     path : of the file
     expected : what the file should be, for the message
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or is no TOML.
     """
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))

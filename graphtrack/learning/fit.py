@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import engine_of
-from graphtrack.io.given import tracks_of
 from graphtrack.learning.climb import PRIOR_STD, REACH, climb, curvature, definite, uncertainty
 from graphtrack.learning.free import Free, free_parameters, with_values
 from graphtrack.learning.journal import EvaluationJournal

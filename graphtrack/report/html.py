@@ -13,6 +13,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from graphtrack.display import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
 from graphtrack.io.atomic import atomic_path
 from graphtrack.report.content import (
     AngleChart,
@@ -26,7 +27,6 @@ from graphtrack.report.content import (
     Timeline,
 )
 from graphtrack.report.replay_html import render_angle_chart, render_replay, render_timeline
-from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR
 
 SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "

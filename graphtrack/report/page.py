@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from graphtrack.io.given import tracks_of
+from graphtrack.association.reading import tracks_of
 from graphtrack.report import html
 from graphtrack.report.behaviour.given import behaviour_of
 from graphtrack.report.build import tracking_report

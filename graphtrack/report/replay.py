@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.display import person_colour
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.behaviour.codes import behaviour_codes
 from graphtrack.report.coding import ANGLE_STEP, COARSE_STEP, LENGTH_STEP, SURE_STEP, TIME_STEP, delta_code
 from graphtrack.report.lives import UNSURE, Life, event_times, least_between
 from graphtrack.report.pairing import Pair
 from graphtrack.report.shapes import longest_step, probability_ellipse
-from graphtrack.report.style import person_colour, person_dash
+from graphtrack.report.style import person_dash
 
 if TYPE_CHECKING:
     from graphtrack.evaluation.tracking.events import IdentityEvent

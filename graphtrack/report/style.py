@@ -9,17 +9,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from graphtrack.display import BODY_COLOUR, HEAD_COLOUR, PERSON_COLOURS, VELOCITY_COLOUR
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BODY_COLOUR: Final = "#0072B2"
-HEAD_COLOUR: Final = "#D55E00"
-VELOCITY_COLOUR: Final = "#009E73"
 TRUTH_COLOUR: Final = "#000000"
 NEUTRAL_COLOUR: Final = "#5F6672"
-
-PERSON_COLOURS: Final = ("#56B4E9", "#E69F00", "#CC79A7", "#8A8F98", "#94641A", "#8C4A7B")
 
 GROUP_COLOURS: Final = ("#4477AA", "#EE6677", "#228833", "#B8860B", "#66CCEE", "#AA3377")
 """Those of Tol (2021), "bright", the yellow darker."""
@@ -28,16 +25,6 @@ PERSON_DASHES: Final[tuple[tuple[float, ...], ...]] = ((), (5.0, 2.0), (5.0, 1.5
 """On and off along a line, in widths of the line; none is as short as the dots of what was not observed."""
 
 ANGLE_COLOURS: Final = {"body": BODY_COLOUR, "head": HEAD_COLOUR}
-
-
-def person_colour(index: int) -> str:
-    """The colour of the person at ``index`` in the set; colours repeat after six people."""
-    return PERSON_COLOURS[index % len(PERSON_COLOURS)]
-
-
-def rgb(colour: str) -> tuple[int, int, int]:
-    """Red, green and blue, from 0 to 255, of a colour such as ``#0072B2``."""
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 def person_dash(index: int) -> tuple[float, ...]:

@@ -71,13 +71,7 @@ class Bag:
     _definitions: Mapping[str, Definition]
 
     def store(self, kinds: Collection[str]) -> Typestore:
-        """What reads messages of these types, as the recording defines them, where it does.
-
-        Raises
-        ------
-        InputError
-            For a definition that cannot be read.
-        """
+        """What reads messages of these types, as the recording defines them, where it does."""
         from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
         embedded: dict[str, Any] = {}
@@ -91,13 +85,7 @@ class Bag:
             return typestore(embedded)
 
     def messages(self, topics: Collection[str]) -> Iterator[Recorded]:
-        """The messages of some topics, in the order of the recording.
-
-        Raises
-        ------
-        InputError
-            For a recording that is cut or damaged.
-        """
+        """The messages of some topics, in the order of the recording."""
         numbers = dict.fromkeys(topics, 0)
         with told(self.path, "a recording"):
             for part in self._parts:
@@ -113,11 +101,6 @@ class Bag:
         Parameters
         ----------
         use : of a message what is wanted of it
-
-        Raises
-        ------
-        InputError
-            As `messages`, and for a message that is none of its type, with its number.
         """
         store = self.store({kind})
         for one in self.messages(topics):
@@ -136,14 +119,8 @@ class Bag:
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
-    """Open a recording.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    """
-    need_rosbags(path)
+    """Open a recording."""
+    need_rosbags()
     with ExitStack() as stack:
         parts: list[_Mcap | _Rosbag] = []
         with told(path, "a recording"):

@@ -25,11 +25,6 @@ def chosen_topics(topics: Mapping[str, str], asked: str | None, path: Path) -> l
     ----------
     topics : of the recording, name → type
     asked : a name, or a pattern for several of one person each; None: the one that tells of people
-
-    Raises
-    ------
-    InputError
-        With the names of those that there are.
     """
     known = {name: kind for name, kind in sorted(topics.items()) if kind in OF_PEOPLE}
     if asked is not None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from graphtrack.errors import InputError
+from graphtrack.later import package
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -74,16 +73,10 @@ FIELDS: Mapping[str, str] = {
 """Type → its fields, for the types that are not among ROS's own common interfaces."""
 
 
-def need_rosbags(path: Path) -> None:
+def need_rosbags() -> None:
     """Raise InputError if the packages that read and write bags are not there."""
-    try:
-        import mcap
-        import rosbags
-    except ImportError as error:
-        raise InputError(
-            f"no package {error.name}", "the extra: pip install 'graphtrack[ros]'", path=path
-        ) from error
-    del mcap, rosbags
+    for name in ("mcap", "rosbags"):
+        package(name, "ros")
 
 
 @cache

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
-from graphtrack.report.style import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR, person_colour, rgb
+from graphtrack.display import BODY_COLOUR, HEAD_COLOUR, VELOCITY_COLOUR, person_colour, rgb
 from graphtrack.ros.definitions import MARKERS, SCENE
 from graphtrack.ros.estimates import EYES, HEIGHT, WIDTH, Make, Person, header_of, pose_at, time_of
 

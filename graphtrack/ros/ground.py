@@ -127,11 +127,6 @@ class Ground:
         Returns
         -------
         columns, known : name → (n,), and whether tf places a row (n,)
-
-        Raises
-        ------
-        InputError
-            For frames of reference that differ and are not brought to one, or that tf does not connect.
         """
         if self.fixed is None:
             self.fixed = str(seen.frame_id[0])

@@ -64,12 +64,6 @@ def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
     Parameters
     ----------
     options : of them ``topic``, ``fixed_frame``, ``classes`` and ``beside`` count
-
-    Raises
-    ------
-    InputError
-        For recordings that are damaged, have no topic of a known type or several, whose frames of reference
-        are not connected, or whose clock jumps. A line is the number of a message of its topic.
     """
     with open_bag(path) as bag:
         topics = chosen_topics(bag.topics, options.topic, path)

@@ -37,11 +37,6 @@ class Repeated:
     ----------
     serialise : (stamp in ns, people) → bytes, little endian
     people : as they are; their numbers do not matter
-
-    Raises
-    ------
-    InputError
-        For more people than could stand in a place.
     """
 
     def __init__(self, serialise: Callable[[int, list[Person]], Any], people: Sequence[Person]) -> None:

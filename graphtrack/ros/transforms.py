@@ -91,13 +91,7 @@ class Transforms:
         return sorted({*self._links, *(link.parent for link in self._links.values())})
 
     def add(self, transforms: Iterable[Any], *, static: bool) -> None:
-        """Take in the transforms of a message.
-
-        Raises
-        ------
-        InputError
-            For a frame that has two parents.
-        """
+        """Take in the transforms of a message."""
         for one in transforms:
             child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
             link = self._links.setdefault(child, _Link(parent, static))
@@ -131,13 +125,7 @@ class Transforms:
             link.sorted = None
 
     def placement(self, frame: str, fixed: str, stamps: NDArray[np.int64]) -> Placement:
-        """The poses of a frame in another at some times (n,), in nanoseconds.
-
-        Raises
-        ------
-        InputError
-            If tf does not connect the two.
-        """
+        """The poses of a frame in another at some times (n,), in nanoseconds."""
         up, other = self._to_root(frame), self._to_root(fixed)
         shared = next((one for one in up if one in other), None)
         if shared is None:

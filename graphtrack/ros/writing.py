@@ -82,14 +82,8 @@ class Moments(NamedTuple):
 
 
 def write_mcap(tracks: TrackSet, path: Path) -> None:
-    """Write tracks; the topics are those of `TOPICS`.
-
-    Raises
-    ------
-    InputError
-        For times that ROS cannot hold: before 1970, or from 2038 on.
-    """
-    need_rosbags(path)
+    """Write tracks; the topics are those of `TOPICS`."""
+    need_rosbags()
     from mcap.writer import Writer
 
     frame_id = (tracks.as_read.frame if tracks.as_read is not None else "") or FRAME
@@ -126,13 +120,7 @@ def write_mcap(tracks: TrackSet, path: Path) -> None:
 
 
 def moments_of(tracks: TrackSet) -> Iterator[Moments]:
-    """Who is where, time by time; in nanoseconds since 1970, or since the beginning where no date is known.
-
-    Raises
-    ------
-    InputError
-        As `write_mcap`.
-    """
+    """People time by time, in nanoseconds since 1970, or since the beginning where no date is known."""
     if not len(tracks):
         return
     scale = None if tracks.as_read is None else tracks.as_read.time

@@ -18,9 +18,9 @@ from graphtrack.inference.solution import Failure, OfflineEngine, Solution, Solv
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.options import ReadOptions
 from graphtrack.model import Model
-from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.columns import from_columns
 from graphtrack.table.speeds import Speeds
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import TrackSet, to_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +91,7 @@ class Shard:
 
 
 def smooth_batch(work: Work, batch: Batch) -> Shard:
-    """Check and smooth the tracks of a batch; one that fails does not keep the others from coming out.
-
-    Raises
-    ------
-    InputError
-        For a value that cannot be right; its line is the number of the row in the data set, from 1. Or if the
-        worker has another version of this package than the one that sent the job.
-    """
+    """Check and smooth the tracks of a batch; one that fails does not keep the others from coming out."""
     here = version("graphtrack")
     if here != work.version:
         raise InputError(f"graphtrack {here} on a worker", f"{work.version}, as where the job was started")
@@ -117,7 +110,7 @@ def smooth_batch(work: Work, batch: Batch) -> Shard:
         line_of=lambda row: int(number[row]) + 1,
     )
     tracks = TrackSet.from_rows(place_pixels(native, work.read_options))
-    speeds = Speeds.of(tracks)
+    speeds = tracks.speeds
     if work.select:
         tracks = tracks.select(*work.select)
     found = solve_tracks(

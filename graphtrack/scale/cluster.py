@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from graphtrack.errors import GraphtrackError, InputError
+from graphtrack.later import package
 from graphtrack.readiness import processors
 from graphtrack.scale.batch import Batch, Shard, Work, smooth_batch
 
@@ -45,10 +46,7 @@ def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: in
     GraphtrackError
         When the scheduler is lost, no worker is left, or a batch ends every worker that takes it.
     """
-    try:
-        import distributed
-    except ModuleNotFoundError as error:
-        raise InputError("no package distributed", "the extra: pip install 'graphtrack[cluster]'") from error
+    distributed = package("distributed", "cluster")
     if address != "local" and jobs is not None:
         raise InputError(f"{jobs} jobs on a cluster", "as many as its workers have threads: leave it out")
     with _client(address, jobs) as client:

@@ -85,11 +85,6 @@ class Dataset:
         """Matrices (n, columns + 1) of up to `BLOCK` rows; the last column is the number of the row, from 0.
 
         A missing number is NaN, a label its place in `labels`.
-
-        Raises
-        ------
-        InputError
-            For a damaged file or values that are not of the column's type.
         """
         columns = self.columns if columns is None else columns
         for file in self.files:

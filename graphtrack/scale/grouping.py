@@ -53,14 +53,7 @@ class Index:
 
 
 def index_tracks(dataset: Dataset) -> Index:
-    """Count the rows of each track in one pass over the column ``track_id``.
-
-    Raises
-    ------
-    InputError
-        For an id that is not whole, or one that stands under two values of a folder key that is no column of
-        the native table: then the key, too, says who it is.
-    """
+    """Count the rows of each track in one pass over the column ``track_id``."""
     none = np.empty(0, np.int64)
     seen: dict[tuple[tuple[str, str], ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
     pending: list[NDArray[np.int64]] = []

@@ -16,8 +16,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray, wrap
 from graphtrack.io.given import tracks_of
 from graphtrack.simulation.degrade import add_noise, motion, withhold
-from graphtrack.table.columns import to_columns
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks import Track, TrackSet, to_columns
 
 if TYPE_CHECKING:
     from graphtrack.io.given import Given

@@ -1,4 +1,4 @@
-"""Between tracks and the columns of the native table, whatever holds them (CSV, Parquet, a DataFrame)."""
+"""Rows from the columns of the native table, whatever holds them (CSV, Parquet, a DataFrame)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.bounds import INPUT, SHAPES, STATE, TEXT, check_frame_rate, is_text
+from graphtrack.bounds import SHAPES, STATE, TEXT, check_frame_rate, is_text
 from graphtrack.display import listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
@@ -18,61 +18,6 @@ from graphtrack.table.rows import Rows, no_camera
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from graphtrack.tracks import Track, TrackSet
-
-
-def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
-    """The columns that any of the tracks has, in the order of `schema.in_order`; missing numbers are NaN.
-
-    Of a covariance the table has the diagonal, as standard deviations.
-    """
-    columns: dict[str, NDArray[Any]] = {
-        "track_id": np.repeat([track.track_id for track in tracks], [len(track) for track in tracks]).astype(
-            np.int64
-        ),
-        "frame": _joined([track.frame for track in tracks], np.int64),
-    }
-    for column in (*schema.COLUMNS, *_input_columns(tracks)):
-        if any(_channel(track, column.field) is not None for track in tracks):
-            columns[column.name] = _joined([_cells(track, column) for track in tracks], np.float64)
-    # Spreads that no engine estimated are NaN throughout: leave the column out.
-    for column in schema.COLUMNS:
-        if column.field == "covariance" and column.name in columns and np.isnan(columns[column.name]).all():
-            del columns[column.name]
-    if any(track.label for track in tracks):
-        labels = [track.label for track in tracks]
-        columns["label"] = np.repeat(np.array(labels, dtype=object), [len(track) for track in tracks])
-    return columns
-
-
-def _joined(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
-    return np.concatenate(parts).astype(dtype) if parts else np.empty(0, dtype)
-
-
-def _input_columns(tracks: TrackSet) -> list[schema.Column]:
-    """The columns of all inputs that any track has, by name; a set's tracks agree on their sizes."""
-    sizes = {name: values.shape[1:] for track in tracks for name, values in track.inputs.items()}
-    names = [column.name for name in sizes for column in schema.input_columns(f"{INPUT}{name}", sizes[name])]
-    return [column for name in schema.in_order(names) if (column := schema.numeric(name)) is not None]
-
-
-def _channel(track: Track, field: str) -> FloatArray | None:
-    if field.startswith(INPUT):
-        return track.inputs.get(field.removeprefix(INPUT))
-    value: FloatArray | None = getattr(track, field)
-    return value
-
-
-def _cells(track: Track, column: schema.Column) -> FloatArray:
-    value = _channel(track, column.field)
-    if value is None:
-        return np.full(len(track), np.nan)
-    place: tuple[Any, ...] = (..., *column.index)
-    cells: FloatArray = value[place]
-    if column.field == "covariance":
-        cells = np.sqrt(cells)
-    return np.rad2deg(cells) if column.degrees else cells
 
 
 def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = None) -> Rows:
@@ -106,13 +51,7 @@ def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = N
 
 
 def frame_of(table: Any) -> pd.DataFrame:
-    """A DataFrame of pandas from one, from another table that speaks Arrow (polars), or from name → column.
-
-    Raises
-    ------
-    InputError
-        For anything else, and for columns that are none or of different lengths.
-    """
+    """A DataFrame of pandas from one, from another Arrow table (polars), or from name → column."""
     import pandas as pd
 
     if isinstance(table, pd.DataFrame):
@@ -186,11 +125,6 @@ def from_columns(
     fps : frames a second, for rows without times
     ignored : names of columns that the file has besides
     notes : what was assumed so far
-
-    Raises
-    ------
-    InputError
-        For a column that is missing or a value outside its bounds, with its line.
     """
 
     def fail(found: str, expected: str, row: int | None = None, column: str | None = None) -> InputError:

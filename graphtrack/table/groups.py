@@ -49,11 +49,6 @@ class GroupLabels:
 
         `ALONE` for those in no group with anybody who is there, `UNLABELLED` where nothing is known.
 
-        Raises
-        ------
-        InputError
-            For groups of people who are nowhere among the rows, and where no frame is labelled.
-
         Warns
         -----
         InputWarning

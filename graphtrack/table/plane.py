@@ -11,30 +11,16 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.later import package
 
 WGS84 = "EPSG:4326"
 _DIGITS = 2
 """Of the degrees of a plane's origin: files of one place have one origin, whatever is seen in each."""
 
 
-def geodesy() -> Any:
-    """The package pyproj.
-
-    Raises
-    ------
-    InputError
-        If it is not there.
-    """
-    try:
-        import pyproj
-    except ImportError as error:
-        raise InputError("no package pyproj", "the extra: pip install 'graphtrack[geo]'") from error
-    return pyproj
-
-
 def check_crs(crs: str) -> None:
     """Raise InputError for what is no coordinate reference system of places on the ground."""
-    pyproj = geodesy()
+    pyproj = package("pyproj", "geo")
     try:
         known = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
@@ -63,13 +49,7 @@ class Plane:
 
     @classmethod
     def around(cls, crs: str, first: FloatArray, second: FloatArray) -> Plane:
-        """The plane amid places (n,) given by easting, or longitude, and northing, or latitude; NaN is none.
-
-        Raises
-        ------
-        InputError
-            For a crs that is none, and where no place is one of the crs.
-        """
+        """The plane amid places (n,) given by easting or longitude and northing or latitude; NaN is none."""
         check_crs(crs)
         longitude, latitude = _transformer(crs, WGS84)(first, second)
         known = np.isfinite(longitude) & np.isfinite(latitude)
@@ -96,7 +76,7 @@ class Plane:
 
 @lru_cache(16)
 def _transformer(from_crs: str, to_crs: str) -> Any:
-    transform = geodesy().Transformer.from_crs(from_crs, to_crs, always_xy=True).transform
+    transform = package("pyproj", "geo").Transformer.from_crs(from_crs, to_crs, always_xy=True).transform
 
     def converted(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
         first, second = np.array(first, dtype=float), np.array(second, dtype=float)

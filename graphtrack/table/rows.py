@@ -101,12 +101,6 @@ class Rows:
 def in_order(rows: Rows) -> Rows:
     """The rows by track and, of each track, by frame.
 
-    Raises
-    ------
-    InputError
-        If no row is left, a (track, frame) stands twice, times do not increase with the frames, or a value
-        that the reader computed, such as a position on the ground, is out of its bounds.
-
     Warns
     -----
     InputWarning
@@ -158,13 +152,7 @@ def check_identities(rows: Rows) -> None:
 
 
 def check_rows(rows: Rows) -> None:
-    """Refuse a file of which no row is left, some have no identity, or two are of one track in one frame.
-
-    Raises
-    ------
-    InputError
-        With what was left out, or with the line of the first row that comes again.
-    """
+    """Refuse a file of which no row is left, some have no identity, or two are of one track in one frame."""
     if not len(rows):
         reasons = "; ".join(f"{count} {reason}" for reason, count in rows.refused.items())
         found = f"no usable row ({reasons} refused)" if reasons else "no rows"

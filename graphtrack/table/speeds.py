@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 
-from graphtrack.errors import InputWarning
 from graphtrack.geometry.angles import FloatArray
-
-if TYPE_CHECKING:
-    from graphtrack.tracks import Track, TrackSet
 
 FASTEST = 12.0
 """Metres a second: nobody runs faster."""
@@ -43,9 +36,9 @@ class Speeds:
     n_fast: int = 0
 
     @classmethod
-    def of(cls, tracks: Iterable[Track]) -> Speeds:
-        """The speeds of tracks."""
-        found = [(speed, n) for speed, n in map(median_speed, tracks) if n]
+    def of(cls, tracks: Iterable[tuple[FloatArray, FloatArray]]) -> Speeds:
+        """The speeds of tracks by their times (n,) and positions (n, 2)."""
+        found = [(speed, n) for speed, n in (median_speed(*one) for one in tracks) if n]
         fast = [(speed, n) for speed, n in found if speed > FASTEST]
         return cls(
             len(found),
@@ -76,19 +69,10 @@ class Speeds:
         )
 
 
-def with_speeds_checked(tracks: TrackSet, path: Path) -> TrackSet:
-    """The tracks that were read from ``path``, with a note and a warning where no pedestrian is that fast."""
-    note = Speeds.of(tracks).note
-    if note is None:
-        return tracks
-    warnings.warn(f"{path}: {note}", InputWarning, stacklevel=2)
-    return replace(tracks, summary=replace(tracks.summary, notes=(*tracks.summary.notes, note)))
-
-
-def median_speed(track: Track) -> tuple[float, int]:
+def median_speed(t: FloatArray, position: FloatArray) -> tuple[float, int]:
     """Median speed (m/s) over spans of about a second, and the number of positions; 0, 0 of less than two."""
-    seen = np.isfinite(track.position).all(axis=1)
-    position, t = track.position[seen], track.t[seen]
+    seen = np.isfinite(position).all(axis=1)
+    position, t = position[seen], t[seen]
     if len(t) < 2:
         return 0.0, 0
     apart = max(1, round(min(_SPAN / _median(t[1:] - t[:-1]), len(t) - 1.0)))

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.behaviour.groups import KINDS, Groups
+from graphtrack.display import rgb
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.style import group_colour, rgb
+from graphtrack.report.style import group_colour
 from graphtrack.viewer.layout import Extent
 from graphtrack.viewer.people import CIRCLE, GROUND, PEOPLE
 from graphtrack.viewer.recording import IntArray, Recording

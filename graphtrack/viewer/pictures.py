@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.display import person_colour, rgb
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.report.style import person_colour, rgb
 from graphtrack.tracks import TrackSet
 from graphtrack.viewer.layout import VIDEO
 from graphtrack.viewer.recording import IntArray, Recording

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.errors import InputError
-from graphtrack.io.given import tracks_of
 from graphtrack.io.places import check_place
 from graphtrack.report.behaviour.given import behaviour_of
 from graphtrack.report.pairing import finite_rows, observed_angle

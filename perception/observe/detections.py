@@ -13,8 +13,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import BEYOND_HORIZON, PERSON_HEIGHT
-from graphtrack.table.columns import to_columns
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks import Track, TrackSet, to_columns
 from perception.observe.pipeline import channels_of, in_heights, is_on_ground
 from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.classes import PoseClasses

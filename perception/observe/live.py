@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.table.columns import to_columns
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import TrackSet, to_columns
 from perception.detection.boxes import PersonBox, detected
 from perception.detection.ground_detector import GroundDetector
 from perception.detection.networks.found import Detector, FoundPeople

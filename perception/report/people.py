@@ -17,8 +17,7 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import engine_of, solve_tracks
 from graphtrack.inference.solution import Solution
 from graphtrack.model import Model
-from graphtrack.table.columns import to_columns
-from graphtrack.tracks import Track, TrackSet
+from graphtrack.tracks import Track, TrackSet, to_columns
 from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
 

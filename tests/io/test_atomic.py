@@ -108,37 +108,6 @@ def test_those_who_still_write_are_left_alone(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_who_is_taken_for_a_leftover_before_the_lock_begins_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import fcntl
-
-    lock, removed = fcntl.flock, []
-
-    def late(descriptor: int, how: int) -> None:
-        if not removed:
-            removed.extend(tmp_path.iterdir())
-            removed[0].rmdir()
-        lock(descriptor, how)
-
-    monkeypatch.setattr(fcntl, "flock", late)
-    write(tmp_path / "a.csv", "whole")
-    assert len(removed) == 1 and (tmp_path / "a.csv").read_text() == "whole"
-
-
-def test_without_locks_files_are_written_and_nothing_is_cleaned(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def none(descriptor: int, how: int) -> None:
-        raise OSError(95, "Operation not supported")
-
-    monkeypatch.setattr("fcntl.flock", none)
-    left = tmp_path / ".a.csv.abcdefgh.unfinished"
-    left.mkdir()
-    write(tmp_path / "a.csv", "whole")
-    assert (tmp_path / "a.csv").read_text() == "whole" and left.is_dir()
-
-
 def test_an_error_names_the_place_that_was_given(tmp_path: Path) -> None:
     path = tmp_path / "people.mcap"
     with pytest.raises(InputError) as caught, atomic_path(path) as temporary:

@@ -1,8 +1,7 @@
-"""Tracks as GeoDataFrames, trajectories of movingpandas, and Moving Features JSON."""
+"""Tracks as GeoDataFrames, GeoPackage and GeoParquet."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -45,40 +44,11 @@ def test_points_keep_their_places_times_and_names_in_files(tmp_path: Path) -> No
         assert (found["time"].to_numpy() == expected.astype(found["time"].dtype.str)).all()
 
 
-def test_trajectories_are_people() -> None:
-    pytest.importorskip("movingpandas")
-    found = gt.to_movingpandas(gt.read(walks(), columns=COLUMNS))
-    assert {one.id: one.size() for one in found.trajectories} == {"anna": 4, "bob": 3}
-    assert found.trajectories[0].get_length() == pytest.approx(3 * 1.112, abs=0.01)
-    plain = gt.to_movingpandas(
-        gt.read({"track_id": [1] * 3, "frame": range(3), "t": [0, 0.5, 1], "x": range(3), "y": [0] * 3})
-    )
-    assert plain.trajectories[0].get_duration().total_seconds() == 1.0
-
-
-def test_moving_features(tmp_path: Path) -> None:
-    pytest.importorskip("pyproj")
-    path = tmp_path / "walks.mfjson"
-    gt.to_mfjson(gt.read(walks(), columns=COLUMNS), path)
-    content = json.loads(path.read_text())
-    assert content["type"] == "FeatureCollection" and "CRS84" in content["crs"]["properties"]["name"]
-    anna, bob = content["features"]
-    assert (anna["id"], bob["id"]) == ("anna", "bob")
-    assert anna["temporalGeometry"]["datetimes"] == list(walks().timestamp[:4])
-    np.testing.assert_allclose(
-        bob["temporalGeometry"]["coordinates"], walks().dropna()[["lon", "lat"]][4:], atol=1e-9
-    )
-    gt.to_mfjson(
-        gt.read({"track_id": [1, 1], "frame": [0, 1], "t": [0.0, 0.04], "x": [0, 0.05], "y": [0, 0]}), path
-    )
-    assert json.loads(path.read_text())["features"][0]["temporalGeometry"]["datetimes"] == [0.0, 40.0]
-
-
 def test_the_command_line_writes_them_by_the_ending(tmp_path: Path) -> None:
     geopandas = pytest.importorskip("geopandas")
     walks().to_csv(tmp_path / "walks.csv", index=False)
     columns = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
-    for ending in ("gpkg", "geoparquet", "mfjson"):
+    for ending in ("gpkg", "geoparquet"):
         out = tmp_path / f"smoothed.{ending}"
         done = run(
             *("smooth", tmp_path / "walks.csv", "--columns", columns, "--model", "position", "-o", out),
@@ -87,18 +57,16 @@ def test_the_command_line_writes_them_by_the_ending(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
     layer = geopandas.read_file(tmp_path / "smoothed.gpkg")
     table = geopandas.read_parquet(tmp_path / "smoothed.geoparquet")
-    content = json.loads((tmp_path / "smoothed.mfjson").read_text())
     assert layer.crs.to_epsg() == table.crs.to_epsg() == 4326
     np.testing.assert_allclose(layer.geometry.x, table.geometry.x)
-    assert [one["id"] for one in content["features"]] == ["anna", "bob"]
     # Both are tables too.
     again = gt.read(tmp_path / "smoothed.geoparquet", columns=COLUMNS)
-    query = gt.read(tmp_path / "smoothed.gpkg", columns=COLUMNS, sql="select * from smoothed")
-    assert [track.label for track in again] == [track.label for track in query] == ["anna", "bob"]
-    with pytest.raises(gt.InputError, match=r"GeoPackage.*--sql"):
+    frame = gt.read(layer.drop(columns="geometry"), columns=COLUMNS)
+    assert [track.label for track in again] == [track.label for track in frame] == ["anna", "bob"]
+    with pytest.raises(gt.InputError, match=r"GeoPackage.*read_file"):
         gt.read(tmp_path / "smoothed.gpkg")
     with pytest.raises(gt.InputError, match="only written"):
-        gt.read(tmp_path / "smoothed.mfjson", format="mfjson")
+        gt.read(tmp_path / "smoothed.gpkg", format="geopackage")
 
 
 def test_tables_of_groups_looks_and_forecasts_name_people(tmp_path: Path) -> None:

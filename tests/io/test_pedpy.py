@@ -184,8 +184,8 @@ def test_the_command_line_reads_and_writes_databases(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("statements", "told"),
     [
-        ("create table walks(id, x)", "without a table trajectory_data.*walks.*--sql"),
-        ("create table gpkg_contents(a)", "GeoPackage.*--sql"),
+        ("create table walks(id, x)", "without a table trajectory_data.*walks"),
+        ("create table gpkg_contents(a)", "GeoPackage"),
         ("create table trajectory_data(frame, id, pos_x)", "without pos_y"),
         ("create table trajectory_data(frame, id, pos_x, pos_y); insert into trajectory_data values(0,1,2,3)",
          "no fps.*--fps"),

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import expit
 
-from graphtrack import io
+import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.reading import rows_of_file
@@ -60,5 +60,5 @@ def test_a_confidence_beyond_all_reason_is_an_error() -> None:
 def test_scores_come_with_the_tracks_that_are_associated(tmp_path: Path) -> None:
     path = tmp_path / "det.txt"
     path.write_text("".join(f"{k},-1,{2 * k},10,20,50,{0.5 + k / 100}\n" for k in range(1, 9)))
-    (track,) = io.read(path, metres_per_pixel=0.02)
+    (track,) = gt.read(path, metres_per_pixel=0.02)
     np.testing.assert_allclose(track.score, 0.5 + track.frame / 100)

@@ -10,8 +10,7 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.io.layout import SHORT
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.tables.headings import plain
-from graphtrack.io.tables.synonyms import SYNONYMS, with_synonyms
+from graphtrack.io.tables.synonyms import SYNONYMS, plain, with_synonyms
 from graphtrack.table import schema
 
 PEOPLE = (7, 8, 9)

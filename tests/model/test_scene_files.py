@@ -66,7 +66,7 @@ def test_what_is_wrong_in_a_scene_is_named_with_its_file(
 
 def test_what_is_wrong_in_a_scene_is_named_without_a_file() -> None:
     for wrong in ({"death_rat": 1.0}, {"death_rate": -1.0}):
-        for use in (gt.Model, gt.OnlineTracker, lambda scene: gt.ReadOptions(scene=scene)):
+        for use in (gt.Model, gt.OnlineTracker):
             with pytest.raises(gt.InputError, match=r"scene\.death_rat"):
                 use(scene=wrong)
 

@@ -12,8 +12,7 @@ import pytest
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.table.columns import to_columns
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import TrackSet, to_columns
 from perception.observe import detections, identified
 from perception.observe.detections import to_detections
 from perception.observe.identified import to_identified

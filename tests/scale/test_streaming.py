@@ -21,7 +21,6 @@ from walks import walk, without
 import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.inference.chain import engine
-from graphtrack.io.readers import native_parquet
 from graphtrack.scale import open_dataset, smooth_dataset, writer
 from graphtrack.scale.grouping import Index, batches, index_tracks
 
@@ -68,7 +67,7 @@ LAYOUTS = {
 @pytest.mark.parametrize("batch_frames", [1, 50, 100_000])
 def test_the_bytes_of_the_in_memory_result(table, layout, batch_frames, model, tmp_path, monkeypatch):
     # Small row groups and blocks, so that tracks span them on both sides.
-    monkeypatch.setattr(native_parquet, "ROW_GROUP", 64)
+    monkeypatch.setattr("graphtrack.io.readers.native_parquet.ROW_GROUP", 64)
     monkeypatch.setattr(writer, "ROW_GROUP", 64)
     monkeypatch.setattr("graphtrack.scale.dataset.BLOCK", 17)
     path = tmp_path / "in.parquet"

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.behaviour.forecast.forecaster import Forecast, Forecaster, times_ahead
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.bounds import check_positive
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.given import tracks_of
 from graphtrack.tracks import STATE, Track, TrackSet
 
 if TYPE_CHECKING:

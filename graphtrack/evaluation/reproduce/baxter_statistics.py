@@ -131,7 +131,8 @@ def _beside(found: list[DeviationStatistics]) -> Table:
 
 
 def _figure(found: list[DeviationStatistics]) -> Figure:
-    from graphtrack.report.style import HEAD_COLOUR, NEUTRAL_COLOUR, new_figure, tidy
+    from graphtrack.display import HEAD_COLOUR
+    from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
 
     columns = min(len(found), 3)
     lines = -(-len(found) // columns)

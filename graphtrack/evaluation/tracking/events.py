@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.evaluation.tracking.clear import clear_matches
 from graphtrack.evaluation.tracking.detections import estimated_detections, true_detections
 from graphtrack.evaluation.tracking.judge import similarity_of, threshold_of
 from graphtrack.evaluation.tracking.similarity import share_frames
-from graphtrack.io.given import tracks_of
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:

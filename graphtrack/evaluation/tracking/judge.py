@@ -8,6 +8,7 @@ from operator import add
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from graphtrack.association.reading import tracks_of
 from graphtrack.bounds import check_positive
 from graphtrack.errors import InputError
 from graphtrack.evaluation.tracking.detections import (
@@ -24,7 +25,6 @@ from graphtrack.evaluation.tracking.similarity import (
     ground_similarity,
     share_frames,
 )
-from graphtrack.io.given import tracks_of
 from graphtrack.io.pairs import paired_files
 from graphtrack.io.reading import read_boxes
 

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.bounds import INPUT, STATE
-from graphtrack.io.extras import package
 from graphtrack.io.movement.layout import FURTHER, HAS_ROW, INDIVIDUALS, KEYPOINTS, SPACE, TIME
 from graphtrack.io.movement.rows import rows_of_dataset
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.rates import steady_rate
-from graphtrack.io.reading import tracks_of_rows
+from graphtrack.later import package
 from graphtrack.tracks import TrackSet
 
 EXTRA = "movement"
@@ -40,8 +39,8 @@ def from_movement(dataset: Any, **options: Any) -> TrackSet:
     InputError
         For what is none, and for options that are missing.
     """
-    chosen = ReadOptions(**options)
-    return tracks_of_rows(rows_of_dataset(dataset, chosen, Path("dataset")), chosen)
+    rows = rows_of_dataset(dataset, ReadOptions(**options), Path("dataset"))
+    return TrackSet.from_identified_rows(rows)
 
 
 def to_movement(tracks: TrackSet) -> Any:

@@ -49,12 +49,6 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
     dataset : xarray.Dataset with a variable ``position`` (time, space and perhaps keypoints and individuals,
         in any order); variables that `to_movement` writes are read too
     path : where it comes from, for messages
-
-    Raises
-    ------
-    InputError
-        For a dataset that has no positions on a ground, for units that nobody says, and for values that
-        cannot be used.
     """
     layout = options.layout() or told.Layout()
     read = _Reading(dataset.rename({k: v for k, v in _SINGULAR.items() if k in dataset.dims}), path)

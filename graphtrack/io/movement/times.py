@@ -25,11 +25,6 @@ def frames_and_times(
     Times are those of the coordinate ``time``: dates, seconds, or, where the attribute ``time_unit`` says so
     or they are whole numbers without a frame rate, frames. Then the rate is ``fps`` of the options, or the
     dataset's attribute of that name.
-
-    Raises
-    ------
-    InputError
-        Where frames have no rate, and times are none.
     """
     n = dataset.sizes[TIME]
     values = dataset[TIME].to_numpy() if TIME in dataset.coords else np.arange(n)

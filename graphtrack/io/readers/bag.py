@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
@@ -32,7 +32,7 @@ def write(tracks: TrackSet, path: Path) -> None:
     write_mcap(tracks, path)
 
 
-FORMAT = Format(
+BAG = Format(
     name="bag",
     description="ROS 2 bag or MCAP: People, Detection3DArray, PoseArray, PoseStamped, IdsList",
     suffixes=(".mcap",),

@@ -21,9 +21,9 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground
+from graphtrack.io.format import Format
 from graphtrack.io.numbers import parse_number
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table.rows import Rows
 
@@ -90,12 +90,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
     ground of the camera of the options; failing that, of `lobby_camera` or of a scale. Body heading is
     square to the shoulders; head is the gaze, an image direction. ``<orientation>`` is the axis of a
     blob, not a heading, and is not read.
-
-    Raises
-    ------
-    InputError
-        For XML that is damaged or declares entities or a document type, and with the line of what cannot
-        be used.
     """
     observations = _Reader(source).observations()
     boxes = np.array([o.box for o in observations])
@@ -109,11 +103,6 @@ def read_boxes(source: Source) -> Rows:
     """The labelled objects in the order of the file, without those whose box is empty.
 
     The channel is ``box`` (n, 4): left, top, width and height in pixels.
-
-    Raises
-    ------
-    InputError
-        As `read`.
     """
     observations = _Reader(source).observations()
     centre, size = np.hsplit(np.array([o.box for o in observations]), 2)
@@ -124,11 +113,6 @@ def read_heads(source: Source) -> Rows:
     """The labelled heads in the order of the file, without the objects whose head is not labelled.
 
     The channel is ``head`` (n, 2): the pixel of the head's middle.
-
-    Raises
-    ------
-    InputError
-        As `read`.
     """
     observations = _Reader(source).observations()
     rows = _rows(source, observations, {"head": np.array([o.head for o in observations])})
@@ -314,7 +298,7 @@ def _line_of_object(source: Source, index: int) -> int:
     return line
 
 
-FORMAT = Format(
+CAVIAR = Format(
     name="caviar",
     description="CAVIAR ground truth (XML)",
     suffixes=(".xml",),

@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack import bounds
+from graphtrack.io.format import Format
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source, mostly
 from graphtrack.table.rows import Rows
 
 ANNOTATED_HZ = 2.5
 
-_NAMES = ("frame", "id", "x", "z", "y", "vx", "vz", "vy")
+_OBSMAT = ("frame", "id", "x", "z", "y", "vx", "vz", "vy")
 
 
-def looks_like(head: bytes, path: Path) -> bool:
+def _looks_like_eth(head: bytes, path: Path) -> bool:
     """Whether the lines are eight numbers between white space."""
 
     def matches(line: str) -> bool:
@@ -29,22 +29,17 @@ def looks_like(head: bytes, path: Path) -> bool:
     return mostly(head, matches)
 
 
-def read(source: Source, options: ReadOptions) -> Rows:
+def _read_eth(source: Source, options: ReadOptions) -> Rows:
     """Read positions (metres) of an ``obsmat`` table; its velocities are differences and are left out.
 
     The frame rate is 2.5 Hz times the step of the frame numbers, unless ``fps`` is given.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used.
     """
-    table = read_numbers(source, delimiter=None, widths=(8,), names=_NAMES)
+    table = read_numbers(source, delimiter=None, widths=(8,), names=_OBSMAT)
     frame = table.integers(0)
     notes = ["the velocities of the file are differences of its positions and were not read"]
     fps = options.fps
     if fps is None:
-        step = _step(frame)
+        step = _frame_step(frame)
         fps = ANNOTATED_HZ * step
         notes.append(
             f"frame rate {fps:g} Hz: the frames step by {step} and are annotated at {ANNOTATED_HZ} Hz"
@@ -61,7 +56,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     return rows.with_times(fps)
 
 
-def _step(frame: NDArray[np.int64]) -> int:
+def _frame_step(frame: NDArray[np.int64]) -> int:
     """The most frequent step between frames that follow each other."""
     steps = np.diff(np.unique(frame))
     if not len(steps):
@@ -70,10 +65,10 @@ def _step(frame: NDArray[np.int64]) -> int:
     return int(values[np.argmax(counts)])
 
 
-FORMAT = Format(
+ETH = Format(
     name="eth",
     description="BIWI (ETH) obsmat: frame id x z y vx vz vy",
     suffixes=(),
-    looks_like=looks_like,
-    read=read,
+    looks_like=_looks_like_eth,
+    read=_read_eth,
 )

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.pedpy import trajectory_columns
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table import schema
 from graphtrack.table.columns import from_columns
@@ -32,25 +32,20 @@ _AROUND = 1.0
 _WITH_A_LOG = 2
 
 
-def looks_like(head: bytes, path: Path) -> bool:
+def _looks_like_jupedsim(head: bytes, path: Path) -> bool:
     """Whether the file begins with SQLite's signature."""
     return head.startswith(SQLITE)
 
 
-def read(source: Source, options: ReadOptions) -> Rows:
+def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
     """Read positions, and where agents point as the body; and native columns beside them.
 
     The frame rate is ``fps``, or that of the table metadata.
-
-    Raises
-    ------
-    InputError
-        For a damaged database or one that is not JuPedSim's, and for the row of what cannot be used.
     """
     data = source.data
     if data[18:19] == bytes([_WITH_A_LOG]):
         raise InputError(
-            "a database whose changes may lie beside it", "--sql, which reads them", path=source.path
+            "a database whose changes may lie beside it", "one that its writer has closed", path=source.path
         )
     try:
         with closing(sqlite3.connect(":memory:")) as connection:
@@ -67,9 +62,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
         ) from error
     missing = next((name for name in _OWN if name not in names), None)
     if missing is not None:
-        raise InputError(
-            f"a table trajectory_data without {missing}", "JuPedSim's, or a query (--sql)", path=source.path
-        )
+        raise InputError(f"a table trajectory_data without {missing}", "JuPedSim's", path=source.path)
     table = {name: _numbers([row[k] for row in cells], name, source.path) for k, name in enumerate(names)
              if name in _OWN or name in _FACING or schema.is_column(name)}  # fmt: skip
     columns = {_OWN.get(name, name): values for name, values in table.items() if name not in _FACING}
@@ -93,11 +86,9 @@ def _check_tables(tables: set[str], path: Path) -> None:
     if "trajectory_data" in tables:
         return
     if "gpkg_contents" in tables:
-        raise InputError(
-            "a GeoPackage", "a query of one of its layers (--sql 'select * from LAYER')", path=path
-        )
+        raise InputError("a GeoPackage", "a table: geopandas.read_file makes one of a layer", path=path)
     found = f"a database without a table trajectory_data (there are: {', '.join(sorted(tables)) or 'none'})"
-    raise InputError(found, "JuPedSim's, or a query (--sql 'select * from TABLE')", path=path)
+    raise InputError(found, "JuPedSim's; pandas.read_sql makes a table of another", path=path)
 
 
 def _rate(connection: sqlite3.Connection, tables: set[str]) -> float | None:
@@ -129,17 +120,12 @@ def _degrees(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.where((x == 0.0) & (y == 0.0), np.nan, np.rad2deg(np.arctan2(y, x)))
 
 
-def write(tracks: TrackSet, path: Path) -> None:
+def _write_jupedsim(tracks: TrackSet, path: Path) -> None:
     """Write a database of version 2, which JuPedSim and PedPy read.
 
     Agents point where the body does, else where they go, else nowhere. The other columns of the native table
     stand beside JuPedSim's, and the geometry is a rectangle around all positions. Rows without a position are
     left out.
-
-    Raises
-    ------
-    InputError
-        If the times have no steady rate.
     """
     columns, rate = trajectory_columns(tracks, path=path)
     columns = dict(columns)
@@ -198,11 +184,11 @@ def _cells(values: NDArray[Any]) -> list[Any]:
     return [None if cell != cell or cell == "" else cell for cell in values.tolist()]
 
 
-FORMAT = Format(
+JUPEDSIM = Format(
     name="jupedsim",
     description="trajectories of JuPedSim (SQLite)",
     suffixes=(".sqlite",),
-    looks_like=looks_like,
-    read=read,
-    write=write,
+    looks_like=_looks_like_jupedsim,
+    read=_read_jupedsim,
+    write=_write_jupedsim,
 )

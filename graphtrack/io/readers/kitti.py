@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from graphtrack import bounds
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
+from graphtrack.io.format import Format
 from graphtrack.io.numbers import Numbers, parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source, mostly
 from graphtrack.table.rows import Rows
 
@@ -56,12 +56,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
     Positions go from the rectified camera through R_rect, Tr_velo_cam, Tr_imu_velo and the ego pose.
     Body heading = ego yaw − rotation_y − π/2. Ego motion and calibration are those of the options, or
     ``../oxts/NAME`` and ``../calib/NAME``. 10 frames a second unless ``fps`` is given.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used, or when ego motion or calibration is
-        missing.
     """
     labels, classes = _read_labels(source)
     frame, identity = labels.integers(0), labels.integers(1, bounds.LARGEST_ID)
@@ -191,7 +185,7 @@ def _read_camera_to_imu(path: Path) -> FloatArray:
     return np.asarray(np.linalg.inv(to_camera), dtype=float)
 
 
-FORMAT = Format(
+KITTI = Format(
     name="kitti",
     description="KITTI tracking labels with ego motion and calibration",
     suffixes=(),

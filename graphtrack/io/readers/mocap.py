@@ -9,9 +9,9 @@ import numpy as np
 from graphtrack import bounds
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
+from graphtrack.io.format import Format
 from graphtrack.io.numbers import Numbers, read_numbers
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table.rows import Rows
 
@@ -30,11 +30,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
     Body is the yaw of the shoulders, head that of the head, both in the world; tracks are numbered from 0 in
     the order of the clips and carry the clip as their label. Times are the file's own.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used.
     """
     lines = source.lines
     header = lines[0].split(",")
@@ -89,7 +84,7 @@ def _pair(table: Numbers, header: list[str], x: str, y: str) -> np.ndarray:
     return np.column_stack([table.metres(header.index(x)), table.metres(header.index(y))])
 
 
-FORMAT = Format(
+MOCAP = Format(
     name="mocap",
     description="motion-capture table, a clip a track",
     suffixes=(),

@@ -13,9 +13,9 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.boxes import placed_boxes, with_scores
 from graphtrack.io.cameras import PERSON_HEIGHT
+from graphtrack.io.format import Format
 from graphtrack.io.numbers import Numbers, parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source, mostly
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import Track, TrackSet
@@ -67,12 +67,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
     point, the middle of the box's lower edge, is put on the ground by the camera of the options or by a
     scale. A confidence of 0 marks a row to be ignored. Of detections the confidence is the channel
     ``score``, see `with_scores`. The frame rate is ``fps``, or that of a ``seqinfo.ini`` nearby, or 25.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used, such as an id of −1 (a detection
-        without identity).
     """
     rows = read_boxes(source, options)
     fps, note = _frame_rate(source.path, options)
@@ -85,12 +79,6 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
 
     The channels are ``box`` (n, 4), left, top, width and height in pixels, NaN where the row has no box;
     ``confidence`` (n,), negative ones among them; and ``position`` (n, 2) in metres, where the file has any.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used, such as an id of −1 (a detection
-        without identity). One such row refuses the file: whom it shows nobody knows.
     """
     table = read_numbers(source, delimiter=",", widths=(7, 8, 9, 10), names=_NAMES)
     identity = table.integers(1, bounds.LARGEST_ID)
@@ -181,11 +169,6 @@ def write(tracks: TrackSet, path: Path) -> None:
     With a camera the box is that of a person 1.7 m tall and 0.41 times as wide whose foot point is the
     position; 1.7 m are as many pixels upwards as sideways on the ground, so the homography is enough.
     Without a camera, or behind it, the box is −1, −1, −1, −1. Frames and ids are those of the tracks.
-
-    Raises
-    ------
-    InputError
-        For an id below 0, which the format cannot hold. Rows without a position are left out.
     """
     lines = []
     for track in tracks:
@@ -228,7 +211,7 @@ def _boxes(track: Track, tracks: TrackSet) -> FloatArray:
     return np.where(seen[:, None], made, boxes)
 
 
-FORMAT = Format(
+MOT = Format(
     name="mot",
     description="MOTChallenge text: frame,id,left,top,width,height,confidence,x,y,z",
     suffixes=(".txt",),

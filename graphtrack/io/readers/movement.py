@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from graphtrack.errors import InputError
-from graphtrack.io.extras import package
+from graphtrack.io.format import Format
 from graphtrack.io.movement.dataset import EXTRA, to_movement
 from graphtrack.io.movement.rows import rows_of_dataset
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
+from graphtrack.later import package
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 
@@ -26,13 +26,7 @@ def looks_like(head: bytes, path: Path) -> bool:
 
 
 def read(source: Source, options: ReadOptions) -> Rows:
-    """Read a dataset; see `rows_of_dataset`.
-
-    Raises
-    ------
-    InputError
-        For a damaged file, one that is no dataset of movement, and without the extra's packages.
-    """
+    """Read a dataset; see `rows_of_dataset`."""
     xarray = package("xarray", EXTRA)
     engine = "scipy" if source.data.startswith(_CLASSIC) else "h5netcdf"
     if engine == "h5netcdf":
@@ -67,7 +61,7 @@ def write(tracks: TrackSet, path: Path) -> None:
     path.write_bytes(to_movement(tracks).to_netcdf(engine="h5netcdf"))
 
 
-FORMAT = Format(
+MOVEMENT = Format(
     name="movement",
     description="netCDF of the package movement (extra movement)",
     suffixes=(".nc",),

@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 from graphtrack.errors import InputError
 from graphtrack.io.cameras import place_pixels
 from graphtrack.io.delimiters import other_delimiter
+from graphtrack.io.format import Format
 from graphtrack.io.numbers import expected_number, parse_number
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table import schema
 from graphtrack.table.arrow import arrow_array
 from graphtrack.table.as_read import restored
-from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.columns import from_columns
 from graphtrack.table.moments import date_texts
 from graphtrack.table.rows import Rows
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import TrackSet, to_columns
 
 
-def looks_like(head: bytes, path: Path) -> bool:
+def _looks_like_csv(head: bytes, path: Path) -> bool:
     """Whether the first line names at least two columns of the native table."""
     first = head.removeprefix(b"\xef\xbb\xbf").lstrip().split(b"\n", 1)[0].decode("utf-8", errors="replace")
     cells = {cell.strip().strip('"') for cell in first.split(",")}
@@ -43,14 +43,8 @@ _SMALL = 200_000
 """Characters that are read before pyarrow would be imported."""
 
 
-def read(source: Source, options: ReadOptions) -> Rows:
-    """Read the native CSV table (ARCHITECTURE: *the table*).
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used.
-    """
+def _read_csv(source: Source, options: ReadOptions) -> Rows:
+    """Read the native CSV table (ARCHITECTURE: *the table*)."""
     header = _header(source)
     columns = _read_fast(source, header) if len(source.text) > _SMALL else None
     line_of: Callable[[int], int] = _LineFinder(source)
@@ -183,12 +177,12 @@ class _LineFinder:
         return next(number for i, number in enumerate(filled, -1) if i == row)
 
 
-def write(tracks: TrackSet, path: Path) -> None:
+def _write_csv(tracks: TrackSet, path: Path) -> None:
     """Write the native table; numbers have the digits that read back to the same double."""
-    write_columns(restored(to_columns(tracks), tracks.as_read), path)
+    write_csv_columns(restored(to_columns(tracks), tracks.as_read), path)
 
 
-def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
+def write_csv_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
     """Write columns of the native table, which need not have identities."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -213,12 +207,12 @@ def _clean(values: NDArray[Any]) -> NDArray[Any]:
     )
 
 
-FORMAT = Format(
+CSV = Format(
     name="csv",
     description="native table as CSV (also gzipped)",
     suffixes=(".csv", ".csv.gz"),
-    looks_like=looks_like,
-    read=read,
-    write=write,
-    write_columns=write_columns,
+    looks_like=_looks_like_csv,
+    read=_read_csv,
+    write=_write_csv,
+    write_columns=write_csv_columns,
 )

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.io.cameras import place_pixels
+from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table import schema
 from graphtrack.table.arrow import arrow_array
 from graphtrack.table.as_read import restored
-from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.columns import from_columns
 from graphtrack.table.rows import Rows
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import TrackSet, to_columns
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -30,19 +30,13 @@ ROW_GROUP = 131_072
 """Rows of a row group in written files: few enough that a reader can take one at a time."""
 
 
-def looks_like(head: bytes, path: Path) -> bool:
+def _looks_like_parquet(head: bytes, path: Path) -> bool:
     """Whether the file begins with Parquet's signature."""
     return head.startswith(b"PAR1")
 
 
-def read(source: Source, options: ReadOptions) -> Rows:
-    """Read the native table from Parquet.
-
-    Raises
-    ------
-    InputError
-        For a damaged file, a column of another type, or with row (from 1) and column of a value.
-    """
+def _read_parquet(source: Source, options: ReadOptions) -> Rows:
+    """Read the native table from Parquet."""
     import pyarrow.parquet as pq
 
     with damage_told(source.path):
@@ -104,11 +98,6 @@ def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDA
     ----------
     column : array of pyarrow, in chunks or whole
     first_row : how many rows of the file come before it
-
-    Raises
-    ------
-    InputError
-        For values of another type, or one that is infinite, with its row (from 1).
     """
     import pyarrow as pa
 
@@ -140,12 +129,12 @@ def column_values(column: Any, name: str, path: Path, first_row: int = 0) -> NDA
     return values
 
 
-def write(tracks: TrackSet, path: Path) -> None:
+def _write_parquet(tracks: TrackSet, path: Path) -> None:
     """Write the native table; missing numbers become null."""
-    write_columns(restored(to_columns(tracks), tracks.as_read), path)
+    _write_parquet_columns(restored(to_columns(tracks), tracks.as_read), path)
 
 
-def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
+def _write_parquet_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
     """Write columns of the native table, which need not have identities."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -154,12 +143,12 @@ def write_columns(columns: Mapping[str, NDArray[Any]], path: Path) -> None:
     pq.write_table(table, path, row_group_size=ROW_GROUP, write_page_checksum=True)
 
 
-FORMAT = Format(
+PARQUET = Format(
     name="parquet",
     description="native table as Parquet",
     suffixes=(".parquet", ".pq"),
-    looks_like=looks_like,
-    read=read,
-    write=write,
-    write_columns=write_columns,
+    looks_like=_looks_like_parquet,
+    read=_read_parquet,
+    write=_write_parquet,
+    write_columns=_write_parquet_columns,
 )

@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.io.cameras import place_pixels
+from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source, mostly
 from graphtrack.table import schema
 from graphtrack.table.as_read import restored
-from graphtrack.table.columns import from_columns, to_columns
+from graphtrack.table.columns import from_columns
 from graphtrack.table.moments import date_texts
 from graphtrack.table.rows import Rows
-from graphtrack.tracks import TrackSet
+from graphtrack.tracks import TrackSet, to_columns
 
 Pairs = tuple[tuple[str, Any], ...]
 """Keys and values of a JSON object in their order; a key may stand there twice."""
@@ -60,13 +60,7 @@ _HUGE = re.compile(r"[eE]\+?\d{3}|\d{300}")
 
 
 def parse_line(text: str) -> Pairs:
-    """The keys and values of one line.
-
-    Raises
-    ------
-    InputError
-        If it is not a JSON object, with the key at which it ceases to be one.
-    """
+    """The keys and values of one line."""
     try:
         pairs = (_CAREFUL if _HUGE.search(text) else _DECODER).decode(text)
     except json.JSONDecodeError as error:
@@ -103,12 +97,6 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
     ----------
     pairs : of a line
     optional : of the identity and the frame those that may be missing
-
-    Raises
-    ------
-    InputError
-        Naming the column: one that stands there twice or is missing, or a value of another type or outside
-        its bounds.
     """
     given = dict(pairs)
     if len(given) < len(pairs):
@@ -219,11 +207,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
     Lines with the key ``end``, which end a frame of a stream, are no rows, nor is what is told of people when
     their frame has ended. Of answers to one frame, as late and repeated rows bring them, the last one stands;
     rows with an ``error`` are left out. The summary counts both.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used.
     """
     rows: list[_Row] = []
     keys: dict[str, None] = {}
@@ -328,7 +311,7 @@ def _values(cells: NDArray[Any]) -> list[Any]:
     return [None if value != value or value == "" else value for value in cells.tolist()]
 
 
-FORMAT = Format(
+NDJSON = Format(
     name="ndjson",
     description="native table as NDJSON: a JSON object a line (also gzipped)",
     suffixes=(".ndjson", ".jsonl", ".ndjson.gz", ".jsonl.gz"),

@@ -9,11 +9,11 @@ import numpy as np
 
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
+from graphtrack.io.format import Format
 from graphtrack.io.layout import METRES
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.pedpy import trajectory_columns
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
@@ -26,7 +26,7 @@ _UNITS = {
 }
 
 
-def looks_like(head: bytes, path: Path) -> bool:
+def _looks_like_text(head: bytes, path: Path) -> bool:
     """Whether comments come first, and below them rows of whole number, whole number, number, number."""
     lines = [line.strip() for line in head.decode("utf-8-sig", errors="replace").split("\n")[:-1]]
     lines = [line for line in lines if line]
@@ -42,16 +42,11 @@ def looks_like(head: bytes, path: Path) -> bool:
     return sum(map(matches, rows)) * 2 > len(rows)
 
 
-def read(source: Source, options: ReadOptions) -> Rows:
+def _read_text(source: Source, options: ReadOptions) -> Rows:
     """Read ``id frame x y``; more columns, such as a height, are passed over.
 
     The frame rate is ``fps``, or that of a comment such as ``# framerate: 25``; the unit of x and y that of
     a comment (``x/m``, ``in cm``), or ``units``.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used, and where nobody says rate or unit.
     """
     header = []
     for line in source.lines:
@@ -88,14 +83,8 @@ def _unit(header: list[str], options: ReadOptions, path: Path) -> str:
     return said[0] if given is None else given
 
 
-def write(tracks: TrackSet, path: Path) -> None:
-    """Write ``id frame x/m y/m`` of the rows with a position, below the frame rate; nothing else is held.
-
-    Raises
-    ------
-    InputError
-        If the times have no steady rate.
-    """
+def _write_text(tracks: TrackSet, path: Path) -> None:
+    """Write ``id frame x/m y/m`` of the rows with a position, below the frame rate; nothing else is held."""
     columns, rate = trajectory_columns(tracks, path=path)
     cells = (columns[name].tolist() for name in _NAMES[:4])
     with path.open("w", encoding="ascii", newline="\n") as stream:
@@ -103,12 +92,12 @@ def write(tracks: TrackSet, path: Path) -> None:
         stream.writelines(f"{k} {frame} {x!r} {y!r}\n" for k, frame, x, y in zip(*cells, strict=True))
 
 
-FORMAT = Format(
+PEDPY = Format(
     name="pedpy",
     description="text of PedPy and the Pedestrian Dynamics Data Archive: id frame x y",
     suffixes=(".pedpy.txt",),
-    looks_like=looks_like,
-    read=read,
-    write=write,
+    looks_like=_looks_like_text,
+    read=_read_text,
+    write=_write_text,
     takes=("units",),
 )

@@ -10,9 +10,9 @@ import numpy as np
 from graphtrack import bounds
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
+from graphtrack.io.format import Format
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source, mostly
 from graphtrack.table.rows import Rows
 
@@ -35,11 +35,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
     """Read ``t`` (seconds) and, for each person, position (metres), body and head (radians, in the world).
 
     The frame is the number of the row, from 0; angles are wrapped. ``rows_read`` counts persons in steps.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used.
     """
     ids, text = _without_ids(source)
     people = len(ids)
@@ -112,7 +107,7 @@ def _without_ids(source: Source) -> tuple[dict[int, str], Source]:
     return ids, Source(source.path, "\n".join(plain).encode())
 
 
-FORMAT = Format(
+SALSA = Format(
     name="salsa",
     description="SALSA: t, then ID x y body head for each person",
     suffixes=(),

@@ -10,9 +10,9 @@ from graphtrack import bounds
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, read_calibration
+from graphtrack.io.format import Format
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source, mostly
 from graphtrack.table.rows import Rows
 
@@ -42,11 +42,6 @@ def read(source: Source, options: ReadOptions) -> Rows:
     The calibration is the one of the options or ``calibration.ci`` beside the file. The boxes may be
     those of an image of half the calibrated size: that is recognised when all of them begin within it, or
     told by ``image_scale``. 25 frames a second unless ``fps`` is given.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used.
     """
     rows = read_boxes(source)
     left, top, width, height = rows.channels["box"].T
@@ -57,13 +52,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 
 def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
-    """Rows with the channel ``box`` (n, 4), left, top, width and height in the file's own pixels.
-
-    Raises
-    ------
-    InputError
-        With line and column of the first cell that cannot be used.
-    """
+    """Rows with the channel ``box`` (n, 4), left, top, width and height in the file's own pixels."""
     table = read_numbers(source, delimiter=",", widths=(6,), names=_NAMES)
     box = np.column_stack([table.pixels(2), table.pixels(3), table.sizes(4), table.sizes(5)])
     track_id, frame = table.integers(1, bounds.LARGEST_ID), table.integers(0)
@@ -100,7 +89,7 @@ def _image_scale(options: ReadOptions, camera: GroundCamera, top_centre: FloatAr
     return 1.0, ""
 
 
-FORMAT = Format(
+TOWNCENTRE = Format(
     name="towncentre",
     description="Oxford Town Centre boxes: frame,id,left,top,width,height",
     suffixes=(),

@@ -12,13 +12,13 @@ from graphtrack.bounds import LARGEST_FRAME, LARGEST_PIXELS
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, on_ground, read_homography
+from graphtrack.io.format import Format
 from graphtrack.io.numbers import parse_number
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.registry import Format
 from graphtrack.io.source import Source
 from graphtrack.table.rows import Rows
 
-FPS = 25.0
+_UCY_FPS = 25.0
 _CENTRE = (360.0, 288.0)
 """The file's origin in its 720×576 image, as (u, v)."""
 
@@ -38,12 +38,12 @@ _OBSTACLES = {
 _WHOLE = {"frame", "type", "id", "start", "end"}
 
 
-def looks_like(head: bytes, path: Path) -> bool:
+def _looks_like_ucy(head: bytes, path: Path) -> bool:
     """Whether the first line counts splines."""
     return b"number of splines" in head.split(b"\n", 1)[0].lower()
 
 
-def beside(path: Path) -> tuple[Path, ...]:
+def _homography_beside(path: Path) -> tuple[Path, ...]:
     """Where the homography of the data set lies."""
     return (path.parent / "H.txt",)
 
@@ -57,17 +57,12 @@ class _ControlPoint:
     line: int
 
 
-def read(source: Source, options: ReadOptions) -> Rows:
+def _read_ucy(source: Source, options: ReadOptions) -> Rows:
     """Read each control point as one observation in its frame.
 
     Needs the homography of the data set, (row, column) → ground in metres; ``H.txt`` beside the file is found
     by itself. A mirrored ground is turned right-handed by negating y. 25 frames a second unless ``fps`` is
     given.
-
-    Raises
-    ------
-    InputError
-        With the line of the first thing that cannot be used, or if there is no homography.
     """
     lines = _Lines(source)
     points = _control_points(lines)
@@ -94,7 +89,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     kept = np.zeros(len(rows), dtype=bool)
     kept[first] = True
     rows = rows.keep(kept, "second control point of a spline in one frame")
-    return rows.with_times(options.fps or FPS)
+    return rows.with_times(options.fps or _UCY_FPS)
 
 
 def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[GroundCamera, tuple[str, ...]]:
@@ -103,7 +98,7 @@ def _camera(source: Source, options: ReadOptions, pixel: np.ndarray) -> tuple[Gr
     given = options.homography
     notes: tuple[str, ...] = ()
     if given is None and options.point_pairs is None and options.calibration is None:
-        (found,) = beside(source.path)
+        (found,) = _homography_beside(source.path)
         if found.is_file():
             given, notes = found, ("homography from H.txt beside the file",)
         elif options.metres_per_pixel is None:
@@ -215,11 +210,11 @@ def _obstacles(lines: _Lines) -> tuple[str, ...]:
     return (f"{' and '.join(told.values())} not read",) if told else ()
 
 
-FORMAT = Format(
+UCY = Format(
     name="ucy",
     description="UCY crowds: splines of control points (.vsp)",
     suffixes=(".vsp",),
-    looks_like=looks_like,
-    read=read,
-    beside=beside,
+    looks_like=_looks_like_ucy,
+    read=_read_ucy,
+    beside=_homography_beside,
 )

@@ -52,11 +52,6 @@ def cells_of_csv(source: Source, *, header: bool) -> Cells:
     Parameters
     ----------
     header : whether the first line has the names of the columns; else they are called 1, 2, …
-
-    Raises
-    ------
-    InputError
-        For rows of another width than the first, quotes that do not end, and names that come twice.
     """
     lines = source.lines
     reader = csv.reader(io.StringIO("\n".join(lines), newline=""), strict=True)
@@ -138,13 +133,7 @@ def cells_of_parquet(source: Source) -> Cells:
 
 
 def cells_of_arrow(table: Any, path: Path, format: str) -> Cells:
-    """A table of pyarrow.
-
-    Raises
-    ------
-    InputError
-        For a column that comes twice.
-    """
+    """A table of pyarrow."""
     import pyarrow as pa
 
     names = table.column_names
@@ -172,13 +161,7 @@ def cells_of_arrow(table: Any, path: Path, format: str) -> Cells:
 
 
 def cells_of_frame(table: Any) -> Cells:
-    """A DataFrame of pandas or polars, another table that speaks Arrow, or a mapping name → column.
-
-    Raises
-    ------
-    InputError
-        For anything else, columns of different lengths, and a name that comes twice.
-    """
+    """A DataFrame of pandas or polars, another table that speaks Arrow, or a mapping name → column."""
     path = Path("table")
     if not hasattr(table, "iloc") and hasattr(table, "__arrow_c_stream__"):
         import pyarrow as pa

@@ -38,11 +38,6 @@ def rows_of_cells(
     layout : what they mean; columns that it does not name, and that have names of the native table, are those
     fps : frames a second, for a table without times
     beside : what another table was read as; times and places count from the same
-
-    Raises
-    ------
-    InputError
-        With line and column, under its name in the file, of what cannot be used.
     """
     wide = bool(layout.wild)
     cells, layout = long(cells, layout)

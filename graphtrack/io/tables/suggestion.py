@@ -18,15 +18,13 @@ from graphtrack.io.marks import as_told
 from graphtrack.io.numbers import parse_number
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.reading import cells_of_file, rows_of_file
-from graphtrack.io.registry import formats
+from graphtrack.io.registry import FORMATS
 from graphtrack.io.source import Source
 from graphtrack.io.tables.cells import Cells
-from graphtrack.io.tables.headings import LENGTHS, TIMES, meanings, plain, wide
-from graphtrack.io.tables.synonyms import UNSURE_UNIT
+from graphtrack.io.tables.synonyms import LENGTHS, TIMES, UNSURE_UNIT, meanings, plain, wide
 from graphtrack.io.tables.values import is_empty
 from graphtrack.table.moments import EPOCH, NANOSECONDS_IN, is_iso
 from graphtrack.table.rows import Rows
-from graphtrack.table.speeds import Speeds
 from graphtrack.tracks import TrackSet
 
 _ROWS = 400
@@ -76,7 +74,7 @@ def suggest(path: Path) -> Suggestion:
 
 def _may_be_table(source: Source) -> bool:
     """Whether options could name columns and marks: no database, and nothing that is only written."""
-    known = next((one for one in formats() if one.looks_like(source.head, source.path)), None)
+    known = next((one for one in FORMATS if one.looks_like(source.head, source.path)), None)
     return known is None or (known.is_read and not source.head.startswith(b"SQLite format 3"))
 
 
@@ -93,7 +91,7 @@ def _as_people(rows: Rows) -> bool:
 
 
 def _too_fast(rows: Rows) -> bool:
-    return Speeds.of(TrackSet.from_rows(rows)).note is not None
+    return TrackSet.from_rows(rows).speeds.note is not None
 
 
 # -- marks ---------------------------------------------------------------------------------------------------

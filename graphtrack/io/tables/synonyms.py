@@ -1,9 +1,10 @@
-"""Well-known names of columns, read as the native table's where those are absent."""
+"""Well-known names of columns: those that are read by themselves, and those that are only proposed."""
 
 from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,28 +14,53 @@ import numpy as np
 from graphtrack.display import shortened
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.io.layout import SHORT
+from graphtrack.io.layout import SHORT, WILD
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.io.tables.headings import LENGTHS, TIMES, meanings, plain
 from graphtrack.table import schema
 
 SYNONYMS: Mapping[str, tuple[str, ...]] = {
-    "track_id": (
-        *("id", "trackid", "tid", "person", "personid", "agent", "agentid", "ped", "pedid", "pid"),
-        *("pedestrian", "pedestrianid", "object", "objectid", "objid", "subject", "subjectid"),
-        *("participant", "participantid", "identity", "trackerid", "targetid", "trajectoryid"),
-    ),
-    "frame": ("frameid", "frameno", "framenumber", "framenum", "framenr", "frameindex", "frameidx"),
-    "t": ("time", "times", "timestamp", "timestamps", "datetime", "seconds", "sec", "secs"),
-    "x": ("posx", "positionx", "xpos", "xposition", "xcoord", "xcoordinate", "coordx", "worldx", "xworld"),
-    "y": ("posy", "positiony", "ypos", "yposition", "ycoord", "ycoordinate", "coordy", "worldy", "yworld"),
+    key: tuple(names.split())
+    for key, names in {
+        "track_id": "id trackid tid person personid agent agentid ped pedid pid pedestrian pedestrianid "
+        "object objectid objid subject subjectid participant participantid identity trackerid targetid "
+        "trajectoryid",
+        "frame": "frameid frameno framenumber framenum framenr frameindex frameidx",
+        "t": "time times timestamp timestamps datetime seconds sec secs",
+        "x": "posx positionx xpos xposition xcoord xcoordinate coordx worldx xworld",
+        "y": "posy positiony ypos yposition ycoord ycoordinate coordy worldy yworld",
+    }.items()
 }
 """Native column → names without marks and units and in lower case.
 
-Each means this in published tables of people. `headings.MEANINGS` also has names that only may mean it; those
-are proposed by ``graphtrack info --suggest`` and never taken by themselves.
+Each means this in published tables of people; it is read so where the native column is absent.
 """
+
+_POSSIBLE = {
+    "track_id": "track obj individual individualid target trajectory trajid traj uid uuid userid user player "
+    "playerid deviceid device tagid tag mac entity entityid who name",
+    "t": "ts datetimeutc timeutc utc unixtime epoch unix second elapsed elapsedtime date stamp clock "
+    "milliseconds microseconds nanoseconds millis",
+    "x": "px coordinatex groundx gx locx locationx centerx centrex easting east",
+    "y": "py coordinatey groundy gy locy locationy centery centrey northing north",
+}
+"""Further names that may mean it: proposed by `graphtrack info --suggest`, never taken by themselves."""
+
+LENGTHS = {"m": "m", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "cm": "cm", "mm": "mm"}
+LENGTHS |= {"ft": "ft", "feet": "ft"}
+TIMES = {"s": "s", "sec": "s", "seconds": "s", "ms": "ms", "msec": "ms", "milliseconds": "ms", "millis": "ms"}
+TIMES |= {"us": "us", "µs": "us", "microseconds": "us", "ns": "ns", "nanoseconds": "ns"}
+_UNITS: Mapping[str, Mapping[str, str]] = {"x": LENGTHS, "y": LENGTHS, "t": TIMES}
+
+_KEYS = {native: short for short, native in SHORT.items() if native == "track_id"}
+_MEANINGS = {
+    _KEYS.get(key, key): (key.replace("_", ""), *names, *_POSSIBLE.get(key, "").split())
+    for key, names in SYNONYMS.items()
+} | {"lat": ("lat", "latitude"), "lon": ("lon", "lng", "long", "longitude")}
+"""Key of ``--columns`` → all names that may mean it, the likeliest first."""
+
+_BRACKETS = re.compile(r"[\[({]\s*([^\])}]*?)\s*[\])}]")
+_WORDS = re.compile(r"[^\W_]+")
 
 READ_AS = "read column"
 """Beginning of the note that names the columns that were read by their well-known names."""
@@ -46,6 +72,70 @@ UNSURE_UNIT = (
 
 _NO_METRES = frozenset(("u", "v", "lat", "lon"))
 """Columns beside which no other column is taken for metres."""
+
+
+def plain(name: str) -> tuple[str, str]:
+    """A name without marks, brackets and unit, in lower case, and the unit, "" where there is none."""
+    bracket = _BRACKETS.search(name)
+    unit = bracket[1].lower() if bracket else ""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", _BRACKETS.sub(" ", name))  # agentId: agent Id
+    words = [word.lower() for word in _WORDS.findall(spaced)]
+    if len(words) > 1 and not unit and (words[-1] in LENGTHS or words[-1] in TIMES):
+        unit = words.pop()
+    return "".join(words), unit
+
+
+def meanings(names: Iterable[str]) -> dict[str, str]:
+    """Key of ``--columns`` → name, for the columns whose names say what they are."""
+    known = {name: plain(name) for name in names}
+    found: dict[str, str] = {}
+    for key, words in _MEANINGS.items():
+        units = _UNITS.get(key, {})
+        fitting = [
+            (words.index(word), name)
+            for name, (word, unit) in known.items()
+            if word in words and name not in found.values() and (not unit or unit in units)
+        ]
+        if fitting:
+            found[key] = min(fitting)[1]
+    if "lat" in found and "lon" in found:
+        found = {key: name for key, name in found.items() if key not in ("x", "y")}
+    return {key: name for key, name in found.items() if key not in ("lat", "lon") or "x" not in found}
+
+
+def wide(names: Iterable[str]) -> dict[str, str]:
+    """``x`` and ``y`` with the mark for who it is, for columns such as x_1, y_1 or anna_x, anna_y."""
+    there = list(names)
+    counted: dict[tuple[str, str], int] = {}
+    for name in there:
+        for place in re.finditer(r"(?<![A-Za-z])[xX](?![A-Za-z])", name):
+            other = name[: place.start()] + ("y" if place[0] == "x" else "Y") + name[place.end() :]
+            if other not in there:
+                continue
+            for pattern in _patterns(name, place.start(), place.end()):
+                pair = (pattern, pattern.replace("x", "y").replace("X", "Y"))
+                counted[pair] = counted.get(pair, 0) + 1
+    if not counted:
+        return {}
+    best = max(counted, key=lambda pair: (counted[pair], len(pair[0])))
+    return {"x": best[0], "y": best[1]}
+
+
+def _patterns(name: str, start: int, end: int) -> list[str]:
+    """The name with what stands before or after its x, but for a mark between them, put for who it is."""
+    patterns = []
+    before, after = name[:start], name[end:]
+    if after and not before:
+        mark = re.match(r"[\W_]?", after)[0]  # type: ignore[index]
+        patterns.append(f"{name[start:end]}{mark}{WILD}")
+    if before and not after:
+        mark = re.search(r"[\W_]?$", before)[0]  # type: ignore[index]
+        patterns.append(f"{WILD}{mark}{name[start:end]}")
+    return patterns
+
+
+_MOST = 10_000
+"""Columns of a table from which on no names are looked at."""
 
 
 def with_synonyms(
@@ -66,11 +156,6 @@ def with_synonyms(
     tuple
         The options, and notes for the user: what was read as what, and columns that look like an identity
         and are not read.
-
-    Raises
-    ------
-    InputError
-        If two columns have well-known names of the same native column.
     """
     if options.columns is not None or len(names) > _MOST:
         return options, ()
@@ -78,13 +163,19 @@ def with_synonyms(
     for key, words in SYNONYMS.items():
         if key in native or (key in ("x", "y") and native & _NO_METRES):
             continue
-        known: Mapping[str, str] = LENGTHS if key in ("x", "y") else TIMES if key == "t" else {}
-        fitting = [name for name in names if _means(name, words, known) and not schema.is_column(name)]
+        units = _UNITS.get(key, {})
+        fitting = [
+            name
+            for name in names
+            if not schema.is_column(name)
+            and (meaning := plain(name))[0] in words
+            and (not meaning[1] or meaning[1] in units)
+        ]
         # A column that bears the native name in other letters comes first: Track_ID before id.
         exact = [name for name in fitting if plain(name)[0] == key.replace("_", "")]
         if len(exact or fitting) > 1:
             both = " and ".join(shortened(name) for name in (exact or fitting)[:3])
-            expected = f"one column {key}; --columns {_short(key)}=NAME says which"
+            expected = f"one column {key}; --columns {_KEYS.get(key, key)}=NAME says which"
             raise InputError(f"columns {both}", expected, path=path, line=1)
         if fitting:
             found[key] = (exact or fitting)[0]
@@ -108,25 +199,12 @@ def with_synonyms(
     return options, tuple(notes)
 
 
-_MOST = 10_000
-"""Columns of a table from which on no names are looked at."""
-
-
 def unit_notes(options: ReadOptions, t: FloatArray) -> tuple[str, ...]:
     """Return the notes on times (n,) in seconds that were read by a well-known name of their column."""
     by_name = isinstance(options.columns, Mapping) and "t" in options.columns
     steps = np.diff(np.unique(t))
     unsure = by_name and options.time_unit is None and len(steps) > 0 and float(np.median(steps)) >= 5.0
     return (UNSURE_UNIT,) if unsure else ()
-
-
-def _means(name: str, words: Iterable[str], units: Mapping[str, str]) -> bool:
-    word, unit = plain(name)
-    return word in words and (not unit or unit in units)
-
-
-def _short(key: str) -> str:
-    return next((short for short, native in SHORT.items() if native == key), key)
 
 
 def names_in(source: Source, format: str) -> list[str]:

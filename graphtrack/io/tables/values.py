@@ -34,13 +34,7 @@ def is_empty(cell: object) -> bool:
 
 
 def numbers(cells: Cells, name: str) -> FloatArray:
-    """A column as (n,) finite numbers, NaN where it is empty.
-
-    Raises
-    ------
-    InputError
-        For the first cell that is something else.
-    """
+    """A column as (n,) finite numbers, NaN where it is empty."""
     values = cells.columns[name]
     if values.dtype.kind in "iuf":
         found = values.astype(float)
@@ -80,11 +74,6 @@ def identities(cells: Cells, name: str) -> tuple[NDArray[Any], dict[int, str]]:
     """Identities as (n,) whole numbers, and track id → text where they are text; NaN where a cell is empty.
 
     Whole numbers stay what they are; text is numbered from 1 in the order in which it comes.
-
-    Raises
-    ------
-    InputError
-        Where some are numbers and others text, and for what is neither.
     """
     values = cells.columns[name]
     if values.dtype.kind in "iuf":

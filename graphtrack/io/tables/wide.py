@@ -19,11 +19,6 @@ def long(cells: Cells, layout: Layout) -> tuple[Cells, Layout]:
     """The table with one column for each meaning, and the layout that goes with it.
 
     Where nothing is said of somebody there is no row.
-
-    Raises
-    ------
-    InputError
-        If no column matches, or one for somebody is missing.
     """
     wild = layout.wild
     if not wild:

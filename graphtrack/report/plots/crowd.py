@@ -11,10 +11,11 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from scipy import ndimage
 
+from graphtrack.display import BODY_COLOUR
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.pairing import Pair, finite_rows
 from graphtrack.report.shapes import longest_step, open_holes
-from graphtrack.report.style import BODY_COLOUR, new_figure, tidy
+from graphtrack.report.style import new_figure, tidy
 
 STAYS = 2.0
 """Metres from a track's first to its last position below which it has no direction of its own."""

@@ -14,11 +14,12 @@ from matplotlib.patches import Circle, Polygon
 from graphtrack.behaviour.attention import Attention
 from graphtrack.behaviour.looks import LookSummary, frame_seconds
 from graphtrack.behaviour.places import Place
+from graphtrack.display import person_colour
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path
 from graphtrack.report.pairing import finite_rows
 from graphtrack.report.shapes import finite_runs, open_holes
-from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, person_colour, tidy
+from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, tidy
 from graphtrack.tracks import TrackSet
 
 MOST = 40

@@ -6,8 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, PercentFormatter
 
+from graphtrack.display import person_colour
 from graphtrack.report.rows import Records, distinct, records
-from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, person_colour, person_dash, tidy
+from graphtrack.report.style import NEUTRAL_COLOUR, new_figure, person_dash, tidy
 
 _COLUMNS = ("method", "quantity", "nees", "confidence", "coverage")
 

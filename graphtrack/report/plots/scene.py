@@ -14,20 +14,12 @@ from matplotlib.patches import Ellipse as EllipsePatch
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from graphtrack.display import VELOCITY_COLOUR, person_colour
 from graphtrack.geometry.angles import FloatArray, unit
 from graphtrack.report.pairing import Pair, finite_rows, pair_tracks
 from graphtrack.report.plots.crowd import plot_crowd
 from graphtrack.report.shapes import finite_runs, longest_step, probability_ellipse
-from graphtrack.report.style import (
-    ANGLE_COLOURS,
-    NEUTRAL_COLOUR,
-    TRUTH_COLOUR,
-    VELOCITY_COLOUR,
-    new_figure,
-    person_colour,
-    person_dash,
-    tidy,
-)
+from graphtrack.report.style import ANGLE_COLOURS, NEUTRAL_COLOUR, TRUTH_COLOUR, new_figure, person_dash, tidy
 from graphtrack.tracks import Track, TrackSet
 
 MARKED_GAP = 3

@@ -1,0 +1,59 @@
+"""Files by their URLs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import command
+import numpy as np
+import pandas as pd
+import pytest
+
+from graphtrack import io
+from graphtrack.errors import InputError
+
+
+def walks() -> pd.DataFrame:
+    parts = [
+        pd.DataFrame({"who": who, "seconds": np.arange(4), "east": k + np.arange(4.0), "north": 0.5})
+        for k, who in enumerate(("anna", "bob", "eve"))
+    ]
+    return pd.concat(parts, ignore_index=True)
+
+
+def refused(path: Path | str, **options: object) -> str:
+    with pytest.raises(InputError) as caught:
+        io.read(path, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["walks.parquet", "walks.csv"])
+def test_a_file_by_its_url(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    monkeypatch.chdir(tmp_path)
+    url = f"memory://bucket/{name}"
+    with fsspec.open(url, "wb") as stream:
+        walks().to_csv(stream, index=False) if name.endswith("csv") else walks().to_parquet(stream)
+    columns = "id=who,t=seconds,x=east,y=north"
+    tracks = io.read(url, columns=columns)
+    assert [track.label for track in tracks] == ["anna", "bob", "eve"]
+    assert "each file once" in refused([url, url], columns=columns)
+    done = command.run("info", url, "--columns", columns, program="graphtrack")
+    assert done.returncode == 0 and url in done.stderr and "anna" in done.stdout
+    walks().to_csv("walks.csv", index=False)
+    assert len(io.read(f"file://{tmp_path}/walks.csv", columns=columns)) == 3
+    for wrong in ("memory://bucket/none.csv", "nosuch://bucket/walks.csv", f"file://{tmp_path}/none.csv"):
+        assert wrong in refused(wrong)
+        done = command.run("info", wrong, program="graphtrack")
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+
+
+def test_packages_that_a_url_needs_are_named(monkeypatch) -> None:
+    fsspec = pytest.importorskip("fsspec")
+
+    def lacking(*_: object) -> None:
+        raise ImportError("HTTPFileSystem requires aiohttp")
+
+    monkeypatch.setattr(fsspec, "open", lacking)
+    assert "pip install" in refused("http://site.example/walks.csv")
