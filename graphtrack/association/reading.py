@@ -7,10 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from graphtrack.io import given as io_given
-from graphtrack.io import reading as io_reading
 from graphtrack.io.detections import rows_of_supervision, rows_of_ultralytics
+from graphtrack.io.given import tracks_of as identified_tracks_of
 from graphtrack.io.options import Associate, ReadOptions
+from graphtrack.io.reading import read as read_identified
+from graphtrack.io.reading import tracks_of_rows as identified_tracks
 from graphtrack.scene import GivenScene, known_values
 from graphtrack.table.rows import Rows, check_identities
 from graphtrack.tracks import TrackSet
@@ -38,7 +39,7 @@ def tracks_of_rows(rows: Rows, options: ReadOptions, scene: GivenScene = None) -
     """Return the tracks of a file's rows, which are associated where they have to be or it is asked for."""
     associates = has_detections(rows, options)
     if not associates and options.associate != "repair":
-        return io_reading.tracks_of_rows(rows, options)
+        return identified_tracks(rows, options)
     from graphtrack.association.rows import associated  # which imports the solver's kernels
 
     return associated(rows, scene, repair=not associates)
@@ -74,7 +75,7 @@ def read(
         With path, line and column, what was found there and what was expected.
     """
     to_tracks = partial(tracks_of_rows, scene=known_values(scene))
-    return io_reading.read(path, format=format, to_tracks=to_tracks, **options)
+    return read_identified(path, format=format, to_tracks=to_tracks, **options)
 
 
 def tracks_of(
@@ -92,7 +93,7 @@ def tracks_of(
     InputError
         For anything else, and for a file or table that cannot be read.
     """
-    return io_given.tracks_of(given, partial(read, associate=associate, scene=scene), **reading)
+    return identified_tracks_of(given, partial(read, associate=associate, scene=scene), **reading)
 
 
 def from_supervision(

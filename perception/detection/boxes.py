@@ -11,7 +11,9 @@ import numpy as np
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io import atomic_path
 from graphtrack.io.boxes import with_scores
-from graphtrack.io.readers import caviar, mot
+from graphtrack.io.readers.caviar import CAVIAR
+from graphtrack.io.readers.caviar import read_boxes as read_caviar_boxes
+from graphtrack.io.readers.mot import read_boxes as read_mot_boxes
 from graphtrack.io.source import Source
 from graphtrack.table.rows import check_rows
 from perception.pose.keypoints.skeleton import Points
@@ -55,8 +57,8 @@ def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: 
         beside others; and with the line of a person's second box in a frame.
     """
     source = Source.open(path)
-    of_caviar = caviar.looks_like(source.head, source.path)
-    rows = caviar.read_boxes(source) if of_caviar else mot.read_boxes(source)
+    of_caviar = CAVIAR.looks_like(source.head, source.path)
+    rows = read_caviar_boxes(source) if of_caviar else read_mot_boxes(source)
     rows = rows.keep(~np.isnan(rows.channels["box"][:, 2]), "without a box")
     if not rows.has_identity:
         rows = replace(with_scores(rows), track_id=np.arange(1, len(rows) + 1))

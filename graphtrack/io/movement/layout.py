@@ -28,7 +28,7 @@ LENGTHS = ("position_std", "velocity", "true_position")
 HAS_ROW = "has_row"
 """Variable (time, individuals) that says where a track has a row, where rows without a position are some."""
 
-METRES = {
+SPACE_UNITS = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), "m"),
     **dict.fromkeys(("cm", "centimetre", "centimetres", "centimeter", "centimeters"), "cm"),
     **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), "mm"),

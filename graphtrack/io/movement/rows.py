@@ -14,17 +14,17 @@ from graphtrack.bounds import INPUT, LARGEST_ID, SHAPES
 from graphtrack.display import listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
-from graphtrack.io import layout as told
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, place_pixels
-from graphtrack.io.movement import keypoints
+from graphtrack.io.layout import METRES, Layout
+from graphtrack.io.movement.keypoints import middle, orientations, places_of
 from graphtrack.io.movement.layout import (
     FURTHER,
     HAS_ROW,
     INDIVIDUALS,
     KEYPOINTS,
     LENGTHS,
-    METRES,
     SPACE,
+    SPACE_UNITS,
     TIME,
 )
 from graphtrack.io.movement.times import frames_and_times
@@ -50,7 +50,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
         in any order); variables that `to_movement` writes are read too
     path : where it comes from, for messages
     """
-    layout = options.layout() or told.Layout()
+    layout = options.layout() or Layout()
     read = _Reading(dataset.rename({k: v for k, v in _SINGULAR.items() if k in dataset.dims}), path)
     points = read.points(layout)
     frame, t, time, notes = frames_and_times(read.dataset, options, path)
@@ -61,13 +61,13 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
     channels = dict(variables)
     in_image = unit is None
     if unit is not None:
-        metre = told.METRES[unit]
+        metre = METRES[unit]
         points = points * metre
         channels |= {name: channels[name] * metre for name in LENGTHS if name in channels}
     else:
         channels = {name: values for name, values in channels.items() if name not in LENGTHS}
     names = read.names(KEYPOINTS, "keypoint_")
-    standing, said = keypoints.middle(points, names, in_image=in_image)
+    standing, said = middle(points, names, in_image=in_image)
     if in_image and "shape" in read.dataset.data_vars:
         standing = standing + np.stack([np.zeros_like(read.height), 0.5 * read.height], axis=-1)
         said = "the middle of each box's lower edge"
@@ -103,8 +103,8 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
         mirrored, from_above = camera.is_mirrored, options.metres_per_pixel is not None
     else:
         camera, told_of, mirrored, from_above = None, (), False, True
-    facing = keypoints.orientations(
-        points, keypoints.places_of(names), mirrored=mirrored, nose_is_on_ground=from_above
+    facing = orientations(
+        points, places_of(names), mirrored=mirrored, nose_is_on_ground=from_above
     )
     for name, angles in facing.items():
         if name not in rows.channels:
@@ -139,7 +139,7 @@ class _Reading:
         except (TypeError, ValueError) as error:
             raise self.fail(f"{name} that is no array of numbers", "numbers") from error
 
-    def points(self, layout: told.Layout) -> FloatArray:
+    def points(self, layout: Layout) -> FloatArray:
         """Positions (individuals, time, keypoints, 2) on the ground, or in the image."""
         if "position" not in self.dataset.data_vars:
             there = ", ".join(map(str, self.dataset.data_vars)) or "none"
@@ -161,7 +161,7 @@ class _Reading:
             return self.array("position", KEYPOINTS, SPACE)[..., axes]
         return self.array("position", SPACE)[..., None, axes]
 
-    def axes(self, layout: told.Layout) -> list[int]:
+    def axes(self, layout: Layout) -> list[int]:
         """The places of the ground's two coordinates among those of space."""
         if set(layout.columns) not in (set(), {"x", "y"}):
             raise self.fail(
@@ -209,11 +209,11 @@ class _Reading:
         said = self.dataset["label"].to_numpy().tolist()
         return {k: str(name) for k, name in zip(ids.tolist(), said, strict=True) if name}
 
-    def unit(self, layout: told.Layout, options: ReadOptions) -> str | None:
+    def unit(self, layout: Layout, options: ReadOptions) -> str | None:
         """The unit of length of the positions; None: they are pixels, and the options have a camera."""
         attributes = {**self.dataset.attrs, **self.dataset["position"].attrs}
         said = str(attributes.get("space_unit", attributes.get("units", ""))).strip().lower()
-        unit = METRES.get(said)
+        unit = SPACE_UNITS.get(said)
         if unit is not None:
             if layout.units not in (None, unit):
                 raise self.fail(f"--units {layout.units} of positions in {said}", f"--units {unit}, or none")
