@@ -28,7 +28,18 @@ else:
 
 
 def package(name: str, extra: str) -> Any:
-    """Return a package, imported when it is needed; an InputError names the extra that brings it."""
+    """Return a package that not every installation has, imported when it is needed.
+
+    Parameters
+    ----------
+    name : of the package, as it is imported
+    extra : of this package that brings it
+
+    Raises
+    ------
+    InputError
+        If it is not there, with the extra to install.
+    """
     try:
         return import_module(name)
     except ImportError as error:

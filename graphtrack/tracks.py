@@ -35,10 +35,11 @@ from graphtrack.bounds import (
 from graphtrack.display import LONGEST, MOST, counted, html_table, listed, shortened
 from graphtrack.errors import InputError, InputWarning, UnknownTrackError
 from graphtrack.geometry.angles import FloatArray
-from graphtrack.table import schema
 from graphtrack.table.as_read import AsRead, restored
 from graphtrack.table.columns import rows_of_table
 from graphtrack.table.rows import Rows, check_identities, in_order
+from graphtrack.table.schema import COLUMNS, INPUT_NAME, Column, input_columns, is_input_name, numeric
+from graphtrack.table.schema import in_order as columns_in_order
 from graphtrack.table.speeds import Speeds
 from graphtrack.table.summary import ReadSummary
 
@@ -187,8 +188,8 @@ class Track:
         """Return read-only copies of the inputs: rows are all finite or all NaN."""
         n, found = len(self.frame), {}
         for name, given in self.inputs.items():
-            if not isinstance(name, str) or not schema.is_input_name(name):
-                raise InputError(f"an input {name!r} of track {self.track_id}", schema.INPUT_NAME)
+            if not isinstance(name, str) or not is_input_name(name):
+                raise InputError(f"an input {name!r} of track {self.track_id}", INPUT_NAME)
             try:
                 size = np.shape(given)[1:2]
             except ValueError:  # rows of different lengths, which `_checked` refuses
@@ -524,11 +525,11 @@ def to_columns(tracks: TrackSet) -> dict[str, NDArray[Any]]:
         ),
         "frame": _joined([track.frame for track in tracks], np.int64),
     }
-    for column in (*schema.COLUMNS, *_input_columns(tracks)):
+    for column in (*COLUMNS, *_input_columns(tracks)):
         if any(_channel(track, column.field) is not None for track in tracks):
             columns[column.name] = _joined([_cells(track, column) for track in tracks], np.float64)
     # Spreads that no engine estimated are NaN throughout: leave the column out.
-    for column in schema.COLUMNS:
+    for column in COLUMNS:
         if column.field == "covariance" and column.name in columns and np.isnan(columns[column.name]).all():
             del columns[column.name]
     if any(track.label for track in tracks):
@@ -541,11 +542,11 @@ def _joined(parts: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
     return np.concatenate(parts).astype(dtype) if parts else np.empty(0, dtype)
 
 
-def _input_columns(tracks: TrackSet) -> list[schema.Column]:
+def _input_columns(tracks: TrackSet) -> list[Column]:
     """The columns of all inputs that any track has, by name; a set's tracks agree on their sizes."""
     sizes = {name: values.shape[1:] for track in tracks for name, values in track.inputs.items()}
-    names = [column.name for name in sizes for column in schema.input_columns(f"{INPUT}{name}", sizes[name])]
-    return [column for name in schema.in_order(names) if (column := schema.numeric(name)) is not None]
+    names = [column.name for name in sizes for column in input_columns(f"{INPUT}{name}", sizes[name])]
+    return [column for name in columns_in_order(names) if (column := numeric(name)) is not None]
 
 
 def _channel(track: Track, field: str) -> FloatArray | None:
@@ -555,7 +556,7 @@ def _channel(track: Track, field: str) -> FloatArray | None:
     return value
 
 
-def _cells(track: Track, column: schema.Column) -> FloatArray:
+def _cells(track: Track, column: Column) -> FloatArray:
     value = _channel(track, column.field)
     if value is None:
         return np.full(len(track), np.nan)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack import bounds
 from graphtrack.behaviour.looking import half_angle
+from graphtrack.bounds import LARGEST_METRES
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.io.numbers import expected_number, parse_number
@@ -113,6 +113,6 @@ def read_places(path: str | Path) -> list[Place]:
 
 def _metres(source: Source, line: int, column: str, cell: str) -> float:
     value = parse_number(cell)
-    if value is None or abs(value) > bounds.LARGEST_METRES:
+    if value is None or abs(value) > LARGEST_METRES:
         raise InputError(repr(cell[:40]), expected_number(cell), path=source.path, line=line, column=column)
     return value

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack import bounds
 from graphtrack.behaviour.attention import Attention
 from graphtrack.behaviour.groups import KINDS, Groups
+from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import Source
@@ -56,7 +56,7 @@ class _Rows:
         """Whole numbers; `UNLABELLED` for empty cells that are not needed."""
         found = self.numbers(name, needed=needed)
         found = np.where(np.isnan(found), UNLABELLED, found)
-        self.refuse((found != np.round(found)) | (abs(found) > bounds.LARGEST_ID), name, "a whole number")
+        self.refuse((found != np.round(found)) | (abs(found) > LARGEST_ID), name, "a whole number")
         return found.astype(np.int64)
 
     def shares(self, name: str, *, needed: bool) -> FloatArray:

@@ -19,7 +19,7 @@ from graphtrack.inference.online import Estimate, OnlineSmoother
 from graphtrack.io.json_lines import plain_cells
 from graphtrack.io.readers.ndjson import Pairs, identity, parse_line, read_cells
 from graphtrack.model import Observation
-from graphtrack.table import schema
+from graphtrack.table.schema import in_order, numeric, unknown
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, STATE
 
 LONGEST_LINE = 1 << 20
@@ -245,7 +245,7 @@ class Told:
 
 @lru_cache(64)
 def _unknown(names: tuple[str, ...]) -> list[str]:
-    return schema.unknown(names)
+    return unknown(names)
 
 
 def error_row(pairs: Pairs, number: int, error: InputError) -> dict[str, Any]:
@@ -304,8 +304,8 @@ def _inputs(cells: dict[str, Any]) -> dict[str, float | tuple[float, ...]]:
         return {}
     numbers: dict[str, float] = {}
     arrays: dict[str, tuple[float, ...]] = {}
-    for name in schema.in_order(given):
-        column = schema.numeric(name)
+    for name in in_order(given):
+        column = numeric(name)
         assert column is not None
         key = column.field.removeprefix(INPUT)
         if column.index:

@@ -14,8 +14,8 @@ from graphtrack.io.layout import Layout
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.io.tables.synonyms import with_synonyms
-from graphtrack.table import schema
 from graphtrack.table.moments import DAY, NANOSECONDS_IN
+from graphtrack.table.schema import is_column
 
 _TIMES = ("t", "end")
 _DIGITS = 3
@@ -77,7 +77,7 @@ class StreamNames:
             and text for times.
         """
         for key, name in layout.columns.items():
-            if not schema.is_column(key) or name in layout.wild.values():
+            if not is_column(key) or name in layout.wild.values():
                 raise InputError(f"columns {key}={name} with -", "names of the native table's columns")
         unit = layout.time_unit or "s"
         if unit not in NANOSECONDS_IN:

@@ -13,7 +13,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model import Observation
 from graphtrack.model.observation import CHANNELS
-from graphtrack.table import schema
+from graphtrack.table.schema import INPUT_NAME, is_input_name
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 
 _SIZES = {"position": 2, "pixel": 2, "body_likelihood": BODY_CLASSES, "head_likelihood": HEAD_CLASSES}
@@ -45,8 +45,8 @@ def checked(observation: Observation) -> Observation:
 def _checked_inputs(inputs: Mapping[str, Any]) -> dict[str, float | tuple[float, ...]]:
     found: dict[str, float | tuple[float, ...]] = {}
     for name, value in inputs.items():
-        if not isinstance(name, str) or not schema.is_input_name(name):
-            raise InputError(f"an input {name!r}", schema.INPUT_NAME)
+        if not isinstance(name, str) or not is_input_name(name):
+            raise InputError(f"an input {name!r}", INPUT_NAME)
         numbers = _numbers(value)
         if numbers is None or numbers.ndim > 1 or not numbers.size or _is_outside(numbers, FINITE):
             expected = "a finite number, or several; left out where nothing is known"

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 from graphtrack.errors import InputError
 from graphtrack.io.source import Source
-from graphtrack.table import schema
+from graphtrack.table.schema import NAMES
 
 _MARKS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
 _TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}
@@ -20,7 +20,7 @@ _FEWEST = 4
 """Numbers in a row from which a table without a header is one."""
 
 
-def other_delimiter(source: Source, names: Collection[str] = schema.NAMES) -> InputError | None:
+def other_delimiter(source: Source, names: Collection[str] = NAMES) -> InputError | None:
     """The error for a table of the native columns, or of numbers alone, whose cells are not between commas.
 
     Parameters
@@ -45,7 +45,7 @@ def other_delimiter(source: Source, names: Collection[str] = schema.NAMES) -> In
         if has_header or (mark != " " and _are_numbers(rows)):
             decimal = any("," in cell and _NUMBER.fullmatch(cell) for row in rows for cell in row)
             return _error(source, number, mark, name, decimal=decimal)
-    if told and len(set(_cells(first, ",")) & set(schema.NAMES)) >= 2:
+    if told and len(set(_cells(first, ",")) & set(NAMES)) >= 2:
         found = f"the line {told[0]!r}"
         expected = "the header in the first line; --delimiter , reads it"
         return InputError(found, expected, path=source.path, line=1)

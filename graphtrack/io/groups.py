@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack import bounds
+from graphtrack.bounds import LARGEST_ID, LARGEST_SECONDS
 from graphtrack.errors import InputError, InputWarning
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.numbers import expected_number, parse_number
@@ -58,7 +58,7 @@ def _read_salsa(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
     for number, line in lines:
         time, _, rest = line.strip().partition(" ")
         key = parse_number(time)
-        if key is None or abs(key) > bounds.LARGEST_SECONDS:
+        if key is None or abs(key) > LARGEST_SECONDS:
             raise InputError(repr(time[:40]), "a time in seconds", path=source.path, line=number, column=1)
         if steps and key <= steps[-1].key:
             raise InputError(f"{key:g}", "a time after that of the row before", path=source.path, line=number)
@@ -150,7 +150,7 @@ def _read_table(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
 
 def _whole(source: Source, line: int, name: str, cell: str) -> int:
     value = parse_number(cell.strip())
-    if value is None or value != int(value) or abs(value) > bounds.LARGEST_ID:
+    if value is None or value != int(value) or abs(value) > LARGEST_ID:
         expected = "a whole number" if value is not None else expected_number(cell)
         raise InputError(repr(cell.strip()[:40]), expected, path=source.path, line=line, column=name)
     return int(value)

@@ -8,7 +8,7 @@ from typing import Any
 
 import orjson
 
-from graphtrack.table import schema
+from graphtrack.table.schema import INTEGERS, numeric, together
 
 _ENCODED = json.JSONEncoder(allow_nan=False).encode
 
@@ -58,12 +58,12 @@ def _layout(names: tuple[str, ...]) -> list[tuple[str, float, float, bool]] | No
     """Each key with its bounds, and whether it is a whole number; None where there is more to say."""
     found: list[tuple[str, float, float, bool]] = []
     for name in names:
-        column = schema.numeric(name)
-        if name in schema.INTEGERS:
-            found.append((name, -schema.INTEGERS[name], schema.INTEGERS[name], True))
+        column = numeric(name)
+        if name in INTEGERS:
+            found.append((name, -INTEGERS[name], INTEGERS[name], True))
         elif column is None or name.endswith("_p0"):  # some class has to be likely
             return None
         else:
             found.append((name, column.bounds.low, column.bounds.high, False))
-    groups = [name for group in schema.together(names) for name in group]
-    return found if set(schema.INTEGERS) <= set(names) >= set(groups) else None
+    groups = [name for group in together(names) for name in group]
+    return found if set(INTEGERS) <= set(names) >= set(groups) else None

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from graphtrack.errors import InputError
-from graphtrack.table import schema
 from graphtrack.table.as_read import ANGLES, DEGREES
 from graphtrack.table.moments import check_time_unit
+from graphtrack.table.schema import is_column
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 """Metres of each unit of length."""
@@ -79,7 +79,7 @@ def parse_columns(given: Mapping[str, object] | str | None) -> dict[str, str]:
         if not name or not key:
             raise InputError(f"columns {key}={name}, without a name", EXPECTED)
         native = SHORT.get(key, key)
-        if not (schema.is_column(native) or native in DEGREES or native in ANGLES):
+        if not (is_column(native) or native in DEGREES or native in ANGLES):
             known = ", ".join((*SHORT, "frame", "t", "x", "y", *DEGREES, "label", *ANGLES))
             raise InputError(f"columns {key}={name}", f"one of {known}, or a column of the native table")
         if native in found:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack import bounds
+from graphtrack.bounds import LARGEST_FRAME, LARGEST_METRES, LARGEST_PIXELS
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.delimiters import other_delimiter
@@ -63,7 +63,7 @@ class Numbers:
             column=_column_name(self.names, column),
         )
 
-    def integers(self, column: int, highest: int = bounds.LARGEST_FRAME) -> NDArray[np.int64]:
+    def integers(self, column: int, highest: int = LARGEST_FRAME) -> NDArray[np.int64]:
         """A column of whole numbers within ±``highest``; whole floats such as 1.0e+00 will do."""
         values = self.values[:, column]
         bad = (np.abs(values) > highest) | (values != np.floor(values))
@@ -82,15 +82,15 @@ class Numbers:
 
     def metres(self, column: int) -> FloatArray:
         """A column of coordinates in metres."""
-        return self.bounded(column, -bounds.LARGEST_METRES, bounds.LARGEST_METRES)
+        return self.bounded(column, -LARGEST_METRES, LARGEST_METRES)
 
     def pixels(self, column: int) -> FloatArray:
         """A column of image coordinates."""
-        return self.bounded(column, -bounds.LARGEST_PIXELS, bounds.LARGEST_PIXELS)
+        return self.bounded(column, -LARGEST_PIXELS, LARGEST_PIXELS)
 
     def sizes(self, column: int) -> FloatArray:
         """A column of sizes in pixels, above 0."""
-        return self.bounded(column, 0.0, bounds.LARGEST_PIXELS, strict=True)
+        return self.bounded(column, 0.0, LARGEST_PIXELS, strict=True)
 
 
 def read_numbers(

@@ -15,7 +15,7 @@ from graphtrack.io.numbers import parse_number
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.readers.native_parquet import column_values, damage_told
 from graphtrack.io.tables.synonyms import with_synonyms
-from graphtrack.table import schema
+from graphtrack.table.schema import in_order, is_column, unknown
 
 BLOCK = 65_536
 """Rows read at a time."""
@@ -171,14 +171,14 @@ def open_dataset(path: str | Path) -> Dataset:
         raise InputError("no rows", "at least one row", path=path)
     known = {name for file in files for name in (*file.columns, *file.constants)}
     of_files = dict.fromkeys(name for file in files for name in file.others)
-    names, notes = _well_known([*schema.in_order(known), *of_files], path)
+    names, notes = _well_known([*in_order(known), *of_files], path)
     own = {name: key for key, name in names.items()}
     files = [
         replace(file, columns={**file.columns, **{own[name]: name for name in file.others if name in own}})
         for file in files
     ]
     ignored = tuple(name for name in others if name not in own)
-    return Dataset(path, tuple(files), schema.in_order(known | {*names}), ignored, names, notes)
+    return Dataset(path, tuple(files), in_order(known | {*names}), ignored, names, notes)
 
 
 def _well_known(names: list[str], path: Path) -> tuple[dict[str, str], tuple[str, ...]]:
@@ -235,7 +235,7 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
         value = unquote(text)
         if name in names or name in constants:
             raise InputError(f"a column {name} and a folder {part}", "one of the two", path=place)
-        if not schema.is_column(name):
+        if not is_column(name):
             foreign.append((name, value))
         elif name == "label":
             constants[name] = value
@@ -244,7 +244,7 @@ def _open(place: Path, root: Path, first_row: int) -> tuple[DataFile, list[str]]
             if number is None:
                 raise InputError(f"the folder {part}", f"a number after {name}=", path=place)
             constants[name] = number
-    columns = {name: name for name in names if schema.is_column(name)}
-    others = schema.unknown(names)
+    columns = {name: name for name in names if is_column(name)}
+    others = unknown(names)
     file = DataFile(place, first_row, n_rows, columns, constants, tuple(foreign), tuple(others))
     return file, others + [name for name, _ in foreign]

@@ -28,8 +28,8 @@ from graphtrack.scale.cluster import smooth_on_cluster
 from graphtrack.scale.dataset import Dataset, open_dataset
 from graphtrack.scale.grouping import batches, index_tracks
 from graphtrack.scale.writer import ShardWriter
-from graphtrack.table import schema
 from graphtrack.table.columns import check_names
+from graphtrack.table.schema import in_order
 from graphtrack.table.speeds import Speeds
 
 
@@ -202,7 +202,7 @@ def possible_columns(dataset: Dataset, model: Model) -> tuple[str, ...]:
             names |= {f"{name}_deg", f"{name}_std_deg"}
     names |= {"aligned_p", "gait_offset_deg", "glance_p"} if model.has_modes else set()
     names |= {name for name in dataset.columns if name == "label" or name.startswith(("true_", INPUT))}
-    return schema.in_order(names)
+    return in_order(names)
 
 
 def _with_camera(dataset: Dataset, options: ReadOptions) -> tuple[ReadOptions, tuple[str, ...]]:

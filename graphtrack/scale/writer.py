@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.io.readers.native_parquet import ROW_GROUP
-from graphtrack.table import schema
+from graphtrack.table.schema import INTEGERS
 
 
 class ShardWriter:
@@ -106,7 +106,7 @@ class ShardWriter:
 def _type_of(name: str) -> Any:
     import pyarrow as pa
 
-    if name in schema.INTEGERS:
+    if name in INTEGERS:
         return pa.int64()
     return pa.string() if name == "label" else pa.float64()
 

@@ -13,8 +13,20 @@ from graphtrack.bounds import SHAPES, STATE, TEXT, check_frame_rate, is_text
 from graphtrack.display import listed
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
-from graphtrack.table import schema
 from graphtrack.table.rows import Rows, no_camera
+from graphtrack.table.schema import (
+    INTEGERS,
+    NO_CLASS,
+    Column,
+    expected_group,
+    expected_integer,
+    in_order,
+    is_column,
+    numeric,
+    repeated,
+    together,
+    unknown,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,12 +37,12 @@ def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = N
     check_frame_rate(fps)
     table = frame_of(table)
     names = [str(name) for name in table.columns]
-    twice = schema.repeated(names)
+    twice = repeated(names)
     if twice is not None:
         raise InputError(f"column {twice!r} twice", "each column once")
     columns, notes = {}, []
     for name in names:
-        if schema.is_column(name):
+        if is_column(name):
             values = table[name]
             if name == "t" and values.dtype.kind in "mM":
                 values = _seconds(values)
@@ -42,7 +54,7 @@ def rows_of_table(table: pd.DataFrame | Mapping[str, Any], fps: float | None = N
         format="table",
         fps=fps,
         line_of=lambda i: i + 1,
-        ignored=schema.unknown(names),
+        ignored=unknown(names),
         notes=tuple(notes),
     )
     if "position" not in rows.channels:
@@ -138,12 +150,12 @@ def from_columns(
     check_names(columns, fps, fail)
     if not len(columns["track_id"]):
         raise fail("a header and no rows", "at least one row")
-    for name, highest in schema.INTEGERS.items():
+    for name, highest in INTEGERS.items():
         check_integers(columns[name], name, highest, fail)
     for name, values in columns.items():
-        if (column := schema.numeric(name)) is not None:
+        if (column := numeric(name)) is not None:
             _check_bounds(values, column, fail)
-    for group in schema.together(tuple(columns)):
+    for group in together(tuple(columns)):
         _check_group({name: columns[name] for name in group}, fail)
     if ignored:
         notes = (*notes, f"ignored columns {listed(ignored)}")
@@ -164,10 +176,10 @@ def from_columns(
 
 def check_names(names: Collection[str], fps: float | None, fail: Callable[..., InputError]) -> None:
     """Raise ``fail(found, expected, column=…)`` if a column that the native table needs is not there."""
-    for name in schema.INTEGERS:
+    for name in INTEGERS:
         if name not in names:
             raise fail("no such column", f"a column {name}", column=name)
-    for group in schema.together(tuple(names)):
+    for group in together(tuple(names)):
         missing = next((name for name in group if name not in names), None)
         if missing is not None:
             have = next(name for name in group if name in names)
@@ -188,10 +200,10 @@ def check_integers(values: NDArray[Any], name: str, highest: int, fail: Callable
     if bad.any():
         row = int(np.argmax(bad))
         found = "an empty cell" if np.isnan(values[row]) else f"{values[row]:.17g}"
-        raise fail(found, schema.expected_integer(highest), row, name)
+        raise fail(found, expected_integer(highest), row, name)
 
 
-def _check_bounds(values: FloatArray, column: schema.Column, fail: Callable[..., InputError]) -> None:
+def _check_bounds(values: FloatArray, column: Column, fail: Callable[..., InputError]) -> None:
     place = column.bounds.first_outside(values)
     if place is not None:
         raise fail(f"{values[place]:g}", column.bounds.expected, place[0], column.name)
@@ -205,17 +217,17 @@ def _check_group(group: Mapping[str, FloatArray], fail: Callable[..., InputError
         row = int(np.argmax(partial))
         names = list(group)
         name = names[int(np.argmax(empty[row]))]
-        raise fail("an empty cell", schema.expected_group(names), row, name)
+        raise fail("an empty cell", expected_group(names), row, name)
     first = next(iter(group))
     if first.endswith("_p0"):
         zero = np.sum(list(group.values()), axis=0) <= 0.0
         if zero.any():
-            raise fail(*schema.NO_CLASS, int(np.argmax(zero)), first)
+            raise fail(*NO_CLASS, int(np.argmax(zero)), first)
 
 
 def _channels(columns: Mapping[str, NDArray[Any]]) -> dict[str, FloatArray]:
     n = len(columns["track_id"])
-    known = [column for name in schema.in_order(columns) if (column := schema.numeric(name)) is not None]
+    known = [column for name in in_order(columns) if (column := numeric(name)) is not None]
     sizes = {column.field: (column.index[0] + 1,) if column.index else () for column in known}
     channels: dict[str, FloatArray] = {}
     for column in known:

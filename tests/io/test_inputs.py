@@ -18,7 +18,7 @@ from graphtrack.inference.observed import checked
 from graphtrack.io.readers.ndjson import parse_line, read_cells
 from graphtrack.scale.dataset import open_dataset
 from graphtrack.scale.job import smooth_dataset
-from graphtrack.table import schema
+from graphtrack.table.schema import input_columns, is_input_name, numeric
 from graphtrack.tracks import Track, TrackSet
 
 GOAL = np.array([[1.0, 2.0], [np.nan, np.nan], [3.0, 4.0]])
@@ -31,12 +31,12 @@ def person(track_id: int = 1, **inputs: object) -> Track:
 @given(name=st.text(st.sampled_from("ab_019"), max_size=8))
 def test_a_column_belongs_to_one_input_alone(name: str) -> None:
     """Were ``goal_0`` the name of an input, its column would be that of an array called ``goal``."""
-    if not schema.is_input_name(name):
+    if not is_input_name(name):
         return
     for size in ((), (3,)):
-        columns = list(schema.input_columns(f"input_{name}", size))
+        columns = list(input_columns(f"input_{name}", size))
         assert [column.field for column in columns] == [f"input_{name}"] * len(columns)
-        assert [schema.numeric(column.name) for column in columns] == columns
+        assert [numeric(column.name) for column in columns] == columns
         assert len({column.name for column in columns}) == (size[0] if size else 1)
 
 
@@ -117,7 +117,7 @@ def test_appearance_is_an_input_whose_columns_have_no_prefix(tmp_path: Path) -> 
     smooth_dataset(path, out, "position")
     assert not any("appearance" in name for name in io.read(out).to_table().columns)
     # One way of writing it: else two columns would be one number.
-    assert schema.numeric("input_appearance_0") is None
+    assert numeric("input_appearance_0") is None
 
 
 @pytest.mark.parametrize("engine", ["chain", "gtsam"])

@@ -8,7 +8,7 @@ from format_samples import made_tracks
 
 from graphtrack import io
 from graphtrack.errors import InputError
-from graphtrack.table import schema
+from graphtrack.table.schema import COLUMNS, INTEGERS, TOGETHER
 
 ROW = {"track_id": 1, "frame": 0, "t": 0.0, "x": 1.0, "y": 2.0}
 
@@ -30,13 +30,13 @@ def outside(column):
     return [low - 1e-3 * abs(low) - 1, high * 1.01, *([0.0] if low > 0.0 else [])]
 
 
-BAD = [(column.name, value) for column in schema.COLUMNS for value in outside(column)]
-BAD += [(name, value) for name, highest in schema.INTEGERS.items() for value in (2 * highest, 0.5)]
+BAD = [(column.name, value) for column in COLUMNS for value in outside(column)]
+BAD += [(name, value) for name, highest in INTEGERS.items() for value in (2 * highest, 0.5)]
 
 
 @pytest.mark.parametrize(("name", "value"), BAD)
 def test_what_csv_refuses_is_refused_in_the_same_words(name, value, tmp_path):
-    group = next((group for group in schema.TOGETHER if name in group), ())
+    group = next((group for group in TOGETHER if name in group), ())
     row = ROW | dict.fromkeys(group, 0.5) | {name: value}
     (tmp_path / "a.csv").write_text(f"{','.join(row)}\n{','.join(map(repr, row.values()))}\n")
     found, expected = (

@@ -11,7 +11,7 @@ from graphtrack.errors import InputError
 from graphtrack.io.layout import SHORT
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.tables.synonyms import SYNONYMS, plain, with_synonyms
-from graphtrack.table import schema
+from graphtrack.table.schema import NAMES
 
 PEOPLE = (7, 8, 9)
 
@@ -97,4 +97,4 @@ def test_the_names_are_plain_and_of_one_column_each():
     words = [word for key in SYNONYMS.values() for word in key]
     assert len(set(words)) == len(words)
     assert all(plain(word) == (word, "") for word in words)
-    assert set(SYNONYMS) <= set(schema.NAMES) and not set(words) & set(SYNONYMS) - set(SHORT)
+    assert set(SYNONYMS) <= set(NAMES) and not set(words) & set(SYNONYMS) - set(SHORT)

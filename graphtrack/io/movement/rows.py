@@ -30,9 +30,9 @@ from graphtrack.io.movement.layout import (
 from graphtrack.io.movement.times import frames_and_times
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.tables.values import numbered_names
-from graphtrack.table import schema
 from graphtrack.table.as_read import AsRead
 from graphtrack.table.rows import Rows
+from graphtrack.table.schema import is_input_name, repeated
 
 _SINGULAR = {"keypoint": KEYPOINTS, "individual": INDIVIDUALS}
 _NATIVE = ("position", "confidence", "shape", HAS_ROW)
@@ -103,9 +103,7 @@ def rows_of_dataset(dataset: Any, options: ReadOptions, path: Path) -> Rows:
         mirrored, from_above = camera.is_mirrored, options.metres_per_pixel is not None
     else:
         camera, told_of, mirrored, from_above = None, (), False, True
-    facing = orientations(
-        points, places_of(names), mirrored=mirrored, nose_is_on_ground=from_above
-    )
+    facing = orientations(points, places_of(names), mirrored=mirrored, nose_is_on_ground=from_above)
     for name, angles in facing.items():
         if name not in rows.channels:
             rows = rows.with_channels(**{name: angles[people, steps]})
@@ -191,7 +189,7 @@ class _Reading:
         """The track ids of the individuals, and those of them that have names that are no numbers."""
         names = self.names(INDIVIDUALS, "id_")
         if len(set(names)) < len(names):
-            twice = schema.repeated(names)
+            twice = repeated(names)
             raise self.fail(f"the individual {twice!r} twice", "each once")
         if "track_id" not in self.dataset.coords or self.dataset["track_id"].dims != (INDIVIDUALS,):
             return numbered_names(names)
@@ -275,7 +273,7 @@ class _Reading:
         rest = [one for one in dims if one not in (TIME, INDIVIDUALS)]
         if TIME not in dims or (INDIVIDUALS in self.dataset.dims and INDIVIDUALS not in dims):
             return None
-        if name.startswith(INPUT) and schema.is_input_name(name.removeprefix(INPUT)):
+        if name.startswith(INPUT) and is_input_name(name.removeprefix(INPUT)):
             return tuple(rest) if len(rest) < 2 else None
         wanted = FURTHER.get(name)
         if wanted is None or set(rest) != set(wanted):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack import bounds
+from graphtrack.bounds import LARGEST_FRAME, LARGEST_ID, LARGEST_PIXELS
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, direction, wrap
 from graphtrack.geometry.camera import GroundCamera
@@ -203,7 +203,7 @@ class _Reader:
         """All objects of all frames; at least one."""
         found = []
         for frame in self._root().iter("frame"):
-            number = self._number(frame, "number", bounds.LARGEST_FRAME, whole=True)
+            number = self._number(frame, "number", LARGEST_FRAME, whole=True)
             for element in frame.findall("objectlist/object"):
                 found.append(self._observation(element, int(number)))
                 self._objects += 1
@@ -237,7 +237,7 @@ class _Reader:
         box = element.find("box")
         if box is None:
             raise self._fail(f"object without a box in frame {frame}", "a box", "box")
-        low = -bounds.LARGEST_PIXELS
+        low = -LARGEST_PIXELS
         xc, yc = (self._number(box, name, low=low) for name in ("xc", "yc"))
         width, height = (self._number(box, name, low=0.0) for name in ("w", "h"))
         feet = [self._point(element.find(f"body/feet/{side}")) for side in ("left", "right")]
@@ -249,7 +249,7 @@ class _Reader:
             gaze = self._number(head, "gaze", 360.0, low=-360.0)
         return _Observation(
             frame,
-            int(self._number(element, "id", bounds.LARGEST_ID, low=0.0, whole=True)),
+            int(self._number(element, "id", LARGEST_ID, low=0.0, whole=True)),
             (xc, yc, width, height),
             (foot[0], foot[1]),
             self._point(element.find("body/shoulders/left")),
@@ -262,14 +262,14 @@ class _Reader:
         """Where a part of the body is; NaN where it is not labelled."""
         if element is None or element.get("xc") is None or element.get("yc") is None:
             return float("nan"), float("nan")
-        low = -bounds.LARGEST_PIXELS
+        low = -LARGEST_PIXELS
         return self._number(element, "xc", low=low), self._number(element, "yc", low=low)
 
     def _number(
         self,
         element: Element,
         name: str,
-        high: float = bounds.LARGEST_PIXELS,
+        high: float = LARGEST_PIXELS,
         *,
         low: float | None = None,
         whole: bool = False,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack import bounds
+from graphtrack.bounds import LARGEST_ID
 from graphtrack.io.format import Format
 from graphtrack.io.numbers import parse_number, read_numbers
 from graphtrack.io.options import ReadOptions
@@ -47,7 +47,7 @@ def _read_eth(source: Source, options: ReadOptions) -> Rows:
     rows = Rows(
         source.path,
         "eth",
-        table.integers(1, bounds.LARGEST_ID),
+        table.integers(1, LARGEST_ID),
         frame,
         {"position": np.column_stack([table.metres(2), table.metres(4)])},
         table.line_of,

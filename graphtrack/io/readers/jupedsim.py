@@ -18,9 +18,9 @@ from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.pedpy import trajectory_columns
 from graphtrack.io.source import Source
-from graphtrack.table import schema
 from graphtrack.table.columns import from_columns
 from graphtrack.table.rows import Rows
+from graphtrack.table.schema import is_column, unknown
 from graphtrack.tracks import TrackSet
 
 SQLITE = b"SQLite format 3\0"
@@ -64,14 +64,14 @@ def _read_jupedsim(source: Source, options: ReadOptions) -> Rows:
     if missing is not None:
         raise InputError(f"a table trajectory_data without {missing}", "JuPedSim's", path=source.path)
     table = {name: _numbers([row[k] for row in cells], name, source.path) for k, name in enumerate(names)
-             if name in _OWN or name in _FACING or schema.is_column(name)}  # fmt: skip
+             if name in _OWN or name in _FACING or is_column(name)}  # fmt: skip
     columns = {_OWN.get(name, name): values for name, values in table.items() if name not in _FACING}
     if rate is None and "t" not in columns:
         raise InputError("no fps in the table metadata", "frames a second (--fps)", path=source.path)
     # Of tracks that were written here those columns say what is known of the body.
     if set(columns) == {*_OWN.values()} and all(name in table for name in _FACING):
         columns["body_deg"] = _degrees(table["ori_x"], table["ori_y"])
-    ignored = schema.unknown([name for name in names if name not in (*_OWN, *_FACING)])
+    ignored = unknown([name for name in names if name not in (*_OWN, *_FACING)])
     return from_columns(
         columns,
         path=source.path,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack import bounds
+from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, wrap
 from graphtrack.io.format import Format
@@ -58,7 +58,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     ``../oxts/NAME`` and ``../calib/NAME``. 10 frames a second unless ``fps`` is given.
     """
     labels, classes = _read_labels(source)
-    frame, identity = labels.integers(0), labels.integers(1, bounds.LARGEST_ID)
+    frame, identity = labels.integers(0), labels.integers(1, LARGEST_ID)
     location = np.column_stack([labels.metres(13), labels.metres(14), labels.metres(15)])
     rotation = labels.bounded(16, -1e4, 1e4)
     wanted = np.isin(classes, options.classes)

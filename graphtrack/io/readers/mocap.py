@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack import bounds
+from graphtrack.bounds import LARGEST_SECONDS
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.io.format import Format
@@ -68,7 +68,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
         table.integers(clip_column),
         table.integers(header.index("frame")),
         {
-            "t": table.bounded(header.index("t_s"), -bounds.LARGEST_SECONDS, bounds.LARGEST_SECONDS),
+            "t": table.bounded(header.index("t_s"), -LARGEST_SECONDS, LARGEST_SECONDS),
             "position": _pair(table, header, "x_m", "y_m"),
             "body": yaw("shoulder_yaw_rad"),
             "head": yaw("head_yaw_rad"),

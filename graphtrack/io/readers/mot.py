@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack import bounds
+from graphtrack.bounds import LARGEST_ID, LARGEST_LIKELIHOOD, LARGEST_PIXELS
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.boxes import placed_boxes, with_scores
@@ -81,7 +81,7 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     ``confidence`` (n,), negative ones among them; and ``position`` (n, 2) in metres, where the file has any.
     """
     table = read_numbers(source, delimiter=",", widths=(7, 8, 9, 10), names=_NAMES)
-    identity = table.integers(1, bounds.LARGEST_ID)
+    identity = table.integers(1, LARGEST_ID)
     unknown = identity < 0
     nobodys = bool((identity == -1).all())
     if unknown.any() and not nobodys:
@@ -106,7 +106,7 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
 
 
 def _confidences(table: Numbers) -> FloatArray:
-    return table.bounded(6, -bounds.LARGEST_LIKELIHOOD, bounds.LARGEST_LIKELIHOOD)
+    return table.bounded(6, -LARGEST_LIKELIHOOD, LARGEST_LIKELIHOOD)
 
 
 def _boxes_of(table: Numbers) -> FloatArray:
@@ -116,7 +116,7 @@ def _boxes_of(table: Numbers) -> FloatArray:
         bad = (table.values[:, column] <= 0.0) & ~absent
         if bad.any():
             raise table.fail(int(np.argmax(bad)), column, "a size above 0, or -1,-1,-1,-1 for no box")
-    sizes = [table.bounded(column, -1.0, bounds.LARGEST_PIXELS) for column in (4, 5)]
+    sizes = [table.bounded(column, -1.0, LARGEST_PIXELS) for column in (4, 5)]
     box = np.column_stack([table.pixels(2), table.pixels(3), *sizes])
     return np.where(absent[:, None], np.nan, box)
 

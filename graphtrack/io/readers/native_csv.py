@@ -23,12 +23,12 @@ from graphtrack.io.format import Format
 from graphtrack.io.numbers import expected_number, parse_number
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.table import schema
 from graphtrack.table.arrow import arrow_array
 from graphtrack.table.as_read import restored
 from graphtrack.table.columns import from_columns
 from graphtrack.table.moments import date_texts
 from graphtrack.table.rows import Rows
+from graphtrack.table.schema import NAMES, is_column, repeated, unknown
 from graphtrack.tracks import TrackSet, to_columns
 
 
@@ -36,7 +36,7 @@ def _looks_like_csv(head: bytes, path: Path) -> bool:
     """Whether the first line names at least two columns of the native table."""
     first = head.removeprefix(b"\xef\xbb\xbf").lstrip().split(b"\n", 1)[0].decode("utf-8", errors="replace")
     cells = {cell.strip().strip('"') for cell in first.split(",")}
-    return len(cells & set(schema.NAMES)) >= 2
+    return len(cells & set(NAMES)) >= 2
 
 
 _SMALL = 200_000
@@ -51,7 +51,7 @@ def _read_csv(source: Source, options: ReadOptions) -> Rows:
     if columns is None:
         columns, lines = _read_slowly(source, header)
         line_of = lines.__getitem__
-    ignored = schema.unknown(header)
+    ignored = unknown(header)
     rows = from_columns(
         columns, path=source.path, format="csv", fps=options.fps, line_of=line_of, ignored=ignored
     )
@@ -66,12 +66,12 @@ def _header(source: Source) -> list[str]:
         header = [name.strip() for name in next(csv.reader([first]))]
     except csv.Error as error:
         raise InputError(str(error), "a header", path=source.path, line=1) from error
-    if header[0].startswith("#") and not set(header) & set(schema.NAMES):
+    if header[0].startswith("#") and not set(header) & set(NAMES):
         line = _lines_to_data(source)
         raise InputError("a comment", "a header, without comments before it", path=source.path, line=line)
-    if len(set(header) & set(schema.NAMES)) < 2 and (other := other_delimiter(source)) is not None:
+    if len(set(header) & set(NAMES)) < 2 and (other := other_delimiter(source)) is not None:
         raise other
-    twice = schema.repeated(header)
+    twice = repeated(header)
     if twice is not None:
         raise InputError(f"column {twice!r} twice", "each column once", path=source.path, line=1)
     return header
@@ -82,7 +82,7 @@ def _read_fast(source: Source, header: list[str]) -> dict[str, NDArray[Any]] | N
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    names = [name for name in header if schema.is_column(name)]
+    names = [name for name in header if is_column(name)]
     types = {name: pa.string() if name == "label" else pa.float64() for name in names}
     try:
         table = arrow_csv.read_csv(
@@ -132,7 +132,7 @@ def _read_slowly(source: Source, header: list[str]) -> tuple[dict[str, NDArray[A
     """The columns and the line of each row, cell by cell: the definition of what is accepted."""
     start = _lines_to_data(source)
     reader = csv.reader(io.StringIO("\n".join(source.lines[start:]), newline=""), strict=True)
-    wanted = [(j, name) for j, name in enumerate(header) if schema.is_column(name)]
+    wanted = [(j, name) for j, name in enumerate(header) if is_column(name)]
     cells: dict[str, list[Any]] = {name: [] for _, name in wanted}
     lines: list[int] = []
     while True:

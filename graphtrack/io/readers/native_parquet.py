@@ -16,11 +16,11 @@ from graphtrack.io.cameras import place_pixels
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.table import schema
 from graphtrack.table.arrow import arrow_array
 from graphtrack.table.as_read import restored
 from graphtrack.table.columns import from_columns
 from graphtrack.table.rows import Rows
+from graphtrack.table.schema import in_order, unknown
 from graphtrack.tracks import TrackSet, to_columns
 
 if TYPE_CHECKING:
@@ -42,13 +42,13 @@ def _read_parquet(source: Source, options: ReadOptions) -> Rows:
     with damage_told(source.path):
         file = pq.ParquetFile(io.BytesIO(source.data), page_checksum_verification=True)
         names = file.schema_arrow.names
-        known = schema.in_order(names)
+        known = in_order(names)
         if len(set(names)) < len(names):
             raise InputError("a column twice", "each column once", path=source.path)
         table = file.read(columns=list(known))
         table.validate(full=True)
     columns = {name: column_values(table.column(name), name, source.path) for name in known}
-    ignored = schema.unknown(names)
+    ignored = unknown(names)
     rows = from_columns(
         columns,
         path=source.path,

@@ -22,11 +22,21 @@ from graphtrack.io.cameras import place_pixels
 from graphtrack.io.format import Format
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source, mostly
-from graphtrack.table import schema
 from graphtrack.table.as_read import restored
 from graphtrack.table.columns import from_columns
 from graphtrack.table.moments import date_texts
 from graphtrack.table.rows import Rows
+from graphtrack.table.schema import (
+    INTEGERS,
+    NO_CLASS,
+    Column,
+    expected_group,
+    expected_integer,
+    numeric,
+    repeated,
+    together,
+    unknown,
+)
 from graphtrack.tracks import TrackSet, to_columns
 
 Pairs = tuple[tuple[str, Any], ...]
@@ -100,17 +110,17 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
     """
     given = dict(pairs)
     if len(given) < len(pairs):
-        twice = schema.repeated(name for name, _ in pairs)
+        twice = repeated(name for name, _ in pairs)
         raise InputError(f"the key {_cut(repr(twice))} twice", "each key once")
     cells: dict[str, Any] = {
         name: _whole(name, given.get(name))
-        for name in schema.INTEGERS
+        for name in INTEGERS
         if name not in optional or given.get(name) is not None
     }
     for name, value in pairs:
         if value is None:
             continue
-        column = schema.numeric(name)
+        column = numeric(name)
         if column is not None:
             within = type(value) is float and column.bounds.low < value < column.bounds.high
             cells[name] = value if within else _number(column, value)
@@ -118,7 +128,7 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
             if not isinstance(value, str) or isinstance(value, _Literal):
                 raise InputError(_shown(value), "text or null", column=name)
             cells[name] = value
-    for group in schema.together(tuple(cells)):
+    for group in together(tuple(cells)):
         _check_group(group, cells)
     return cells
 
@@ -126,7 +136,7 @@ def read_cells(pairs: Pairs, optional: Collection[str] = ()) -> dict[str, Any]:
 def identity(pairs: Pairs) -> dict[str, int | None]:
     """Track and frame of a line that cannot be used, as far as they can be read."""
     found: dict[str, int | None] = {}
-    for name in schema.INTEGERS:
+    for name in INTEGERS:
         values = [value for key, value in pairs if key == name]
         try:
             found[name] = _whole(name, values[0]) if len(values) == 1 else None
@@ -136,16 +146,16 @@ def identity(pairs: Pairs) -> dict[str, int | None]:
 
 
 def _whole(name: str, value: Any) -> int:
-    highest = schema.INTEGERS[name]
+    highest = INTEGERS[name]
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if type(value) is not int or abs(value) > highest:
         found = "nothing" if value is None else _shown(value)
-        raise InputError(found, schema.expected_integer(highest), column=name)
+        raise InputError(found, expected_integer(highest), column=name)
     return value
 
 
-def _number(column: schema.Column, value: Any) -> float:
+def _number(column: Column, value: Any) -> float:
     if type(value) not in (float, int):
         raise InputError(_shown(value), "a finite number or null", column=column.name)
     if not column.bounds.low <= value <= column.bounds.high:
@@ -156,9 +166,9 @@ def _number(column: schema.Column, value: Any) -> float:
 def _check_group(group: tuple[str, ...], cells: dict[str, Any]) -> None:
     missing = [name for name in group if name not in cells]
     if missing and len(missing) < len(group):
-        raise InputError("an empty cell", schema.expected_group(group), column=missing[0])
+        raise InputError("an empty cell", expected_group(group), column=missing[0])
     if not missing and group[0].endswith("_p0") and not any(cells[name] for name in group):
-        raise InputError(*schema.NO_CLASS, column=group[0])
+        raise InputError(*NO_CLASS, column=group[0])
 
 
 def _shown(value: Any) -> str:
@@ -241,7 +251,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
         format="ndjson",
         fps=options.fps,
         line_of=lambda i: kept[i].line,
-        ignored=schema.unknown(keys),
+        ignored=unknown(keys),
     )
     placed = place_pixels(native, options)
     return replace(placed, refused={**placed.refused, **refused})
@@ -275,11 +285,11 @@ def _last_answers(rows: list[_Row]) -> list[_Row]:
 def _columns(rows: list[_Row], keys: Iterable[str]) -> dict[str, NDArray[Any]]:
     columns: dict[str, NDArray[Any]] = {}
     for name in keys:
-        if name in schema.INTEGERS:
+        if name in INTEGERS:
             columns[name] = np.array([row.cells.get(name, -1) for row in rows], dtype=np.int64)
         elif name == "label":
             columns[name] = np.array([row.cells.get(name) for row in rows], dtype=object)
-        elif schema.numeric(name) is not None:
+        elif numeric(name) is not None:
             columns[name] = np.array([row.cells.get(name, np.nan) for row in rows], dtype=float)
     return columns
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack import bounds
+from graphtrack.bounds import LARGEST_SECONDS
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import wrap
 from graphtrack.io.format import Format
@@ -41,7 +41,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
     names = ("t", *(f"{name} of {label}" for label in ids.values() for name in _PERSON))
     table = read_numbers(text, delimiter=None, widths=(1 + 5 * people,), names=names)
     steps = len(table.values)
-    t = table.bounded(0, -bounds.LARGEST_SECONDS, bounds.LARGEST_SECONDS)
+    t = table.bounded(0, -LARGEST_SECONDS, LARGEST_SECONDS)
     late = np.flatnonzero(np.diff(t) <= 0.0)
     if len(late):
         raise table.fail(int(late[0]) + 1, 0, "a time after that of the row before")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from graphtrack import bounds
+from graphtrack.bounds import LARGEST_ID
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.cameras import camera_or_scale, known_camera, on_ground, read_calibration
@@ -55,7 +55,7 @@ def read_boxes(source: Source, options: ReadOptions = ReadOptions()) -> Rows:
     """Rows with the channel ``box`` (n, 4), left, top, width and height in the file's own pixels."""
     table = read_numbers(source, delimiter=",", widths=(6,), names=_NAMES)
     box = np.column_stack([table.pixels(2), table.pixels(3), table.sizes(4), table.sizes(5)])
-    track_id, frame = table.integers(1, bounds.LARGEST_ID), table.integers(0)
+    track_id, frame = table.integers(1, LARGEST_ID), table.integers(0)
     return Rows(source.path, "towncentre", track_id, frame, {"box": box}, table.line_of)
 
 

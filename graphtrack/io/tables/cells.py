@@ -16,8 +16,8 @@ from graphtrack.errors import InputError
 from graphtrack.io.readers.native_parquet import damage_told
 from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.io.source import Source
-from graphtrack.table import schema
 from graphtrack.table.columns import frame_of
+from graphtrack.table.schema import repeated
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def _names(source: Source, row: list[str], line: int) -> list[str]:
     names = [name.strip() for name in row]
     # A table with the numbers of its rows has no name above them.
     names = [name or f"column {k + 1}" for k, name in enumerate(names)]
-    twice = schema.repeated(names)
+    twice = repeated(names)
     if twice is not None:
         raise InputError(f"column {twice!r} twice", "each column once", path=source.path, line=line)
     return names
@@ -137,7 +137,7 @@ def cells_of_arrow(table: Any, path: Path, format: str) -> Cells:
     import pyarrow as pa
 
     names = table.column_names
-    twice = schema.repeated(names)
+    twice = repeated(names)
     if twice is not None:
         raise InputError(f"column {twice!r} twice", "each column once", path=path)
     columns, zones = {}, {}
@@ -169,7 +169,7 @@ def cells_of_frame(table: Any) -> Cells:
         return cells_of_arrow(pa.table(table), path, "table")
     frame = frame_of(table)
     names = [str(name) for name in frame.columns]
-    twice = schema.repeated(names)
+    twice = repeated(names)
     if twice is not None:
         raise InputError(f"column {twice!r} twice", "each column once", path=path)
     columns, zones = {}, {}

@@ -17,11 +17,11 @@ from graphtrack.io.layout import Layout
 from graphtrack.io.tables.cells import Cells
 from graphtrack.io.tables.values import identities, is_empty, numbers, times
 from graphtrack.io.tables.wide import IDENTITY, long
-from graphtrack.table import schema
 from graphtrack.table.as_read import ANGLES, DEGREES, LENGTHS, TRUE_DEGREES, AsRead
 from graphtrack.table.columns import from_columns
 from graphtrack.table.plane import WGS84, Plane
 from graphtrack.table.rows import Rows
+from graphtrack.table.schema import is_column, unknown
 
 _PAIRS = {DEGREES: ("x", "y"), TRUE_DEGREES: ("true_x", "true_y")}
 _HIGHEST = {"lat": 90.0, "lon": 360.0, "true_lat": 90.0, "true_lon": 360.0}
@@ -76,7 +76,7 @@ def rows_of_cells(
             format=cells.format,
             fps=fps,
             line_of=cells.line_of,
-            ignored=[name for name in schema.unknown(ignored) if name != IDENTITY],
+            ignored=[name for name in unknown(ignored) if name != IDENTITY],
             notes=tuple(notes),
         )
     except InputError as error:
@@ -101,7 +101,7 @@ def _named(cells: Cells, layout: Layout) -> dict[str, str]:
             meant |= {*metres} if pair == DEGREES else set()
     for name in cells.columns:
         of_truth = degrees and name in TRUE_DEGREES
-        if (schema.is_column(name) or of_truth) and name not in meant and name not in named.values():
+        if (is_column(name) or of_truth) and name not in meant and name not in named.values():
             named[name] = name
     return named
 

@@ -17,7 +17,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.layout import SHORT, WILD
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.source import Source
-from graphtrack.table import schema
+from graphtrack.table.schema import is_column
 
 SYNONYMS: Mapping[str, tuple[str, ...]] = {
     key: tuple(names.split())
@@ -167,7 +167,7 @@ def with_synonyms(
         fitting = [
             name
             for name in names
-            if not schema.is_column(name)
+            if not is_column(name)
             and (meaning := plain(name))[0] in words
             and (not meaning[1] or meaning[1] in units)
         ]
@@ -193,7 +193,7 @@ def with_synonyms(
             units=options.units or LENGTHS.get(str(units)),
         )
     if "track_id" not in native | found.keys():
-        like = meanings(name for name in names if not schema.is_column(name)).get("id")
+        like = meanings(name for name in names if not is_column(name)).get("id")
         if like is not None:
             notes.append(f"column {shortened(like)} may be an identity and was not read: --columns id={like}")
     return options, tuple(notes)
