@@ -46,13 +46,6 @@ def test_filling_is_smoothing_with_empty_rows():
     np.testing.assert_allclose(by_filling.position[there], without.position, atol=1e-8)
 
 
-def test_steps_of_a_recording_are_no_gaps():
-    every_fifth = walk()[::5]
-    assert filled(gt.TrackSet((every_fifth,))).tracks[0] is every_fifth
-    beside = filled(gt.TrackSet((walk(track_id=2), walk()[[0, 1, 2, 5, 6, 7]])))
-    assert [len(track) for track in beside] == [60, 8]
-
-
 def test_gaps_beyond_the_longest_are_left_and_counted():
     track = gt.Track(1, frame=[0, 1, 2, 36_000], t=[0.0, 0.1, 0.2, 3600.0], position=np.zeros((4, 2)))
     tracks = gt.TrackSet((track,))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,11 +85,6 @@ def test_positions_alone_are_told_how_to_become_a_track(entry) -> None:
     assert "no/such.csv" in refused(entry, "no/such.csv")
 
 
-def test_a_quantity_that_is_none_is_told_the_known_ones() -> None:
-    for track in (PERSON, gt.smooth(PERSON, "position")):
-        assert "one of x, y, vx, vy, body, head" in refused(track.std, "z")
-
-
 def test_a_missing_id_is_told_those_that_are_there() -> None:
     for key in (7, "1"):
         with pytest.raises(KeyError) as caught:
@@ -101,12 +95,6 @@ def test_a_missing_id_is_told_those_that_are_there() -> None:
     many = TrackSet(tuple(replace(PERSON, track_id=i) for i in range(300)))
     with pytest.raises(KeyError, match="and 290 more"):
         many[1000]
-
-
-def test_a_slice_is_of_places() -> None:
-    people = PEOPLE.with_tracks(reversed(PEOPLE.tracks))
-    assert [track.track_id for track in people[0:2]] == [2, 1]
-    assert isinstance(people[:0], TrackSet) and not len(people[:0])
 
 
 def test_columns_that_are_none_are_named() -> None:
@@ -191,19 +179,6 @@ def test_an_observation_that_no_engine_could_use_names_its_channel(engine) -> No
     assert smoother.update(gt.Observation(0.0, position=(0.0, 0.0))).status == "new"
 
 
-def test_an_observation_may_have_arrays_and_lists() -> None:
-    for position in (PERSON.position[0], PERSON.position[0].tolist()):
-        estimate = gt.OnlineSmoother("separate").update(gt.Observation(0.0, position=position))
-        np.testing.assert_allclose(estimate.position, PERSON.position[0])
-
-
-def test_nothing_of_it_warns() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        TrackSet.from_table(COLUMNS)
-        refused(replace, PERSON, position=np.full((12, 2), 1e200))
-
-
 def test_whatever_takes_tracks_takes_paths_and_tables_and_refuses_the_rest(path, tmp_path) -> None:
     entries = {
         "groups": gt.groups,
@@ -229,11 +204,6 @@ def test_what_cannot_be_read_or_written_is_refused(path, tmp_path) -> None:
         assert "path of a file" in refused(gt.write, PEOPLE, stream)
     assert "found a int among tracks" in refused(TrackSet, (1, 2))
     assert not (tmp_path / "out.csv").exists()
-
-
-def test_unknown_options_alone_are_named(path) -> None:
-    for entry in (gt.read, gt.smooth):
-        assert refused(entry, path, fsp=10).startswith("found unknown options fsp, expected some of fps")
 
 
 def test_a_file_is_read_once(path, tmp_path) -> None:
@@ -273,8 +243,3 @@ def test_settings_that_are_no_numbers_are_refused() -> None:
         assert "lag" in refused(gt.track_online, PERSON, model="position", lag=wrong)
         assert "fps" in refused(gt.simulate, fps=wrong)
         assert "n_tracks" in refused(gt.simulate, n_tracks=wrong)
-
-
-def test_one_method_may_be_named_by_itself() -> None:
-    assert {row["method"] for row in gt.compare(PEOPLE, "kf", model="position").rows} == {"kf"}
-    assert "method 'fk'" in refused(gt.compare, PEOPLE, "fk")

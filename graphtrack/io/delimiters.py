@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
 
 from graphtrack.errors import InputError
 from graphtrack.io.source import Source
@@ -71,3 +74,30 @@ def _are_numbers(rows: Sequence[Sequence[str]]) -> bool:
     """Whether most rows are at least `_FEWEST` numbers, with decimal points or commas."""
     good = sum(len(row) >= _FEWEST and all(_NUMBER.fullmatch(cell) for cell in row if cell) for row in rows)
     return 2 * good > len(rows)
+
+
+def csv_rows(
+    path: Path, lines: Sequence[str], mark: str = ",", first: int = 1
+) -> Iterator[tuple[int, list[str]]]:
+    """The rows of lines of text with a mark between their cells, each with the number of its first line.
+
+    Parameters
+    ----------
+    first : number of the first of the lines in the file
+    """
+    reader = csv.reader(io.StringIO("\n".join(lines), newline=""), delimiter=mark, strict=True)
+    while True:
+        line = first + reader.line_num
+        try:
+            row = next(reader, None)
+        except csv.Error as error:
+            found = str(error) if mark == "," else f"{error} with {mark!r} between cells"
+            raise InputError(found, "a CSV row", path=path, line=line) from error
+        if row is None:
+            return
+        yield line, row
+
+
+def is_blank(row: Sequence[str]) -> bool:
+    """Return whether a row of a text file holds nothing."""
+    return len(row) <= 1 and not any(cell.strip() for cell in row)

@@ -9,9 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphtrack.bounds import LARGEST_ID, LARGEST_SECONDS
 from graphtrack.errors import InputError, InputWarning
+from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.atomic import atomic_path
 from graphtrack.io.numbers import expected_number, parse_number
 from graphtrack.io.source import Source
@@ -114,30 +116,34 @@ def _group(source: Source, line: int, cells: list[str]) -> frozenset[int]:
     return frozenset(group)
 
 
-def _read_table(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
+def _rows_of_table(source: Source, lines: list[tuple[int, str]]) -> tuple[NDArray[np.int64], FloatArray]:
+    """Line, frame, track and group (n, 4) of the rows of a table, and their times (n,) or NaN."""
     header = [cell.strip() for cell in next(csv.reader([lines[0][1]]))]
-    places = [header.index(name) for name in _NEEDED]
-    frames: dict[int, dict[int, int]] = {}
-    line_of: dict[int, int] = {}
+    rows: list[tuple[int, ...]] = []
+    times: list[float] = []
     for number, line in lines[1:]:
         cells = next(csv.reader([line]))
         if len(cells) != len(header):
             raise InputError(f"{len(cells)} columns", str(len(header)), path=source.path, line=number)
-        frame, person, group = (
-            _whole(source, number, name, cells[place]) for name, place in zip(_NEEDED, places, strict=True)
-        )
+        of = dict(zip(header, cells, strict=True))
+        rows.append((number, *(_whole(source, number, name, of[name]) for name in _NEEDED)))
+        value = parse_number(of.get("t", "").strip())
+        times.append(np.nan if value is None else value)
+    if not rows:
+        raise InputError("no rows", "at least one row", path=source.path)
+    return np.array(rows, dtype=np.int64), np.array(times)
+
+
+def _read_table(source: Source, lines: list[tuple[int, str]]) -> GroupLabels:
+    frames: dict[int, dict[int, int]] = {}
+    line_of: dict[int, int] = {}
+    for number, frame, person, group in _rows_of_table(source, lines)[0].tolist():
         of_frame = frames.setdefault(frame, {})
         line_of.setdefault(frame, number)
         if person in of_frame:
-            raise InputError(
-                f"person {person} twice in frame {frame}",
-                "each person in one group",
-                path=source.path,
-                line=number,
-            )
+            found = f"person {person} twice in frame {frame}"
+            raise InputError(found, "each person in one group", path=source.path, line=number)
         of_frame[person] = group
-    if not frames:
-        raise InputError("no rows", "at least one row", path=source.path)
     steps = []
     for frame in sorted(frames):
         members: dict[int, set[int]] = {}
@@ -161,12 +167,8 @@ def read_group_rows(path: str | Path) -> dict[str, np.ndarray]:
     source = Source.open(path)
     lines = [(number, line) for number, line in enumerate(source.lines, 1) if line.strip()]
     _read_table(source, lines)
-    rows = list(csv.DictReader([line for _, line in lines], skipinitialspace=True))
-    found: dict[str, np.ndarray] = {
-        name: np.array([int(float(row[name])) for row in rows], dtype=np.int64) for name in _NEEDED
-    }
-    found["t"] = np.array([_seconds(row.get("t")) for row in rows], dtype=float)
-    return found
+    rows, times = _rows_of_table(source, lines)
+    return {**dict(zip(_NEEDED, rows[:, 1:].T, strict=True)), "t": times}
 
 
 def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
@@ -175,8 +177,3 @@ def write_columns(columns: Mapping[str, np.ndarray], path: str | Path) -> None:
 
     with atomic_path(path) as temporary:
         write(columns, temporary)
-
-
-def _seconds(cell: str | None) -> float:
-    value = parse_number((cell or "").strip())
-    return np.nan if value is None else value

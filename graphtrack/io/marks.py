@@ -9,7 +9,7 @@ import re
 from dataclasses import replace
 
 from graphtrack.errors import InputError
-from graphtrack.io.delimiters import SEP_LINE
+from graphtrack.io.delimiters import SEP_LINE, csv_rows, is_blank
 from graphtrack.io.source import Source
 
 DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "bar": "|"}
@@ -74,26 +74,16 @@ def _with_commas(source: Source, mark: str, decimal: str | None) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
 
-    def write(row: list[str]) -> None:
-        if len(row) <= 1 and not any(cell.strip() for cell in row):
+    rows = (
+        (line.split() for line in lines)
+        if mark == " "
+        else (row for _, row in csv_rows(source.path, lines, mark))
+    )
+    for row in rows:
+        if is_blank(row):
             out.write("\n")
-            return
-        if decimal == ",":
-            row = [cell.replace(",", ".") if _DECIMAL.fullmatch(cell) else cell for cell in row]
-        writer.writerow(row)
-
-    if mark == " ":
-        for line in lines:
-            write(line.split())
-        return out.getvalue()
-    reader = csv.reader(io.StringIO("\n".join(lines), newline=""), delimiter=mark, strict=True)
-    while True:
-        line_number = reader.line_num + 1
-        try:
-            row = next(reader, None)
-        except csv.Error as error:
-            found = f"{error} with {mark!r} between cells"
-            raise InputError(found, "cells that are whole", path=source.path, line=line_number) from error
-        if row is None:
-            return out.getvalue()
-        write(row)
+        elif decimal == ",":
+            writer.writerow([cell.replace(",", ".") if _DECIMAL.fullmatch(cell) else cell for cell in row])
+        else:
+            writer.writerow(row)
+    return out.getvalue()

@@ -6,7 +6,6 @@ import errno
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 
 from graphtrack.errors import InputError
@@ -55,8 +54,7 @@ def check_distinct(
 ) -> None:
     """Refuse outputs that cannot be written, or that would take the place of an input or of one another.
 
-    Paths are compared by what they mean: through symbolic and hard links, spellings such as ``./``, and the
-    case of letters where the file system does not tell it.
+    Paths are compared by what they mean: through symbolic and hard links, and spellings such as ``./``.
 
     Parameters
     ----------
@@ -142,16 +140,4 @@ def _identity(path: Path) -> _Identity:
     if not folder.is_dir():
         return (str(final),)
     status = folder.stat()
-    return status.st_dev, status.st_ino, final.name.casefold() if _ignores_case(folder) else final.name
-
-
-def _ignores_case(folder: Path) -> bool:
-    """Whether names in a folder that differ in their case alone are one to the file system."""
-    try:
-        for entry in chain(folder.iterdir(), [folder]):
-            other = entry.with_name(entry.name.swapcase()) if entry.name else entry
-            if other.name != entry.name:
-                return other.exists() and other.samefile(entry)
-    except PermissionError:  # a folder that can be written to and not be looked into
-        pass
-    return False
+    return status.st_dev, status.st_ino, final.name

@@ -7,9 +7,13 @@ the rotations about the axes (radians).
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from graphtrack.bounds import LARGEST_CONCENTRATION
 from graphtrack.geometry.angles import FloatArray
+
+_AXES = {"x": [1.0, 0.0, 0.0], "z": [0.0, 0.0, 1.0]}
 
 _STEEP = 0.1
 """Of an axis: the part along the ground (sine of its angle to the vertical) below which it has no heading."""
@@ -28,14 +32,19 @@ def yaw_of(quaternion: FloatArray, axis: str = "x") -> FloatArray:
     (n,) NaN where the quaternion is 0 or not finite, or the axis stands upright
     """
     quaternion = np.asarray(quaternion, dtype=float).reshape(-1, 4)
-    with np.errstate(all="ignore"):
-        x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-        if axis == "x":
-            along, across = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
-        else:
-            along, across = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x)
-        # A comparison with NaN is false.
-        return np.where(np.hypot(along, across) > _STEEP, np.arctan2(across, along), np.nan)
+    known = _is_rotation(quaternion)
+    turned = np.full((len(quaternion), 3), np.nan)
+    if known.any():
+        turned[known] = Rotation.from_quat(quaternion[known]).apply(_AXES[axis])
+    # A comparison with NaN is false.
+    level = np.hypot(turned[:, 0], turned[:, 1]) > _STEEP
+    return np.where(level, np.arctan2(turned[:, 1], turned[:, 0]), np.nan)
+
+
+def _is_rotation(quaternion: FloatArray) -> NDArray[np.bool_]:
+    with np.errstate(invalid="ignore"):
+        length = np.linalg.norm(quaternion, axis=1)
+    return np.asarray((length > 0.0) & np.isfinite(length))
 
 
 def quaternion_of(yaw: FloatArray) -> FloatArray:
@@ -47,9 +56,7 @@ def quaternion_of(yaw: FloatArray) -> FloatArray:
 
 def multiplied(first: FloatArray, second: FloatArray) -> FloatArray:
     """The quaternions (n, 4) of turning by the second, then by the first."""
-    from scipy.spatial.transform import Rotation
-
-    known = (np.linalg.norm(second, axis=1) > 0.0) & np.isfinite(second).all(axis=1)
+    known = _is_rotation(second)
     found = np.zeros_like(second)
     if known.any():
         found[known] = (Rotation.from_quat(first[known]) * Rotation.from_quat(second[known])).as_quat()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -52,14 +53,10 @@ class Placement:
 
     def turn(self) -> FloatArray:
         """(n, 3, 3) rotation matrices."""
-        from scipy.spatial.transform import Rotation
-
         return Rotation.from_quat(self.quaternion).as_matrix()
 
     def after(self, inner: Placement) -> Placement:
         """Where that is which has a placement in this frame."""
-        from scipy.spatial.transform import Rotation
-
         outer = Rotation.from_quat(self.quaternion)
         turned = outer * Rotation.from_quat(inner.quaternion)
         place = outer.apply(inner.translation) + self.translation
@@ -67,8 +64,6 @@ class Placement:
 
     def inverse(self) -> Placement:
         """The pose of the other in the one."""
-        from scipy.spatial.transform import Rotation
-
         back = Rotation.from_quat(self.quaternion).inv()
         return Placement(back.as_quat(), -back.apply(self.translation), self.known)
 
@@ -156,8 +151,6 @@ class Transforms:
 
 def _at(link: _Link, stamps: NDArray[np.int64]) -> Placement:
     """A link's poses at some times, between those that were told."""
-    from scipy.spatial.transform import Rotation, Slerp
-
     n = len(stamps)
     told, poses = _in_order(link)
     if not len(told):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -30,14 +27,3 @@ def test_columns_are_what_pyarrow_makes_of_them(values: np.ndarray) -> None:
     found, expected = arrow_array(values), pa.array(values, from_pandas=True)
     found.validate(full=True)
     assert found.type == expected.type and found.equals(expected)
-
-
-def test_a_table_is_written_without_pandas() -> None:
-    lines = (
-        "import sys, numpy as np, pyarrow as pa",
-        "from graphtrack.table.arrow import arrow_array",
-        "columns = [np.ones(2), np.arange(2), np.array(['a', None], dtype=object)]",
-        "pa.table({str(k): arrow_array(column) for k, column in enumerate(columns)})",
-        "assert 'pandas' not in sys.modules",
-    )
-    subprocess.run([sys.executable, "-c", "\n".join(lines)], check=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_samples import eth, mot
+from format_samples import mot
 
 from graphtrack import io
 from graphtrack.errors import InputError
@@ -44,13 +44,6 @@ def test_a_native_table_is_diagnosed(mark: str, decimal: str, before: str, name:
     np.testing.assert_allclose(track.position[:, 0], 1.5 + np.arange(4) / 8)
 
 
-@pytest.mark.parametrize("mark", NAMES)
-def test_a_header_alone_is_enough(mark: str, tmp_path: Path) -> None:
-    path = tmp_path / "header.csv"
-    path.write_text(TABLE.splitlines()[0].replace(",", mark) + "\n")
-    assert f"{NAMES[mark]} between the cells" in refused(path).found
-
-
 @pytest.mark.parametrize("mark", [";", "\t"])
 @pytest.mark.parametrize("format", [None, "mot"])
 def test_numbers_without_a_header_are_diagnosed(format: str | None, mark: str, tmp_path: Path) -> None:
@@ -62,12 +55,6 @@ def test_numbers_without_a_header_are_diagnosed(format: str | None, mark: str, t
     assert NAMES[mark] in error.found
     found = io.read(path, **named(error))
     np.testing.assert_array_equal(found[1].pixel, expected[1].pixel)
-
-
-def test_numbers_between_tabs_are_what_a_format_of_white_space_expects(tmp_path: Path) -> None:
-    path = tmp_path / "obsmat.txt"
-    path.write_bytes(eth().replace(b" ", b"\t"))
-    assert io.read(path).summary.format == "eth"
 
 
 @pytest.mark.parametrize("name", ["table.csv", "table.txt"])

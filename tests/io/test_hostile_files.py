@@ -96,27 +96,6 @@ def test_terminals_that_are_not_utf8_show_escapes(tmp_path: Path, name: str) -> 
     assert "1 track" in done.stdout and "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "utf-32-le", "utf-32-be", "utf-16-le", "utf-16-be"])
-def test_wide_encodings_are_read_or_the_hint_reads_them(tmp_path: Path, encoding: str) -> None:
-    path = tmp_path / "a.csv"
-    path.write_bytes(TEXT.encode(encoding))
-    options: dict[str, str] = {}
-    if encoding[-2:] in ("le", "be"):
-        with pytest.raises(InputError, match="--encoding") as caught:
-            gt.read(path)
-        options["encoding"] = str(caught.value).split("--encoding ")[1].split()[0]
-    assert gt.read(path, **options).n_frames == 20
-
-
-def test_one_mark_cannot_separate_cells_and_decimals(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text(TEXT)
-    with pytest.raises(InputError, match="two different marks"):
-        gt.read(path, delimiter=",", decimal=",")
-    with pytest.raises(InputError, match="two different marks"):
-        gt.read(path, delimiter="comma", decimal=",")
-
-
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
 @pytest.mark.parametrize("zone", [None, "UTC"])
 def test_parquet_with_timestamps_is_read(tmp_path: Path, unit: str, zone: str | None) -> None:
@@ -139,37 +118,6 @@ def _stream(path: Path, folder: Path) -> None:
     from graphtrack.scale import open_dataset, smooth_dataset
 
     smooth_dataset(open_dataset(path), folder / "o.parquet", model=gt.Model("position"))
-
-
-@pytest.mark.parametrize("bad", [np.inf, 1e12])
-def test_streamed_or_not_an_error_names_the_same_line(tmp_path: Path, bad: float) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    path, n = tmp_path / "a.parquet", 400
-    frame = np.arange(n) // 7
-    columns = {
-        "track_id": np.arange(n) % 7,
-        "frame": frame,
-        "t": frame / 10,
-        "x": frame / 10,
-        "y": frame / 10,
-    }
-    columns["x"][333] = bad
-    pq.write_table(pa.table(columns), path, row_group_size=50)
-    with pytest.raises(InputError) as whole:
-        gt.read(path)
-    with pytest.raises(InputError) as streamed:
-        _stream(path, tmp_path)
-    assert streamed.value.line == whole.value.line == 334
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_byte_order_marks_are_no_part_of_the_first_name(tmp_path: Path, count: int) -> None:
-    path = tmp_path / "a.csv"
-    path.write_bytes(b"\xef\xbb\xbf" * count + TEXT.encode())
-    assert gt.read(path)[1].position.shape == (20, 2)
-    assert not any("ignored" in note for note in gt.read(path).summary.notes)
 
 
 def test_a_comment_before_the_header_is_told(tmp_path: Path) -> None:
@@ -216,22 +164,6 @@ def test_brackets_without_end_in_a_model_file_are_one_error(tmp_path: Path) -> N
     for load in (gt.Model.load, gt.ForecastParameters.load, load_parameters):
         with pytest.raises(InputError, match="brackets within brackets"):
             load(path)
-
-
-def test_a_time_of_the_day_is_not_said_to_be_read_with_an_option(tmp_path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    x = np.arange(5.0)
-    columns = {
-        "track_id": [1] * 5,
-        "frame": range(5),
-        "t": pa.array(range(5), pa.time32("s")),
-        "x": x,
-        "y": x,
-    }
-    pq.write_table(pa.table({name: pa.array(one) for name, one in columns.items()}), tmp_path / "a.parquet")
-    assert "--no-stream" not in refused(tmp_path / "a.parquet")
 
 
 def test_an_empty_pattern_selects_nobody(tmp_path: Path) -> None:

@@ -14,8 +14,6 @@ import graphtrack as gt
 from graphtrack import io
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
-from graphtrack.io.readers.ndjson import parse_line, read_cells
-from graphtrack.scale import smooth_dataset
 from graphtrack.tracks import Track
 
 TOO_LARGE = [2**53, 2**53 + 1, -(2**53), -(2**53) - 1, 2**62, 2**63 + 2**53]
@@ -82,22 +80,6 @@ def test_larger_ones_are_refused(reader: str, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="id") as caught:
             READERS[reader](identity, tmp_path)
         assert caught.value.line is not None
-
-
-def test_a_stream_refuses_them_too() -> None:
-    text = '{"track_id": %d, "frame": 1, "t": 0.1, "x": 0, "y": 0}'
-    assert read_cells(parse_line(text % LARGEST_ID))["track_id"] == LARGEST_ID
-    for identity in TOO_LARGE:
-        with pytest.raises(InputError, match=f"column track_id: found {identity}"):
-            read_cells(parse_line(text % identity))
-
-
-def test_a_data_set_refuses_them_too(tmp_path: Path) -> None:
-    for identity in (2**53, 2**53 + 1):
-        (tmp_path / "parts" / f"track_id={identity}").mkdir(parents=True)
-        rows(0).drop(columns="track_id").to_parquet(tmp_path / "parts" / f"track_id={identity}" / "a.parquet")
-    with pytest.raises(InputError, match="column track_id"):
-        smooth_dataset(tmp_path / "parts", tmp_path / "out.parquet", "position")
 
 
 def test_a_track_has_no_other_identity() -> None:

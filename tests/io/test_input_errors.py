@@ -100,14 +100,6 @@ def test_rows_of_another_width(sample: Sample, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sample", DELIMITED, ids=name_of)
-def test_a_file_cut_within_a_row(sample: Sample, tmp_path: Path) -> None:
-    path = sample.write(tmp_path)
-    data = path.read_bytes().rstrip()
-    path.write_bytes(data[: max(data.rindex(b"\n") + 4, 0)])
-    assert refused(path).line == data.count(b"\n") + 1
-
-
-@pytest.mark.parametrize("sample", DELIMITED, ids=name_of)
 def test_the_same_row_twice(sample: Sample, tmp_path: Path) -> None:
     path = sample.write(tmp_path)
     lines = path.read_bytes().rstrip().split(b"\n")
@@ -182,15 +174,6 @@ def test_boxes_without_a_size(sample: Sample, size: str, tmp_path: Path) -> None
     path.write_text(",".join(cells))
     error = refused(path)
     assert (error.line, error.column) == (1, "width")
-
-
-def test_caviar_boxes_without_a_size(tmp_path: Path) -> None:
-    path = sample_of("caviar").write(tmp_path)
-    text = path.read_text()
-    path.write_text(text.replace('w="18"', 'w="-18"', 1))
-    assert refused(path).column == "box w"
-    path.write_text(text.replace('w="18"', 'w="0"', 1))
-    assert io.read(path).summary.refused == {"with an empty box": 1}
 
 
 @pytest.mark.parametrize("format", ["csv", "mot", "towncentre", "eth"])
@@ -342,13 +325,6 @@ def test_native_tables(text: str, column: str | None, line: int | None, tmp_path
     error = refused(path)
     assert error.column == column
     assert error.line == line
-
-
-def test_class_likelihoods_that_are_all_zero(tmp_path: Path) -> None:
-    path = tmp_path / "table.csv"
-    names = ",".join(f"body_p{k}" for k in range(8))
-    path.write_text(f"track_id,frame,t,x,y,{names}\n1,0,0,5,5" + ",0" * 8 + "\n")
-    assert refused(path).line == 2
 
 
 def test_options_that_do_not_exist_or_make_no_sense(tmp_path: Path) -> None:

@@ -93,19 +93,6 @@ def test_a_table_says_where_its_inputs_are_wrong(case: str, tmp_path: Path) -> N
         io.read(path)
 
 
-def test_a_data_set_gives_its_inputs_to_the_estimates(tmp_path: Path) -> None:
-    path, out = tmp_path / "people.parquet", tmp_path / "out.parquet"
-    people = TrackSet((person(goal=GOAL), person(2, density=np.arange(3.0))))
-    io.write(people, path)
-    assert {"input_goal_0", "input_goal_1", "input_density"} < set(open_dataset(path).columns)
-    smooth_dataset(path, out, "position")
-    found = io.read(out)
-    np.testing.assert_array_equal(found[1].inputs["goal"], GOAL)
-    np.testing.assert_array_equal(found[2].inputs["density"], np.arange(3.0))
-    names = list(found.to_table().columns)
-    assert names[names.index("input_density") :] == ["input_density", "input_goal_0", "input_goal_1"]
-
-
 def test_appearance_is_an_input_whose_columns_have_no_prefix(tmp_path: Path) -> None:
     looks = np.array([[1.0, -2.0], [np.nan, np.nan], [3.0, 4.0]])
     names = list(TrackSet((person(appearance=looks, zone=np.zeros(3)),)).to_table().columns)
@@ -151,14 +138,3 @@ def test_a_stream_has_inputs() -> None:
 def test_an_observation_with_an_input_that_is_none_is_refused(value: object) -> None:
     with pytest.raises(InputError, match="input goal ="):
         checked(gt.Observation(t=0.0, inputs={"goal": value}))  # type: ignore[dict-item]
-
-
-def test_an_input_that_comes_late_is_taken_in() -> None:
-    smoother = gt.OnlineSmoother("position", engine="fixed-lag", lag=1.0)
-    place = {"position": (0.0, 0.0), "t": 0.0}
-    smoother.update(gt.Observation(**place))  # type: ignore[arg-type]
-    assert smoother.update(gt.Observation(**place)).status == "duplicate"  # type: ignore[arg-type]
-    late = gt.Observation(**place, inputs={"goal": [1, 2]})  # type: ignore[arg-type]
-    assert smoother.update(late).status == "late"
-    (step,) = smoother.state()["steps"]
-    assert tuple(step["observation"]["inputs"]["goal"]) == (1.0, 2.0)

@@ -111,7 +111,6 @@ VARIANTS: dict[str, Callable[[], bytes]] = {
     "milliseconds in the name": lambda: text(times("time_ms", lambda t: (t * 1000).round().astype(int))),
     "milliseconds by their steps": lambda: text(times("time", lambda t: (t * 1000).round().astype(int))),
     "frames and no times": lambda: text(table(id="person", t=None)),
-    "no header": lambda: text(table(frame=None)[["track_id", "t", "x", "y"]], header=False),
     "a column of row numbers": lambda: table(**PLAIN).to_csv().encode(),
     "columns besides": lambda: text(table(**PLAIN).assign(note="a, b", speed=1.0, colour="red")),
     "centimetres": lambda: text(scaled(100.0, x="x_cm", y="y_cm")),

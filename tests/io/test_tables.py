@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -203,12 +202,6 @@ def test_detections_have_times_and_no_identities(tmp_path: Path) -> None:
     assert rows.as_read.time.restored(rows.channels["t"])[1] == "2025-11-23T10:00:00.1Z"
 
 
-def test_radians(tmp_path: Path) -> None:
-    tracks = io.read(frame().assign(yaw=0.5), columns={**COLUMNS, "body_rad": "yaw"})
-    np.testing.assert_allclose(tracks.tracks[0].body, 0.5)
-    np.testing.assert_allclose(tracks.to_table(as_read=True)["yaw"], 0.5)
-
-
 WRONG = {
     "nothing": ({"columns": ""}, "no columns"),
     "no pair": ({"columns": "id"}, "'id'"),
@@ -277,23 +270,6 @@ def test_a_clock_that_jumps_is_told(tmp_path: Path) -> None:
     )
     error = refused(path, columns=COLUMNS)
     assert error.column == "t" and error.line == 3
-
-
-def test_identities_of_two_kinds_are_refused(tmp_path: Path) -> None:
-    table = frame()
-    table["agent"] = [7, 7, 7, 7, "7", "7", "7", "7"]
-    assert "text '7' after the number '7'" in refused(table, columns=COLUMNS).found
-    path = tmp_path / "table.ndjson"
-    path.write_text("".join(json.dumps(row) + "\n" for row in table.to_dict("records")))
-    assert refused(path, columns=COLUMNS).line == 5
-
-
-def test_uneven_times_are_numbered(tmp_path: Path) -> None:
-    tracks = io.read(
-        {"t": [0.0, 0.3, 1.7], "x": [0.0] * 3, "y": [0.0] * 3, "track_id": [1] * 3}, columns="id=track_id"
-    )
-    np.testing.assert_array_equal(tracks[1].frame, np.arange(3))
-    assert any("no steady rate" in note for note in tracks.summary.notes)
 
 
 def test_degrees_become_metres_and_come_back(tmp_path: Path) -> None:

@@ -42,11 +42,6 @@ def test_headings_are_those_of_the_turned_axes(quaternion):
             assert math.isnan(yaw)
 
 
-@pytest.mark.parametrize("quaternion", [[0, 0, 0, 0], [math.nan, 0, 0, 1], [math.inf, 0, 0, 1]])
-def test_what_is_no_rotation_has_no_heading(quaternion):
-    assert np.isnan(yaw_of(np.array([quaternion], dtype=float))).all()
-
-
 @given(st.floats(0.01, 10.0), st.floats(0.01, 10.0), st.floats(0.001, 3.0), ANGLES)
 def test_spreads_do_not_depend_on_the_frame_in_which_they_are_told(xx, yy, yaw, angle):
     covariance = np.zeros((1, 36))

@@ -15,8 +15,7 @@ from recordings import STORE, make
 from rosbags.rosbag2 import Reader
 
 import graphtrack as gt
-from graphtrack.ros.definitions import DETECTIONS, IDS, MARKERS, PEOPLE, SCENE
-from graphtrack.ros.drawings import scene_message
+from graphtrack.ros.definitions import MARKERS, SCENE
 from graphtrack.ros.repeated import Repeated
 from graphtrack.ros.writing import TOPICS, message_for, moments_of
 from graphtrack.table.as_read import AsRead
@@ -115,21 +114,6 @@ def assert_same(ours, theirs):
         assert ours == theirs
 
 
-def test_people_move_and_are_counted(written):
-    found, truth = decoded(written), estimates()
-    told = found["/graphtrack/people", PEOPLE]
-    ids = found["/graphtrack/tracked", IDS]
-    for k, (_, message) in enumerate(told):
-        assert message.header.frame_id == "map"
-        there = ["1", "2"] + (["3"] if k >= N // 2 else [])
-        assert [one.name for one in message.people] == there == list(ids[k][1].ids)
-        one = message.people[1]
-        assert [one.velocity.x, one.velocity.y] == truth[2].velocity[k].tolist()
-    detections = found["/graphtrack/detections", DETECTIONS]
-    of = detections[0][1].detections[0].results[0].pose.covariance
-    assert np.array(of).reshape(6, 6)[:2, :2].tolist() == truth[1].covariance[0, :2, :2].tolist()
-
-
 def plain(message):
     """A decoded message as dictionaries, in the JSON of protobuf."""
     if isinstance(message, list | tuple):
@@ -206,14 +190,6 @@ def test_repeated_messages_are_those_that_are_built_one_by_one(kind):
             assert raw == bytes(built(stamp, people))
             seen += 1
     assert seen == N
-
-
-def test_what_is_not_known_is_not_drawn():
-    track = Track(1, np.arange(3), np.arange(3.0), np.array([[0.0, 0.0], [np.nan, np.nan], [2.0, 0.0]]))
-    moments = list(moments_of(TrackSet((track,))))
-    assert sum(len(one.stamps) for one in moments) == 2  # nobody is told of who is nowhere
-    (entity,) = scene_message(make, 0, "map", moments[0].people).entities
-    assert not entity.arrows and len(entity.cylinders) == 1
 
 
 def test_names_and_dates_are_written_as_they_were_read(tmp_path):

@@ -231,16 +231,6 @@ def test_a_type_that_is_not_read_is_told(node_of):
         node_of(type="std_msgs/msg/String")
 
 
-def test_late_messages_say_nothing_and_a_clock_that_is_set_back_begins_anew():
-    live = Live(PEOPLE, "joint")
-    for k in range(5):
-        live.take(people(0.1 * k, [person("anna", 0.1 * k, 0.0)]))
-    assert live.take(people(0.2, [person("anna", 0.2, 0.0)])) is None
-    told = live.take(people(-60.0, [person("anna", 9.0, 0.0)]))
-    assert told.people[0].of.x == pytest.approx(9.0)
-    assert told.people[0].of.vx == pytest.approx(0.0, abs=0.1)
-
-
 def test_messages_that_nobody_stamped_have_the_time_at_which_they_came(node_of):
     node = node_of()
     for k in range(4):
@@ -276,12 +266,3 @@ def test_who_is_not_seen_for_long_is_forgotten():
     assert [one.name for one in told.people] == ["ben"] and list(live._named) == ["ben"]
     told = live.take(people(10.0, [person("anna", 50.0, 0.0)]))
     assert told.people[0].of.x == pytest.approx(50.0, abs=1e-3)
-
-
-def test_messages_with_nobody_and_places_that_are_no_numbers_are_taken():
-    live = Live(PEOPLE, "joint")
-    assert live.take(people(0.0, [])).people == []
-    assert live.take(
-        people(0.1, [person("anna", math.nan, 0.0), person("", 1.0, 1.0), person("b", 1.0, 1.0)])
-    )
-    assert [one.name for one in live.take(people(0.2, [person("b", 1.0, 1.0)])).people] == ["b"]

@@ -22,7 +22,7 @@ import graphtrack as gt
 from graphtrack.errors import InputError
 from graphtrack.inference.chain import engine
 from graphtrack.scale import open_dataset, smooth_dataset, writer
-from graphtrack.scale.grouping import Index, batches, index_tracks
+from graphtrack.scale.grouping import batches, index_tracks
 
 
 def people(n: int = 12) -> gt.TrackSet:
@@ -150,17 +150,6 @@ def test_a_folder_is_one_table_and_its_files_may_have_different_columns(table, t
     assert (tmp_path / "out.parquet").read_bytes() == expected.read_bytes()
 
 
-def test_a_track_may_lie_in_several_files(table, tmp_path):
-    whole, folder = tmp_path / "whole.parquet", tmp_path / "parts"
-    folder.mkdir()
-    table.to_parquet(whole, index=False)
-    for k in range(3):
-        table.iloc[k::3].to_parquet(folder / f"{k}.parquet", index=False)
-    expected = in_memory(whole, tmp_path / "expected.parquet", "joint")
-    smooth_dataset(folder, tmp_path / "out.parquet", "joint", batch_frames=30)
-    assert (tmp_path / "out.parquet").read_bytes() == expected.read_bytes()
-
-
 def test_a_foreign_folder_key_may_not_split_a_track(table, tmp_path):
     for scene, rows in (("north", table.iloc[:200]), ("south", table.iloc[200:])):
         (tmp_path / "parts" / f"scene={scene}").mkdir(parents=True)
@@ -198,15 +187,6 @@ def test_nothing_is_written_when_every_track_fails(tmp_path):
     outcome = smooth_dataset(tmp_path / "in.parquet", tmp_path / "out.parquet")
     assert outcome.n_smoothed == 0 and len(outcome.failures) == 1
     assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
-
-
-def test_tracks_are_selected_by_label_or_id(table, tmp_path):
-    table.to_parquet(tmp_path / "in.parquet", index=False)
-    outcome = smooth_dataset(tmp_path / "in.parquet", tmp_path / "out.parquet", select=("sq*", "1"))
-    assert outcome.n_tracks == 2
-    assert set(pd.read_parquet(tmp_path / "out.parquet").track_id) == {-13, 1}
-    with pytest.raises(InputError, match="no track that matches nobody"):
-        smooth_dataset(tmp_path / "in.parquet", tmp_path / "other.parquet", select=("nobody",))
 
 
 def spoil(table: pd.DataFrame, column: str, row: int, value: float) -> pd.DataFrame:
@@ -280,13 +260,6 @@ def test_batches_are_whole_tracks_in_order_and_hold_every_row_once(tmp_path):
     np.testing.assert_array_equal(together[order][:, 0], track_id)
     np.testing.assert_array_equal(together[order][:, 2], table["x"])
     assert not (tmp_path / "runs").exists()
-
-
-def test_a_batch_ends_with_the_track_that_fills_it():
-    index = Index(np.array([2, 4, 6, 8, 9]), np.array([3, 3, 10, 1, 1]), True)
-    firsts, sizes = index.cut(4)
-    np.testing.assert_array_equal(firsts, [2, 6, 8])
-    np.testing.assert_array_equal(sizes, [6, 10, 2])
 
 
 MEASURED = """

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.io.cameras import place_pixels
-from graphtrack.io.delimiters import other_delimiter
+from graphtrack.io.delimiters import csv_rows, is_blank, other_delimiter
 from graphtrack.io.format import Format
 from graphtrack.io.numbers import expected_number, parse_number
 from graphtrack.io.options import ReadOptions
@@ -131,19 +131,11 @@ def _lines_to_data(source: Source) -> int:
 def _read_slowly(source: Source, header: list[str]) -> tuple[dict[str, NDArray[Any]], list[int]]:
     """The columns and the line of each row, cell by cell: the definition of what is accepted."""
     start = _lines_to_data(source)
-    reader = csv.reader(io.StringIO("\n".join(source.lines[start:]), newline=""), strict=True)
     wanted = [(j, name) for j, name in enumerate(header) if is_column(name)]
     cells: dict[str, list[Any]] = {name: [] for _, name in wanted}
     lines: list[int] = []
-    while True:
-        line = start + reader.line_num + 1
-        try:
-            row = next(reader, None)
-        except csv.Error as error:
-            raise InputError(str(error), "a CSV row", path=source.path, line=line) from error
-        if row is None:
-            break
-        if not any(cell.strip() for cell in row) and len(row) <= 1:
+    for line, row in csv_rows(source.path, source.lines[start:], first=start + 1):
+        if is_blank(row):
             continue
         if len(row) != len(header):
             raise InputError(f"{len(row)} columns", str(len(header)), path=source.path, line=line)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.errors import InputError
+from graphtrack.io.delimiters import csv_rows, is_blank
 from graphtrack.io.readers.native_parquet import damage_told
 from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.io.source import Source
@@ -53,20 +53,11 @@ def cells_of_csv(source: Source, *, header: bool) -> Cells:
     ----------
     header : whether the first line has the names of the columns; else they are called 1, 2, …
     """
-    lines = source.lines
-    reader = csv.reader(io.StringIO("\n".join(lines), newline=""), strict=True)
     names: list[str] | None = None
     rows: list[list[str]] = []
     numbers: list[int] = []
-    while True:
-        line = reader.line_num + 1
-        try:
-            row = next(reader, None)
-        except csv.Error as error:
-            raise InputError(str(error), "a CSV row", path=source.path, line=line) from error
-        if row is None:
-            break
-        if len(row) <= 1 and not any(cell.strip() for cell in row):
+    for line, row in csv_rows(source.path, source.lines):
+        if is_blank(row):
             continue
         if names is None:
             names = _names(source, row, line) if header else [str(k + 1) for k in range(len(row))]

@@ -146,14 +146,9 @@ def _between(lines: list[str]) -> str:
 def _columns(path: Path, found: Suggestion) -> Suggestion:
     cells = cells_of_file(path, _read_options(found))
     names = list(cells.columns)
-    if all(parse_number(name) is not None for name in names) or _is_row(names):
-        cells = cells_of_file(path, _read_options(found.with_option("columns", "x=1")))
-        chosen, remarks = _by_values(cells)
-        found = replace(found, remarks=(*found.remarks, *remarks))
-    else:
-        chosen = meanings(names)
-        pairs = {} if {"x", "lat"} & chosen.keys() else wide(names)
-        chosen = {key: name for key, name in chosen.items() if not (pairs and key == "id")} | pairs
+    chosen = meanings(names)
+    pairs = {} if {"x", "lat"} & chosen.keys() else wide(names)
+    chosen = {key: name for key, name in chosen.items() if not (pairs and key == "id")} | pairs
     if not ({"x", "y"} <= chosen.keys() or {"lat", "lon"} <= chosen.keys()):
         there = listed(map(shortened, names), 20)
         raise InputError(f"no columns that are places, among {there}", "--columns x=NAME,y=NAME", path=path)
@@ -176,12 +171,6 @@ def _columns(path: Path, found: Suggestion) -> Suggestion:
 def _pair(item: tuple[str, str]) -> str:
     pair = "=".join(item)
     return '"' + pair.replace('"', '""') + '"' if "," in pair or '"' in pair else pair
-
-
-def _is_row(names: list[str]) -> bool:
-    """Whether what should be names is a row of values."""
-    numbers = sum(parse_number(name) is not None for name in names)
-    return numbers >= 2 and (numbers == len(names) or any(is_iso(name) for name in names) or numbers >= 3)
 
 
 def _time_unit(cells: Cells, name: str) -> tuple[str, str]:
@@ -233,37 +222,3 @@ def _with_units(path: Path, found: Suggestion, chosen: Mapping[str, str]) -> Sug
             if one == "m":
                 raise
     return found
-
-
-def _by_values(cells: Cells) -> tuple[dict[str, str], list[str]]:
-    """Which column is which where none has a name: whole numbers are people and frames, others places."""
-    whole: dict[str, float] = {}
-    texts: list[str] = []
-    places: list[str] = []
-    chosen: dict[str, str] = {}
-    for name, values in cells.columns.items():
-        filled = [cell for cell in values[:_ROWS].tolist() if not is_empty(cell)]
-        numbers = [parse_number(cell) for cell in filled]
-        if filled and all(map(is_iso, filled)):
-            chosen.setdefault("t", name)
-        elif None in numbers:
-            texts.append(name)
-        elif all(one == int(one) for one in numbers if one is not None):
-            whole[name] = len({*numbers}) / max(len(numbers), 1)
-        else:
-            places.append(name)
-    if texts:
-        chosen.setdefault("id", texts[0])
-    counted = sorted(whole, key=lambda name: whole[name])
-    if "id" not in chosen and counted:
-        chosen["id"] = counted.pop(0)
-    if len(places) > 2 and "t" not in chosen and not counted:
-        chosen["t"] = places.pop(0)
-    if counted and "t" not in chosen:
-        chosen["frame"] = counted[-1]
-        if len(places) > 2:
-            chosen["t"] = places.pop(0)
-    if len(places) >= 2:
-        chosen["x"], chosen["y"] = places[:2]
-    said = ", ".join(f"{key} {name}" for key, name in chosen.items())
-    return chosen, [f"no line of names: the columns ({said}) are supposed by their numbers"]
