@@ -62,24 +62,12 @@ def read(
     to_tracks: ToTracks = tracks_of_rows,
     **options: Any,
 ) -> TrackSet:
-    """Read tracks from one file or several, in any known format, or from a table in memory.
-
-    Rows need identities; `graphtrack.read` associates those that have none.
+    """Read tracks whose rows have identities; `graphtrack.read` also associates rows that have none.
 
     Parameters
     ----------
-    path : one path, of a file or of a folder that `perception report` wrote or that is a sequence of
-        MOTChallenge, or several whose tracks are merged: ids that clash are renumbered, and tracks without a
-        label get the name of their file. Or a DataFrame (pandas, polars), another table that speaks Arrow, or
-        a mapping name → column
-    format : name of the format; None: recognised by the content
+    path, format, **options : as in `graphtrack.read`
     to_tracks : (rows of a file, options) → tracks
-    **options : the fields of `ReadOptions`, such as ``fps`` and ``homography``
-
-    Returns
-    -------
-    TrackSet
-        With a summary in which every row of the input is counted as used or refused.
 
     Raises
     ------
