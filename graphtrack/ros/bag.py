@@ -53,7 +53,8 @@ def is_bag(path: Path) -> bool:
             head = stream.read(len(_SQLITE_MAGIC))
     except (OSError, ValueError):
         return False
-    return head.startswith(MCAP_MAGIC) or (head == _SQLITE_MAGIC and path.suffix.lower() == ".db3")
+    magic = {".mcap": MCAP_MAGIC, ".db3": _SQLITE_MAGIC}.get(path.suffix.lower())
+    return magic is not None and head.startswith(magic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ class Bag:
 
     path: Path
     topics: Mapping[str, str]
-    _parts: tuple[_Mcap | _Rosbag, ...]
+    _parts: tuple[_Part, ...]
     _definitions: Mapping[str, Definition]
 
     def store(self, kinds: Collection[str]) -> Typestore:
@@ -122,16 +123,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """Open a recording."""
     need_rosbags()
     with ExitStack() as stack:
-        parts: list[_Mcap | _Rosbag] = []
         with told(path, "a recording"):
             files = _mcap_files(path) if path.is_dir() else []
-            if files or not path.is_dir():
-                with path.open("rb") if not files else files[0].open("rb") as stream:
-                    is_mcap = stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
-            if files or (not path.is_dir() and is_mcap):
-                parts = [_Mcap(stack.enter_context(one.open("rb"))) for one in files or [path]]
-            else:
-                parts = [_Rosbag(path, stack)]
+            parts = [_Part(one, stack) for one in files or [path]]
         definitions: dict[str, Definition] = {}
         for part in parts:
             for topic, one in part.topics.items():
@@ -167,62 +161,26 @@ def _mcap_files(folder: Path) -> list[Path]:
     return sorted((one for one in folder.glob("*.mcap") if one.is_file()), key=number)
 
 
-class _Mcap:
-    """One MCAP file; the parts that are asked for are read chunk by chunk."""
-
-    def __init__(self, stream: Any) -> None:
-        from mcap.reader import SeekingReader
-
-        self._reader = SeekingReader(stream, validate_crcs=True, record_size_limit=2**30)
-        summary = self._reader.get_summary()
-        if summary is not None and summary.channels:
-            channels, schemas = list(summary.channels.values()), summary.schemas
-        else:
-            channels, schemas = self._scanned(stream)
-        self.topics: dict[str, Definition] = {}
-        for channel in channels:
-            schema = schemas.get(channel.schema_id)
-            if schema is None or channel.message_encoding != "cdr":
-                self.topics[channel.topic] = Definition(f"{channel.message_encoding or 'unknown'} messages")
-                continue
-            text = schema.data.decode("utf-8", errors="replace")
-            self.topics[channel.topic] = Definition(_full(schema.name), text, schema.encoding)
-
-    @staticmethod
-    def _scanned(stream: Any) -> tuple[list[Any], dict[int, Any]]:
-        """Channels and schemas of a file without a summary."""
-        from mcap.records import Channel, Schema
-        from mcap.stream_reader import StreamReader
-
-        stream.seek(0)
-        channels, schemas = {}, {}
-        for record in StreamReader(stream, record_size_limit=2**30).records:
-            if isinstance(record, Schema):
-                schemas[record.id] = record
-            elif isinstance(record, Channel):
-                channels[record.id] = record
-        return list(channels.values()), schemas
-
-    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
-        for _, channel, message in self._reader.iter_messages(topics=list(topics), log_time_order=False):
-            yield channel.topic, message.log_time, message.data
-
-
-class _Rosbag:
-    """A folder with its metadata, or an SQLite file, by rosbags."""
+class _Part:
+    """One file of a recording, or a folder with its metadata, by rosbags."""
 
     def __init__(self, path: Path, stack: ExitStack) -> None:
-        from rosbags.interfaces import MessageDefinitionFormat
+        from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
         from rosbags.rosbag2 import Reader
 
         self._reader = Reader(path)
         self._reader.open()
         stack.callback(self._close)
         languages = {MessageDefinitionFormat.MSG: "ros2msg", MessageDefinitionFormat.IDL: "ros2idl"}
-        self.topics = {
-            one.topic: Definition(one.msgtype, one.msgdef.data, languages.get(one.msgdef.format, ""))
-            for one in self._reader.connections
-        }
+        self.topics: dict[str, Definition] = {}
+        for one in self._reader.connections:
+            assert isinstance(one.ext, ConnectionExtRosbag2)
+            encoding, definition = one.ext.serialization_format, one.msgdef
+            self.topics[one.topic] = (
+                Definition(_full(one.msgtype), definition.data, languages.get(definition.format, ""))
+                if encoding == "cdr"
+                else Definition(f"{encoding or 'unknown'} messages")
+            )
 
     def _close(self) -> None:
         with contextlib.suppress(Exception):  # what is only read loses nothing

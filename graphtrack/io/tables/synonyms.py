@@ -163,13 +163,13 @@ def with_synonyms(
     for key, words in SYNONYMS.items():
         if key in native or (key in ("x", "y") and native & _NO_METRES):
             continue
-        units = _UNITS.get(key, {})
+        known_units = _UNITS.get(key, {})
         fitting = [
             name
             for name in names
             if not is_column(name)
             and (meaning := plain(name))[0] in words
-            and (not meaning[1] or meaning[1] in units)
+            and (not meaning[1] or meaning[1] in known_units)
         ]
         # A column that bears the native name in other letters comes first: Track_ID before id.
         exact = [name for name in fitting if plain(name)[0] == key.replace("_", "")]
