@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,18 +82,6 @@ def test_positions_alone_are_told_how_to_become_a_track(entry) -> None:
     for nonsense in (np.zeros((4, 3)), 7, None, [], [1, [2]], b"tracks.csv"):
         assert "expected a TrackSet, a Track, a table or the path of a file" in refused(entry, nonsense)
     assert "no/such.csv" in refused(entry, "no/such.csv")
-
-
-def test_a_missing_id_is_told_those_that_are_there() -> None:
-    for key in (7, "1"):
-        with pytest.raises(KeyError) as caught:
-            PEOPLE[key]
-        assert str(caught.value) == f"found no track {key!r}, expected one of the ids 0, 1, 2"
-        assert isinstance(caught.value, gt.InputError)
-        assert type(pickle.loads(pickle.dumps(caught.value))) is type(caught.value)
-    many = TrackSet(tuple(replace(PERSON, track_id=i) for i in range(300)))
-    with pytest.raises(KeyError, match="and 290 more"):
-        many[1000]
 
 
 def test_columns_that_are_none_are_named() -> None:
@@ -226,15 +213,6 @@ def test_masked_values_are_missing() -> None:
 @pytest.mark.parametrize("unit", ["timedelta64[ns]", "datetime64[s]"])
 def test_durations_and_dates_are_no_seconds(unit) -> None:
     assert "expected seconds" in refused(replace, PERSON, t=np.arange(12).astype(unit))
-
-
-def test_names_and_numbers_of_people_are_checked() -> None:
-    for wrong in (True, np.True_):
-        assert "track_id" in refused(replace, PERSON, track_id=wrong)
-    for wrong in (3, None, "\ud800"):
-        assert "label" in refused(replace, PERSON, label=wrong)
-    for name in ("label", "track_id"):
-        refused(TrackSet.from_table, {**COLUMNS, name: ["\ud800"] * len(TABLE)})
 
 
 def test_settings_that_are_no_numbers_are_refused() -> None:

@@ -14,7 +14,6 @@ import graphtrack as gt
 from graphtrack import io
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
-from graphtrack.tracks import Track
 
 TOO_LARGE = [2**53, 2**53 + 1, -(2**53), -(2**53) - 1, 2**62, 2**63 + 2**53]
 
@@ -80,12 +79,6 @@ def test_larger_ones_are_refused(reader: str, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="id") as caught:
             READERS[reader](identity, tmp_path)
         assert caught.value.line is not None
-
-
-def test_a_track_has_no_other_identity() -> None:
-    for identity in (*TOO_LARGE, 1.5):
-        with pytest.raises(InputError, match="track_id"):
-            Track(identity, np.arange(2), np.arange(2.0), np.zeros((2, 2)))
 
 
 def test_files_with_the_largest_identities_are_merged_into_one_that_can_be_read(tmp_path: Path) -> None:

@@ -107,14 +107,6 @@ def test_appearance_is_an_input_whose_columns_have_no_prefix(tmp_path: Path) -> 
     assert numeric("input_appearance_0") is None
 
 
-@pytest.mark.parametrize("engine", ["chain", "gtsam"])
-def test_estimates_say_nothing_of_looks_and_scores(engine: str) -> None:
-    track = person(appearance=GOAL, goal=GOAL)
-    seen = gt.Track(1, track.frame, track.t, track.position, score=np.ones(3), inputs=track.inputs)
-    found = gt.smooth(seen, "position", engine=engine)
-    assert list(found.inputs) == ["goal"] and found.score is None
-
-
 def cells(**columns: object) -> dict[str, object]:
     return read_cells(parse_line(json.dumps({"track_id": 1, "frame": 0, "x": 0.0, "y": 0.0, **columns})))
 

@@ -6,10 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
-from command import Done
-from command import run as run_program
 from format_samples import made_tracks
 from same_tracks import assert_same
 
@@ -25,10 +22,6 @@ for name in ("h5netcdf", "h5py"):
 POSES = Path(__file__).parent / "made_elsewhere" / "movement.nc.gz"
 """What movement 0.15 wrote: two people, seen from above, who walk on circles of 50 pixels, counter-clockwise
 and 0.1 rad a frame, and look ahead. In frame 5 anna's right shoulder is missing."""
-
-
-def run_graphtrack(*arguments: object) -> Done:
-    return run_program(*arguments, program="graphtrack")
 
 
 def estimates() -> TrackSet:
@@ -199,25 +192,6 @@ def test_boxes_stand_on_their_lower_edge() -> None:
     (track,) = gt.from_movement(boxes, fps=2.0, metres_per_pixel=0.1)
     np.testing.assert_allclose(track.position, [[5.0, -10.0], [6.0, -10.0]])
     assert list(track.frame) == [3, 4] and list(track.t) == [1.5, 2.0] and track.score is None
-
-
-def test_the_command_line_reads_and_writes_them(tmp_path: Path) -> None:
-    source, out = tmp_path / "poses.nc", tmp_path / "smoothed.nc"
-    poses_in_metres().to_netcdf(source, engine="h5netcdf")
-    assert run_graphtrack("info", source, "--units", "m").returncode == 0
-    done = run_graphtrack("smooth", source, "--units", "m", "-o", out, "--model", "joint")
-    assert done.returncode == 0, done.stderr
-    smoothed = xarray.load_dataset(out, engine="h5netcdf")
-    assert list(smoothed["individuals"].values) == ["anna", "bob"]
-    assert np.isfinite(smoothed["std"].sel(state="body")).all()
-    assert (
-        run_graphtrack(
-            "smooth", source, "--units", "m", "-o", tmp_path / "s.csv", "--model", "joint"
-        ).returncode
-        == 0
-    )
-    table = pd.read_csv(tmp_path / "s.csv")
-    assert set(table["label"]) == {"anna", "bob"} and set(table["track_id"]) == {1, 2}
 
 
 def without_position(poses: Any) -> Any:

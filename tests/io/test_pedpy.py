@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from command import Done
-from command import run as run_program
 from format_samples import made_tracks
 from same_tracks import assert_same
 
@@ -22,10 +20,6 @@ from graphtrack.tracks import Track, TrackSet
 
 SIMULATED = Path(__file__).parent / "made_elsewhere" / "jupedsim.sqlite.gz"
 """What JuPedSim 1.4 wrote: three agents in a room of 6 m × 4 m, 200 steps of 10 ms, each tenth."""
-
-
-def run_graphtrack(*arguments: object) -> Done:
-    return run_program(*arguments, program="graphtrack")
 
 
 def seen() -> TrackSet:
@@ -167,18 +161,6 @@ def test_what_jupedsim_wrote_is_read() -> None:
         step = np.diff(track.position, axis=0)[2:]
         heading = np.arctan2(step[:, 1], step[:, 0])
         assert np.abs(np.angle(np.exp(1j * (track.body[3:] - heading)))).max() < 0.5
-
-
-def test_the_command_line_reads_and_writes_databases(tmp_path: Path) -> None:
-    source, out = tmp_path / "crowd.sqlite", tmp_path / "smoothed.sqlite"
-    source.write_bytes(gzip.decompress(SIMULATED.read_bytes()))
-    assert run_graphtrack("info", source).returncode == 0
-    done = run_graphtrack("smooth", source, "-o", out, "--model", "position")
-    assert done.returncode == 0, done.stderr
-    assert len(gt.read(out)) == 3
-    with sqlite3.connect(out) as connection:
-        names = [row[1] for row in connection.execute("pragma table_info(trajectory_data)")]
-    assert names[:6] == ["frame", "id", "pos_x", "pos_y", "ori_x", "ori_y"] and "x_std" in names
 
 
 @pytest.mark.parametrize(

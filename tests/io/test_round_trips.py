@@ -16,7 +16,6 @@ from hypothesis.extra import numpy as hnp
 from graphtrack import io
 from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import wrap
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.readers.native_csv import _header, _read_fast, _read_slowly
 from graphtrack.io.source import Source
@@ -168,15 +167,6 @@ def test_the_fast_reader_of_csv_agrees_with_the_slow_one(rows: list[tuple[str, s
             np.testing.assert_array_equal(fast[name], slow[name])
 
 
-def test_degrees_are_wrapped_and_unknown_columns_noted(tmp_path: Path) -> None:
-    path = tmp_path / "table.csv"
-    path.write_text("track_id,frame,x,y,body_deg,mood\n1,0,0,0,270,good\n1,1,0,1,-180,bad\n")
-    tracks = io.read(path, fps=10)
-    np.testing.assert_allclose(tracks[1].body, [-np.pi / 2, np.pi])
-    np.testing.assert_allclose(tracks[1].t, [0.0, 0.1])
-    assert tracks.summary.notes == ("ignored columns mood",)
-
-
 def test_pixels_become_metres_by_a_homography(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("track_id,frame,t,u,v\n1,0,0,100,200\n1,1,1,110,200\n1,2,2,110,-2000\n1,3,3,,\n")
@@ -221,13 +211,6 @@ def test_mot_text_takes_a_homography(tmp_path: Path) -> None:
     io.write(made_tracks(), tmp_path / "made.txt", homography=np.diag([0.01, -0.01, 1.0]))
     box = np.loadtxt(tmp_path / "made.txt", delimiter=",")[:, 2:6]
     np.testing.assert_allclose(box[:, 3], 170.0)
-
-
-def test_angles_outside_the_circle_come_back_on_it() -> None:
-    table = made_tracks().to_table()
-    turned = table.assign(body_deg=table["body_deg"] + 720.0)
-    for a, b in zip(TrackSet.from_table(table), TrackSet.from_table(turned), strict=True):
-        np.testing.assert_allclose(wrap(a.body - b.body), np.where(np.isnan(a.body), np.nan, 0.0), atol=1e-12)
 
 
 class Broken(Exception):

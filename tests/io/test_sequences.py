@@ -48,24 +48,6 @@ def test_without_tracks_a_sequence_is_its_detections(sequence: Path) -> None:
     assert len(gt.read(sequence)) == 1
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("info", "{}"),
-        ("smooth", "{}", "--model", "position", "-o", "out.csv"),
-        ("track", "{}", "--model", "position", "-o", "out.csv"),
-        ("score", "{}", "--truth", "{}"),
-        ("score", "{}", "--truth", "{}", "--iou", "0.5"),
-    ],
-)
-def test_commands_take_a_sequence(arguments: tuple[str, ...], sequence: Path, tmp_path: Path) -> None:
-    known = {"{}": sequence, "out.csv": tmp_path / "out.csv"}
-    done = run_graphtrack(*(known.get(one, one) for one in arguments))
-    assert done.returncode == 0, done.stderr
-    if "-o" in arguments:
-        assert len(gt.read(tmp_path / "out.csv")) == 2
-
-
 def test_folders_of_sequences_are_compared_one_by_one(sequence: Path, tmp_path: Path) -> None:
     other = tmp_path / "again" / sequence.name
     (other / "gt").mkdir(parents=True)
@@ -75,14 +57,3 @@ def test_folders_of_sequences_are_compared_one_by_one(sequence: Path, tmp_path: 
     sequence.rename(sequences / sequence.name)
     done = run_graphtrack("score", tmp_path / "again", "--truth", sequences, "--iou", "0.5")
     assert done.returncode == 0 and "MOT-02" in done.stdout, done.stderr
-
-
-def test_an_output_within_nothing_that_is_read(sequence: Path) -> None:
-    done = run_graphtrack("smooth", sequence, "-o", sequence / "gt" / "gt.txt")
-    assert done.returncode == 2 and "the input would be lost" in done.stderr
-    (sequence / "gt" / "gt.txt").unlink()
-    (sequence / "det" / "det.txt").unlink()
-    done = run_graphtrack("info", sequence)
-    assert (
-        done.returncode == 2 and "a directory" in done.stderr and "a sequence of MOTChallenge" in done.stderr
-    )

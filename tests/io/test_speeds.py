@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from format_samples import SAMPLES, Sample, name_of
 
 import graphtrack as gt
 from graphtrack import io
 from graphtrack.errors import InputWarning
-from graphtrack.scale import smooth_dataset
 
 
 def walkers(n: int = 12, steps: int = 40, hz: float = 10.0, noise: float = 0.1) -> pd.DataFrame:
@@ -67,26 +65,6 @@ def test_noise_from_frame_to_frame_outliers_and_one_odd_track_are_not() -> None:
     odd = walkers()
     odd.loc[odd.track_id == 0, "x"] *= 100.0
     assert not told(odd)
-
-
-@pytest.mark.parametrize("sample", [s for s in SAMPLES if s.name != "made.csv.gz"], ids=name_of)
-def test_every_reader_tells(sample: Sample, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = sample.write(tmp_path)
-    assert not any("faster than" in note for note in io.read(path, **sample.options).summary.notes)
-    monkeypatch.setattr("graphtrack.table.speeds.FASTEST", 1e-3)
-    with pytest.warns(InputWarning, match="faster than"):
-        tracks = io.read(path, **sample.options)
-    assert any("faster than" in note for note in tracks.summary.notes)
-
-
-def test_a_data_set_that_is_streamed_tells_the_same(tmp_path: Path) -> None:
-    table = walkers()
-    table["x"] *= 100.0
-    table.to_parquet(tmp_path / "in.parquet", index=False)
-    outcome = smooth_dataset(tmp_path / "in.parquet", tmp_path / "out.parquet", "position", batch_frames=100)
-    with pytest.warns(InputWarning, match="12 of 12 tracks"):
-        tracks = io.read(tmp_path / "in.parquet")
-    assert outcome.notes == tracks.summary.notes
 
 
 def test_a_recording_at_a_wrong_rate_is_told_of(data_dir: Path) -> None:

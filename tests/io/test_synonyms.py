@@ -8,10 +8,8 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.errors import InputError
-from graphtrack.io.layout import SHORT
 from graphtrack.io.options import ReadOptions
-from graphtrack.io.tables.synonyms import SYNONYMS, plain, with_synonyms
-from graphtrack.table.schema import NAMES
+from graphtrack.io.tables.synonyms import with_synonyms
 
 PEOPLE = (7, 8, 9)
 
@@ -54,13 +52,6 @@ def test_identities_are_kept_under_their_common_names(tmp_path, suffix, name):
     assert any("as track_id" in note for note in tracks.summary.notes)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".ndjson"])
-def test_times_and_places_have_common_names_too(tmp_path, suffix):
-    names = {"t": "timestamp", "track_id": "agent_id", "x": "pos_x", "y": "pos_y"}
-    is_read(gt.read(written(rows(names), tmp_path / f"a{suffix}")))
-    is_read(gt.read(pd.DataFrame(rows(names))))
-
-
 def test_a_unit_in_the_name_counts(tmp_path):
     table = [
         row | {"time_ms": 1000 * row.pop("t"), "pos_x_cm": 100 * row.pop("x"), "pos_y_cm": 100 * row.pop("y")}
@@ -91,10 +82,3 @@ def test_what_may_be_an_identity_is_not_ignored_in_silence(tmp_path):
 def test_pixels_are_never_taken_for_metres():
     options, notes = with_synonyms(["frame", "track_id", "u", "v", "pos_x", "pos_y"], ReadOptions())
     assert options.columns is None and not notes
-
-
-def test_the_names_are_plain_and_of_one_column_each():
-    words = [word for key in SYNONYMS.values() for word in key]
-    assert len(set(words)) == len(words)
-    assert all(plain(word) == (word, "") for word in words)
-    assert set(SYNONYMS) <= set(NAMES) and not set(words) & set(SYNONYMS) - set(SHORT)

@@ -47,13 +47,3 @@ def test_a_file_by_its_url(name: str, tmp_path: Path, monkeypatch: pytest.Monkey
         assert wrong in refused(wrong)
         done = command.run("info", wrong, program="graphtrack")
         assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
-
-
-def test_packages_that_a_url_needs_are_named(monkeypatch) -> None:
-    fsspec = pytest.importorskip("fsspec")
-
-    def lacking(*_: object) -> None:
-        raise ImportError("HTTPFileSystem requires aiohttp")
-
-    monkeypatch.setattr(fsspec, "open", lacking)
-    assert "pip install" in refused("http://site.example/walks.csv")

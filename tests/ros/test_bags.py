@@ -263,13 +263,6 @@ def test_messages_that_overtake_each_other_are_put_in_order(tmp_path):
     np.testing.assert_allclose(tracks[1].position[:, 0], TIMES)
 
 
-def test_what_is_told_again_counts_once(tmp_path):
-    told = walkers() + walkers()[-1:]
-    tracks = gt.read(record(tmp_path / "bag", {"/people": told}))
-    assert tracks.n_frames == 40
-    assert tracks.summary.refused == {"told again with the same stamp": 2}
-
-
 def test_without_stamps_times_are_those_of_the_recording(tmp_path):
     told = walkers()
     for _, message in told:
@@ -287,14 +280,6 @@ def test_recordings_that_are_cut_are_told(tmp_path, plugin, part):
     data.write_bytes(whole[: int(len(whole) * part)])
     with pytest.raises(gt.InputError, match="bag"):
         gt.read(folder)
-
-
-def test_metadata_that_is_none_is_told(tmp_path):
-    folder = record(tmp_path / "bag", {"/people": walkers()}, StoragePlugin.SQLITE3)
-    for text in ("", "[", "rosbag2_bagfile_information: 3", "a: {b: !!python/object:os.system {}}"):
-        (folder / "metadata.yaml").write_text(text)
-        with pytest.raises(gt.InputError, match="cut or damaged"):
-            gt.read(folder)
 
 
 def test_tf_in_a_circle_and_of_two_parents_are_told(tmp_path):

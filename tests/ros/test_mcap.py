@@ -224,11 +224,3 @@ def test_without_the_extra_the_error_names_it(tmp_path):
     code += "except gt.InputError as error: print(error)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert "graphtrack[ros]" in done.stdout, done.stderr
-
-
-def test_reading_a_table_loads_no_library_of_bags(tmp_path):
-    path = tmp_path / "tracks.csv"
-    path.write_text("track_id,frame,t,x,y\n1,0,0,0,0\n1,1,0.1,1,0\n")
-    code = f"import sys, graphtrack as gt\ngt.read({str(path)!r})\n"
-    code += "assert not {'rosbags', 'mcap'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

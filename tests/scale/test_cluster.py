@@ -15,7 +15,7 @@ from command import Done, run
 from walks import walk, without
 
 import graphtrack as gt
-from graphtrack.errors import GraphtrackError, InputError
+from graphtrack.errors import GraphtrackError
 from graphtrack.scale import cluster as scale_cluster
 from graphtrack.scale import smooth_dataset
 
@@ -79,30 +79,6 @@ def test_the_command_on_a_local_cluster_gives_the_bytes_of_one_process(data, tmp
         assert "error: track 5" in done.stderr and "Traceback" not in done.stderr
     assert (tmp_path / "local.parquet").read_bytes() == (tmp_path / "plain.parquet").read_bytes()
     assert set(pd.read_parquet(tmp_path / "plain.parquet").track_id) == set(range(16)) - {5}
-
-
-@pytest.mark.slow
-def test_a_bad_value_found_by_a_worker_is_told_with_its_row(data, two_workers, tmp_path):
-    table = pd.read_parquet(data)
-    table.iloc[123, table.columns.get_loc("x")] = 1e20
-    table.to_parquet(data, index=False)
-    with pytest.raises(InputError) as told:
-        smooth_dataset(
-            data, tmp_path / "out.parquet", cluster=two_workers.scheduler_address, batch_frames=600
-        )
-    assert (told.value.path, told.value.line, told.value.column) == (str(data), 124, "x")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
-
-
-@pytest.mark.slow
-def test_a_cluster_without_workers_is_given_up(data, tmp_path, monkeypatch):
-    monkeypatch.setattr(scale_cluster, "ALONE", 1.0)
-    with (
-        distributed.LocalCluster(n_workers=0, dashboard_address=None, silence_logs=100) as cluster,
-        pytest.raises(GraphtrackError, match="no worker"),
-    ):
-        smooth_dataset(data, tmp_path / "out.parquet", cluster=cluster.scheduler_address)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["in.parquet"]
 
 
 @pytest.mark.slow
