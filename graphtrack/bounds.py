@@ -1,4 +1,4 @@
-"""What the arrays of a track are: their shapes, and the numbers beyond which they are mistakes everywhere."""
+"""Shapes and bounds of a track's arrays, and checks of settings."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class Bounds:
 
     @property
     def expected(self) -> str:
-        """What a number may be, in words."""
+        """The allowed numbers, in words."""
         if math.isclose(-self.low, self.high):
             return f"a number within ±{self.high:g}"
         return f"a number {'above 0' if self.low == SMALLEST else f'from {self.low:g}'} to {self.high:g}"
 
     def first_outside(self, values: NDArray[Any]) -> tuple[int, ...] | None:
-        """Where the first value is that is out of bounds, if any is; NaN, a missing value, is not."""
+        """Index of the first value out of bounds, or None; NaN, a missing value, is within them."""
         # Two reductions without a copy: this is asked of every channel of every track.
         if not values.size:
             return None
@@ -103,11 +103,11 @@ SHAPES: Mapping[str, tuple[int, ...]] = dict.fromkeys(FIELDS, ()) | {
     "covariance": (len(STATE), len(STATE)),
     "true_position": (2,),
 }
-"""What each of a `Track`'s attributes has in a frame."""
+"""Shape of each attribute of a `Track` in one frame."""
 
 
 INPUT = "input_"
-"""What the names of channels and columns begin with that are inputs of a track."""
+"""Prefix of channels and columns that are inputs of a track."""
 
 APPEARANCE = "appearance"
 """The input that says what somebody looks like, of any size; its columns have no prefix."""

@@ -1,4 +1,4 @@
-"""What saved states have in common: numbers as text, and what is said of those that are damaged."""
+"""Values of saved states: numbers as text, and the error for damaged ones."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.geometry.angles import FloatArray
 
 DAMAGES = (KeyError, TypeError, ValueError, IndexError, AttributeError, GraphtrackError)
-"""What going on from a damaged state raises."""
+"""Exceptions that a damaged state raises."""
 
 
 def damaged(error: Exception) -> InputError:
-    """What is said of a state that raised one of `DAMAGES`."""
+    """The error for a state that raised one of `DAMAGES`."""
     return InputError(f"a damaged state ({error!r})", "what a smoother saved")
 
 

@@ -1,4 +1,4 @@
-"""What is assumed of a scene in which people are detected: parameters, with their units."""
+"""Parameters of a scene in which people are detected: birth, death, detection, clutter."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from graphtrack.bounds import check_numbers, number, with_table
 
 @dataclass(frozen=True)
 class SceneParameters:
-    """How people come, go, are detected and are not.
+    """Birth, death, detection and clutter of people.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class SceneParameters:
         check_numbers(self)
 
     def packed(self, frame_seconds: float) -> tuple[float, ...]:
-        """What the kernels read, in the order of `kernels.Scene`, for frames so many seconds apart."""
+        """The values that kernels read, in the order of `kernels.Scene`, for frames so many seconds apart."""
         return (
             self.acceleration_density,
             self.speed_std**2,
@@ -100,11 +100,11 @@ Known: TypeAlias = Mapping[str, Any]
 NOTHING: Known = MappingProxyType({})
 
 GivenScene: TypeAlias = SceneParameters | Mapping[str, Any] | None
-"""What somebody says of a scene: all parameters, some of them by their names, or nothing."""
+"""Known parameters of a scene: all of them, some by their names, or none."""
 
 
 def known_values(scene: GivenScene) -> Known:
-    """What is given of a scene, by the names of the parameters."""
+    """The known parameters of a scene by their names."""
     if scene is None:
         return {}
     if isinstance(scene, SceneParameters):

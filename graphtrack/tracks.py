@@ -52,7 +52,7 @@ __all__ = ["BODY_CLASSES", "HEAD_CLASSES", "STATE", "ReadSummary", "Track", "Tra
 
 _ABSENT = dict.fromkeys(SHAPES)
 _KEPT = {"t", "identity_p", "observed", "true_position", "true_body", "true_head"}
-"""What estimates leave of a track that was observed."""
+"""Channels that estimates do not replace."""
 _NOT_KEPT = dict.fromkeys(SHAPES.keys() - _KEPT)
 
 
@@ -312,7 +312,7 @@ class Track:
 
     @property
     def has_truth(self) -> bool:
-        """Whether the true positions are known."""
+        """Return whether the true positions are known."""
         return self.true_position is not None and bool(np.isfinite(self.true_position).any())
 
 

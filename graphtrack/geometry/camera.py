@@ -237,7 +237,7 @@ class GroundCamera:
 
     @cached_property
     def is_mirrored(self) -> bool:
-        """Whether the ground's axes are left-handed as seen from above.
+        """Return whether the ground's axes are left-handed as seen from above.
 
         Image axes (u right, v down) are left-handed, so a map to a right-handed ground turns orientation.
         On the visible side the third coordinate is positive, and the sign is that of the determinant.

@@ -1,4 +1,4 @@
-"""Which camera a reader uses: the caller's, a file's, or a scale when nothing is known."""
+"""The camera of a reader: the caller's, a file's, or a scale when nothing is known."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from graphtrack.io.source import Source
 from graphtrack.table.rows import Rows, no_camera
 
 NO_CAMERA = "NO CAMERA IS KNOWN"
-"""How the note begins that says so: distances are rough then, and differ from file to file."""
+"""Beginning of that note: distances are rough then, and differ from file to file."""
 
 PERSON_HEIGHT = 1.7
 """Metres; the scale of views without a camera is chosen so that the median person has this size."""

@@ -1,4 +1,4 @@
-"""What is wrong with a table that has other marks than commas between its cells: told, not mended."""
+"""Delimiters: rows of CSV, and the error for a table with other marks than commas between its cells."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from graphtrack.table.schema import NAMES
 
 _MARKS = {";": "semicolons", "\t": "tabs", "|": "vertical bars", " ": "spaces"}
 _TYPED = {";": "';'", "\t": "tab", "|": "'|'", " ": "space"}
-"""How a mark is typed after ``--delimiter``."""
+"""The mark as typed after ``--delimiter``."""
 SEP_LINE = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
-"""What Excel writes before a header."""
+"""Excel's line before a header."""
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _LOOKED_AT = 20
 _FEWEST = 4
@@ -71,7 +71,7 @@ def _cells(line: str, mark: str) -> list[str]:
 
 
 def _are_numbers(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether most rows are at least `_FEWEST` numbers, with decimal points or commas."""
+    """Return whether most rows are at least `_FEWEST` numbers, with decimal points or commas."""
     good = sum(len(row) >= _FEWEST and all(_NUMBER.fullmatch(cell) for cell in row if cell) for row in rows)
     return 2 * good > len(rows)
 

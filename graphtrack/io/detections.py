@@ -1,4 +1,4 @@
-"""What other libraries find in images, and whom their trackers follow: nothing of them is imported."""
+"""Detections and tracks of other libraries (supervision, Ultralytics), none of which is imported."""
 
 from __future__ import annotations
 

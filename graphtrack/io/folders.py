@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 _STAGES, _REPORTED = "stages.json", "tracks.csv"
-"""What the folder of a report is known by, and its table of estimates."""
+"""The file by which the folder of a report is recognised, and its table of estimates."""
 
 _OF_SEQUENCE = ("gt/gt.txt", "det/det.txt")
-"""What a sequence of MOTChallenge has: tracks, and detections, which are read where there are no tracks."""
+"""Tracks of a MOTChallenge sequence, and its detections, which are read where there are no tracks."""
 
 
 def sequence_file(folder: Path) -> Path | None:

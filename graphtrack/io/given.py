@@ -1,4 +1,4 @@
-"""What stands for tracks wherever tracks are asked for."""
+"""Tracks from a file, a table or tracks."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def tracks_of(given: Given, read: Callable[..., TrackSet] = read, **reading: Any
 
 
 def _hint(shape: tuple[int, ...]) -> str:
-    """How an array of positions becomes a track."""
+    """Advice to make a track of an array of positions."""
     if len(shape) != 2 or shape[1] != 2:
         return ""
     n = shape[0]

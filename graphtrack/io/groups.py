@@ -24,7 +24,7 @@ _NEEDED = ("frame", "track_id", "group")
 
 
 def is_group_table(path: Path) -> bool:
-    """Whether a file is a table of groups, by its first line."""
+    """Return whether a file is a table of groups, by its first line."""
     if not path.is_file() or not path.name.lower().endswith(".csv"):
         return False
     with path.open("rb") as stream:

@@ -1,4 +1,4 @@
-"""What an error says besides, where an option would read the table that cannot be read as it stands."""
+"""Hints in errors to options with which a table could be read."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _hint(error: InputError) -> str:
 
 
 def which_columns(path: str | None) -> str:
-    """What is said where columns have other names."""
+    """Hint for columns with other names."""
     return (
         "--columns says which column is which; "
         f"graphtrack info {shlex.quote(path or 'FILE')} --suggest proposes a line that reads it"
@@ -54,5 +54,5 @@ def which_columns(path: str | None) -> str:
 
 
 def names_columns(line: str) -> bool:
-    """Whether a line may be of a table, whatever the marks between its cells."""
+    """Return whether a line may be of a table, whatever the marks between its cells."""
     return any(len(line.split() if mark == " " else line.split(mark)) >= _FEWEST for mark in ",;\t| ")

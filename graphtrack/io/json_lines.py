@@ -25,7 +25,7 @@ def encoded(value: Any) -> str:
 
 
 def plain_cells(line: bytes) -> dict[str, Any] | None:
-    """What `io.readers.ndjson.read_cells` finds in a line, if that is quickly told; else None.
+    """Result of `io.readers.ndjson.read_cells` for a simple line; None for others.
 
     It is where all keys are columns of numbers, each stands there once, and all numbers are within bounds.
     """

@@ -1,4 +1,4 @@
-"""What a caller says of a table: which of its columns are which, and in what units."""
+"""A caller's description of a table: the meaning of its columns, and their units."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Layout:
 
     @property
     def by_number(self) -> bool:
-        """Whether columns are counted from 1, as where no line of names is above them."""
+        """Return whether columns are counted from 1, as where no line of names is above them."""
         return bool(self.columns) and all(name.isdecimal() for name in self.columns.values())
 
     @property

@@ -27,7 +27,7 @@ def parse_number(text: str) -> float | None:
 
 
 def expected_number(text: str) -> str:
-    """What is expected where `parse_number` finds none."""
+    """Description of the number expected where `parse_number` finds none."""
     decimal_comma = parse_number(text.replace(",", ".")) is not None
     return "a finite number with a decimal point" if decimal_comma else "a finite number"
 

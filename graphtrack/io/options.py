@@ -20,7 +20,7 @@ Associate = Literal["auto", "never", "always", "repair"]
 
 @dataclass(frozen=True, eq=False)
 class ReadOptions:
-    """What a caller says about a file beyond the file itself. ``None``: the reader's own rule holds.
+    """Options of reading a file. ``None``: the reader's own rule holds.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class ReadOptions:
         self.layout()
 
     def layout(self) -> Layout | None:
-        """What is said of a table's columns and units; None: it is the native one.
+        """The columns and units of a table; None: it is the native one.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Where files lie: which paths mean one file, and where nothing can be written without a loss."""
+"""Checks of paths: identity of files, and places that cannot be written without loss."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pathlib import Path
 from graphtrack.errors import InputError
 
 Paths = Path | Iterable[Path] | None
-"""What an option names: a path, several, or none."""
+"""The value of an option: a path, several, or none."""
 
 _Identity = tuple[int | str, ...]
 
 
 def destination(path: Path) -> Path:
-    """Where writing to a path ends up: of a symbolic link its target, whether it is there already or not."""
+    """The file that writing to a path creates: of a symbolic link its target, existing or not."""
     if not path.is_symlink():
         return path
     try:

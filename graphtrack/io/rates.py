@@ -52,5 +52,5 @@ def rate_to_write(tracks: TrackSet, path: Path | None = None, given: float | Non
 
 
 def times_told(frame: FloatArray, t: FloatArray, rate: float) -> bool:
-    """Whether frames (n,) at a rate say the times (n,) to the last bit."""
+    """Return whether frames (n,) at a rate say the times (n,) to the last bit."""
     return bool(np.array_equal(frame / rate, t))

@@ -96,7 +96,7 @@ def are_paths(given: object) -> TypeGuard[Sequence[str | Path]]:
 
 
 def is_table(given: object) -> TypeGuard[pd.DataFrame | Mapping[str, Any]]:
-    """Whether something is a table in memory: a DataFrame, what speaks Arrow, or name → column."""
+    """Return whether something is a table in memory: a DataFrame, what speaks Arrow, or name → column."""
     return isinstance(given, Mapping) or hasattr(given, "columns") or hasattr(given, "__arrow_c_stream__")
 
 
@@ -154,7 +154,7 @@ def write_table(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
 
 
 def check_table_name(path: Path) -> Callable[[Mapping[str, NDArray[Any]], Path], None]:
-    """What writes columns to a file of that name."""
+    """The function that writes columns to a file of that name."""
     write = format_for_writing(path).write_columns
     if write is None:
         names = ", ".join(s for one in FORMATS if one.write_columns is not None for s in one.suffixes)

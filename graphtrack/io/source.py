@@ -20,7 +20,7 @@ MAX_BYTES = 4 * 2**30
 """The largest input that is read, unpacked: a guard against files that unpack without end."""
 
 HEAD_BYTES = 8192
-"""How much of a file the formats may look at to recognise it."""
+"""Bytes of a file by which its format is recognised."""
 
 _GZIP_MAGIC, _ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
 _MARKS = {
@@ -145,7 +145,7 @@ class Source:
 
 
 def mostly(head: bytes, matches: Callable[[str], bool]) -> bool:
-    """Whether more than half of the first lines of a file are of some form.
+    """Return whether more than half of the first lines of a file are of some form.
 
     One bad line among them must not hide the format: its reader is the one to say what is wrong with the
     line.

@@ -41,7 +41,7 @@ class Recorded(NamedTuple):
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a recording lies at a path."""
+    """Return whether a recording lies at a path."""
     try:
         if isinstance(path, RemoteFile):
             return str(path).lower().endswith(".mcap")
@@ -72,7 +72,7 @@ class Bag:
     _definitions: Mapping[str, Definition]
 
     def store(self, kinds: Collection[str]) -> Typestore:
-        """What reads messages of these types, as the recording defines them, where it does."""
+        """The typestore of messages of these types, by the recording's own definitions where it has them."""
         from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
         embedded: dict[str, Any] = {}
@@ -136,7 +136,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 @contextmanager
 def told(path: Path, what: str) -> Iterator[None]:
-    """What the packages raise for what they cannot read becomes an `InputError`."""
+    """Turn the exceptions of packages for what they cannot read into an `InputError`."""
     try:
         yield
     except InputError as error:

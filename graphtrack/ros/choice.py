@@ -1,4 +1,4 @@
-"""Which topics of a recording are read."""
+"""Choice of the topics of a recording to read."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from graphtrack.errors import InputError
 from graphtrack.ros.definitions import IDS, OF_PEOPLE, POSE, POSE_WITH_COVARIANCE
 
 OURS = "/graphtrack/"
-"""What the names of topics begin with that are written here."""
+"""Prefix of the topics that are written."""
 
 OWN_INPUT = f"{OURS}detections"
 """Of the topics that are written here, that which is read back: it says most."""
@@ -55,13 +55,13 @@ def chosen_topics(topics: Mapping[str, str], asked: str | None, path: Path) -> l
 
 
 def _is_of_each(topics: Mapping[str, str], found: list[str]) -> bool:
-    """Whether topics are of one person each, and of one type."""
+    """Return whether topics are of one person each, and of one type."""
     kinds = {topics[name] for name in found}
     return len(kinds) == 1 and kinds <= {*_OF_ONE}
 
 
 def is_of_one(kind: str) -> bool:
-    """Whether the messages of a type tell of one person."""
+    """Return whether the messages of a type tell of one person."""
     return kind in _OF_ONE
 
 

@@ -1,4 +1,4 @@
-"""What is known of people at a time, as ROS's messages. The classes of messages are whoever's calls them."""
+"""Estimates of people at a time as ROS messages, of any library's message classes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Make(Protocol):
 
 
 class Quantities(NamedTuple):
-    """What messages say of somebody in numbers; nothing has to be computed from them any more.
+    """The numbers of a person's messages.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Quantities(NamedTuple):
 
 
 class Person(NamedTuple):
-    """What is known of somebody at a time.
+    """Estimate of a person at a time.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Person(NamedTuple):
 
 
 STATE = ("x", "y", "vx", "vy", "body", "head", "xx", "xy", "yy", "body_variance", "head_variance", "score")
-"""What `quantities_of` is given of people, column by column."""
+"""Columns of the input of `quantities_of`."""
 
 
 def quantities_of(state: FloatArray) -> tuple[FloatArray, FloatArray]:

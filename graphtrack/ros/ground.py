@@ -55,7 +55,7 @@ class Seen:
 
     @classmethod
     def of(cls, frames: Sequence[tuple[Frame, int]]) -> Seen:
-        """What some messages say."""
+        """The sightings of some messages."""
         people: list[Sighting] = [one for frame, _ in frames for one in frame.people]
         counts = [len(frame.people) for frame, _ in frames]
 
@@ -84,7 +84,7 @@ class Seen:
         )
 
     def is_turned(self) -> bool:
-        """Whether any orientation is told that is another than none at all."""
+        """Return whether any orientation is told that is another than none at all."""
         return bool((self.turn[:, :3] != 0.0).any())
 
 
@@ -111,7 +111,7 @@ class Ground:
 
     @property
     def notes(self) -> list[str]:
-        """What was taken for granted."""
+        """Notes on assumptions."""
         if self._was_given:
             return [f"places are in the frame {self.fixed}"]
         hint = "; --fixed-frame brings them to one that does not move" if self._may_move else ""

@@ -1,4 +1,4 @@
-"""Where people are of whom messages have the names alone, by the frames of REP 155 (ROS4HRI)."""
+"""Positions of people who are known by name alone, by the frames of REP 155 (ROS4HRI)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MATCH = re.compile(r"/humans/persons/([^/]+)/(face|body)_id")
 
 @dataclass(frozen=True)
 class Humans:
-    """What names mean.
+    """Meaning of the names of people.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Humans:
 
     @classmethod
     def of(cls, bag: Bag, topic: str) -> Humans:
-        """What the names of a topic such as /humans/persons/tracked mean."""
+        """Meaning of the names of a topic such as /humans/persons/tracked."""
         kind: Part = next((part for plural, part in _PARTS.items() if f"/{plural}/" in topic), "person")
         matched: dict[tuple[str, str], str] = {}
         if kind == "person":

@@ -52,7 +52,7 @@ def stamp_of(header: Any) -> int:
 
 
 def frame_of(message: Any, kind: str) -> Frame:
-    """What a message of one of the types `OF_PEOPLE` says.
+    """Sightings of a message of one of the types `OF_PEOPLE`.
 
     Parameters
     ----------

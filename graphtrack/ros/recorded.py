@@ -49,13 +49,13 @@ _OTHER_CLASS = "of another class"
 
 @dataclass(eq=False)
 class _Columns:
-    """What the messages so far said, on the ground."""
+    """Content of the messages read so far, on the ground."""
 
     parts: list[dict[str, NDArray[Any]]] = field(default_factory=list)
     refused: Counter[str] = field(default_factory=Counter)
     kinds: Counter[str] = field(default_factory=Counter)
     turned: bool = False
-    """Whether any orientation is another than that of the frame of reference."""
+    """Return whether any orientation is another than that of the frame of reference."""
 
 
 def rows_of_bag(path: Path, options: ReadOptions) -> Rows:
@@ -86,7 +86,7 @@ def _placed(error: InputError, path: Path) -> InputError:
 
 
 def _is_given(classes: tuple[str, ...]) -> bool:
-    """Whether classes were asked for, rather than left at what KITTI calls people."""
+    """Return whether classes were asked for, rather than left at what KITTI calls people."""
     return classes != ("Pedestrian",)
 
 
@@ -108,7 +108,7 @@ def _frames(bag: Bag, kind: str, topics: list[str]) -> Iterator[tuple[Frame, int
 
 
 def _is_unstamped(bag: Bag, kind: str, topics: list[str]) -> bool:
-    """Whether nobody stamped the messages: a simulation's first may be stamped 0, not the second."""
+    """Return whether nobody stamped the messages: a simulation's first may be stamped 0, not the second."""
     with open_bag(bag.path) as other:
         frames = other.decoded(kind, topics[:1], partial(frame_of, kind=kind))
         first = [frame.stamp for _, frame in islice(frames, 2)]
@@ -124,7 +124,7 @@ def _check_clock(before: int | None, stamp: int, number: int, topic: str) -> Non
 
 
 def _ground(bag: Bag, kind: str, topics: list[str], fixed: str | None) -> Ground:
-    """What brings people to the ground: tf is read where it may be asked for."""
+    """The conversion to the ground; tf is read where it may be needed."""
     humans = Humans.of(bag, topics[0]) if kind == IDS else None
     fixed = None if fixed is None else fixed.lstrip("/")
     transforms = Transforms()

@@ -64,7 +64,7 @@ def multiplied(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def spread_of(covariance: FloatArray, turn: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """What covariances of poses say of the ground plane.
+    """Position and yaw spread on the ground plane by covariances of poses.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _REACH = 500_000_000
 
 @dataclass(eq=False)
 class _Link:
-    """What was told of a frame: its parent, and the frame's pose there over time."""
+    """Parent of a frame, and the frame's pose in it over time."""
 
     parent: str
     static: bool
@@ -56,7 +56,7 @@ class Placement:
         return Rotation.from_quat(self.quaternion).as_matrix()
 
     def after(self, inner: Placement) -> Placement:
-        """Where that is which has a placement in this frame."""
+        """Placement, in the outer frame, of one that has a placement in this frame."""
         outer = Rotation.from_quat(self.quaternion)
         turned = outer * Rotation.from_quat(inner.quaternion)
         place = outer.apply(inner.translation) + self.translation

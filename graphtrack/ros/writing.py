@@ -53,7 +53,7 @@ _AT_A_TIME = 4096
 
 
 def message_for(kind: str, make: Any, stamp: int, frame_id: str, people: list[Person]) -> Any:
-    """What is known of people at a time (ns), as one of the types of `TOPICS`."""
+    """Estimates of people at a time (ns) as a message of one of the types of `TOPICS`."""
     if kind == SCENE:
         return scene_message(make, stamp, frame_id, people)
     if kind == MARKERS:
@@ -160,7 +160,7 @@ def moments_of(tracks: TrackSet) -> Iterator[Moments]:
 
 
 def _state(track: Track) -> FloatArray:
-    """What is known of a person, (n, 12) in the order of `graphtrack.ros.estimates.STATE`."""
+    """State of a person, (n, 12) in the order of `graphtrack.ros.estimates.STATE`."""
     n = len(track)
 
     def of(values: FloatArray | None) -> FloatArray:

@@ -25,7 +25,7 @@ from graphtrack.tracks import TrackSet, to_columns
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """What is done with every batch.
+    """Instructions for every batch.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """What came out of a batch.
+    """Result of a batch.
 
     Attributes
     ----------

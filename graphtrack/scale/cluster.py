@@ -28,7 +28,7 @@ _LOOK = 2.0
 
 
 def smooth_on_cluster(work: Work, given: Iterator[Batch], address: str, jobs: int | None) -> Iterator[Shard]:
-    """What `smooth_batch` makes of each batch, in the order of the batches.
+    """Yield the result of `smooth_batch` for each batch, in the order of the batches.
 
     A batch travels inside its task, which stays with the scheduler until its shard has arrived here: when a
     worker is lost, with batches or with finished shards, the scheduler gives them to another one.

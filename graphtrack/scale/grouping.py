@@ -28,7 +28,7 @@ _PENDING = 2**18
 
 @dataclass(frozen=True, eq=False)
 class Index:
-    """Which tracks a data set has.
+    """The tracks of a data set.
 
     Attributes
     ----------

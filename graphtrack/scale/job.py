@@ -35,7 +35,7 @@ from graphtrack.table.speeds import Speeds
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a data set.
+    """Result of smoothing a data set.
 
     Attributes
     ----------

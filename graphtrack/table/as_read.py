@@ -1,4 +1,4 @@
-"""What a table of other names and units said, so that what is written of it says it in the same way."""
+"""Names and units of a table that was read, so that output has them again."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ANGLES = {"body_rad": "body_deg", "head_rad": "head_deg"}
 
 @dataclass(frozen=True)
 class AsRead:
-    """How a table said what it said.
+    """Names and units of a table.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ def _places(found: dict[str, Any], as_read: AsRead) -> None:
 
 
 def merged(parts: list[tuple[AsRead | None, Mapping[int, int]]]) -> AsRead | None:
-    """How several tables said it together; the first says what all have in common.
+    """Names and units of several tables together; the first counts for what all have in common.
 
     Parameters
     ----------

@@ -30,12 +30,12 @@ _ISO = re.compile(
     re.ASCII,
 )
 _YEARS = range(1700, 2200)
-"""What nanoseconds from 1970 in 64 bits reach."""
+"""Years within 64-bit nanoseconds from 1970."""
 
 
 @dataclass(frozen=True)
 class TimeScale:
-    """How a file says its times.
+    """Representation of times in a file.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ def date_texts(values: Any) -> NDArray[Any]:
 
 
 def is_iso(text: str) -> bool:
-    """Whether a text is a date and a time, as ISO 8601 has them."""
+    """Return whether a text is a date and a time, as ISO 8601 has them."""
     return _ISO.fullmatch(text.strip()) is not None
 
 

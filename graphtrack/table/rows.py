@@ -179,7 +179,7 @@ def check_rows(rows: Rows) -> None:
 
 
 def _unsorted(rows: Rows) -> int:
-    """How many tracks have a frame that comes after a later one in the file."""
+    """Number of tracks with a frame that comes after a later one in the file."""
     order = np.argsort(rows.track_id, kind="stable")
     track_id, frame = rows.track_id[order], rows.frame[order]
     back = (np.diff(track_id) == 0) & (np.diff(frame) < 0)

@@ -109,7 +109,7 @@ TILT_COLUMN = "head_tilt_deg"
 """A column of the same kind, of trackers of heads: degrees above the horizontal."""
 
 ANSWER_COLUMNS = ("status", "reason", "error", "line")
-"""What `graphtrack track -` says beside an estimate, or in its place; nothing of a track either."""
+"""Columns of `graphtrack track -` beside an estimate, or in its place; nothing of a track either."""
 
 _OF_TABLE = frozenset(NAMES)
 _KNOWN = frozenset((*NAMES, *BOX_COLUMNS, TILT_COLUMN, *ANSWER_COLUMNS))
@@ -136,7 +136,7 @@ _INPUT_COLUMN = re.compile(
 _INPUT_NAME = re.compile(r"[A-Za-z](?!.*_[0-9]+$)[A-Za-z0-9_]*", re.ASCII)
 
 INPUT_NAME = "letters, digits and _, a letter first, and no number after the last _"
-"""What an input may be called: the number is that of a column."""
+"""Names allowed for inputs, in words: a trailing number is that of a column."""
 
 
 @lru_cache(1024)
@@ -152,12 +152,12 @@ def numeric(name: str) -> Column | None:
 
 
 def _heading(field: str) -> str:
-    """What the columns of an input are called, but for their numbers."""
+    """Name of the columns of an input, without their numbers."""
     return APPEARANCE if field == INPUT + APPEARANCE else field
 
 
 def is_input_name(name: str) -> bool:
-    """Whether an input of a track may be called so; see `INPUT_NAME`."""
+    """Return whether an input of a track may be called so; see `INPUT_NAME`."""
     return _INPUT_NAME.fullmatch(name) is not None
 
 
@@ -171,7 +171,7 @@ def input_columns(field: str, size: Sequence[int]) -> Iterator[Column]:
 
 
 def is_column(name: str) -> bool:
-    """Whether the native table has a column of that name."""
+    """Return whether the native table has a column of that name."""
     return name in _OF_TABLE or numeric(name) is not None
 
 
@@ -218,12 +218,12 @@ def together(names: tuple[str, ...]) -> list[tuple[str, ...]]:
 
 
 def expected_integer(highest: int) -> str:
-    """What a cell may hold that must be a whole number, in words."""
+    """Allowed values of a whole number's cell, in words."""
     return f"a whole number within ±{highest}"
 
 
 def expected_group(group: Sequence[str]) -> str:
-    """What a row may hold of columns that stand together, in words."""
+    """Allowed cells of columns that stand together, in words."""
     return f"all of {group[0]} … {group[-1]} or none of them"
 
 

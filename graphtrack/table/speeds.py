@@ -21,7 +21,7 @@ _SHARE = 0.1
 
 @dataclass(frozen=True)
 class Speeds:
-    """How fast tracks are.
+    """Speeds of tracks.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Speeds:
 
     @property
     def note(self) -> str | None:
-        """What there is to be said of them; None where they are those of people."""
+        """Note on speeds that no people have; None where there are none."""
         if self.n_fast <= _SHARE * self.n_positions:
             return None
         usual, greatest = _median(np.array(self.fast)), max(self.fast)

@@ -1,4 +1,4 @@
-"""What became of the rows of an input."""
+"""Summary of reading."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class ReadSummary:
-    """What became of the rows of the input. ``rows_read == rows_used + rows_refused``.
+    """Counts of the rows of an input. ``rows_read == rows_used + rows_refused``.
 
     Attributes
     ----------

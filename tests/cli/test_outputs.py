@@ -14,7 +14,6 @@ import graphtrack as gt
 import graphtrack.cli
 import perception.cli
 from graphtrack.errors import InputError
-from graphtrack.io import places
 from graphtrack.scale import smooth_dataset
 
 ROWS = "track_id,frame,t,x,y\n" + "".join(f"1,{k},{k / 10},{k / 10},0\n" for k in range(20))
@@ -127,18 +126,6 @@ def test_files_beside_each_other_are_written(
     assert run(monkeypatch, "info a.csv --json full/a.csv") == 0
     assert Path("a.csv").read_text() == ROWS
     assert Path("to-x.csv").is_symlink() and gt.read("x.csv").n_frames == 20
-
-
-def test_names_that_differ_in_case_are_one_place_where_the_file_system_has_it_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    outputs = {"--output": tmp_path / "x.csv", "--report": tmp_path / "X.CSV"}
-    (tmp_path / "abc").touch()
-    places.check_distinct(outputs, {})
-    # As if it were: the other spelling of a name that is there is the same file.
-    (tmp_path / "ABC").symlink_to("abc")
-    with pytest.raises(InputError, match="--report and --output"):
-        places.check_distinct(outputs, {})
 
 
 def test_a_data_set_is_not_written_into_by_a_program_either(tmp_path: Path) -> None:

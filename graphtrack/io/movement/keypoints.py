@@ -1,4 +1,4 @@
-"""What keypoints on the ground say of a person: where they stand, and where body and head point."""
+"""Position, body and head orientation of people from keypoints on the ground."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _plain(name: str) -> str:
 
 
 def middle(points: FloatArray, names: Sequence[str], *, in_image: bool) -> tuple[FloatArray, str]:
-    """Where people stand (..., 2) by their keypoints (..., k, 2), and which of them say so.
+    """Positions (..., 2) of people by their keypoints (..., k, 2), and the keypoints used.
 
     That is the middle of a pair, NaN where one of the two is missing, or of all points where no such pair is.
 
@@ -71,7 +71,7 @@ def middle(points: FloatArray, names: Sequence[str], *, in_image: bool) -> tuple
 def orientations(
     points: FloatArray, places: Mapping[str, int], *, mirrored: bool, nose_is_on_ground: bool
 ) -> dict[str, FloatArray]:
-    """Where body and head point, (...) radians, by points (..., k, 2) on a plane; NaN where it is not known.
+    """Orientations (...) of body and head in radians by points (..., k, 2) on a plane; NaN if unknown.
 
     The body is square to the shoulders. The head is square to the ears, and points, in one vector with that,
     from their middle to the nose. A camera's homography of the ground moves all points of one height along

@@ -1,4 +1,4 @@
-"""How tracks lie in a dataset: the dimensions of each variable, beside those that movement itself has."""
+"""Layout of tracks in a dataset: the dimensions of each variable."""
 
 from __future__ import annotations
 
@@ -34,4 +34,4 @@ SPACE_UNITS = {
     **dict.fromkeys(("mm", "millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
     **dict.fromkeys(("ft", "feet", "foot"), "ft"),
 }
-"""What ``space_unit`` of the positions may say, and the unit that it is."""
+"""Values of the positions' ``space_unit``, and the unit of each."""

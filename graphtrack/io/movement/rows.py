@@ -177,7 +177,7 @@ class _Reading:
         return [there.index(name) for name in wanted]
 
     def names(self, dimension: str, prefix: str) -> list[str]:
-        """What stands along a dimension; numbers with a prefix where it says nothing."""
+        """Coordinates of a dimension as text; numbers with a prefix where it has none."""
         if dimension not in self.dataset.dims:
             said = self.dataset.coords.get(dimension)
             return [str(said.item()) if said is not None and said.ndim == 0 else f"{prefix}0"]

@@ -12,7 +12,7 @@ from graphtrack.tracks import TrackSet
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether a recording lies at the path, which may be a folder."""
+    """Return whether a recording lies at the path, which may be a folder."""
     from graphtrack.ros.bag import is_bag
 
     return is_bag(path)

@@ -39,7 +39,7 @@ LOBBY_HEIGHT = 5.35
 """Metres of the lobby's camera above the floor, as far as heads are 1.6 m above feet."""
 
 _TOWARDS_NADIR = 0.8
-"""Where the feet are between the box's centre (0) and its edge towards the nadir (1); measured as above."""
+"""Position of the feet between the box's centre (0) and its edge towards the nadir (1)."""
 
 _LOBBY_SIZE = (384.0, 288.0)
 _WIDE_SHARE = 0.2
@@ -65,7 +65,7 @@ def lobby_camera() -> GroundCamera:
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether it is XML with a ``dataset`` element."""
+    """Return whether it is XML with a ``dataset`` element."""
     return b"<dataset" in head and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
 
 
@@ -259,7 +259,7 @@ class _Reader:
         )
 
     def _point(self, element: Element | None) -> tuple[float, float]:
-        """Where a part of the body is; NaN where it is not labelled."""
+        """Pixel of a part of the body; NaN where it is not labelled."""
         if element is None or element.get("xc") is None or element.get("yc") is None:
             return float("nan"), float("nan")
         low = -LARGEST_PIXELS

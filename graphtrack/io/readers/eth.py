@@ -20,7 +20,7 @@ _OBSMAT = ("frame", "id", "x", "z", "y", "vx", "vz", "vy")
 
 
 def _looks_like_eth(head: bytes, path: Path) -> bool:
-    """Whether the lines are eight numbers between white space."""
+    """Return whether the lines are eight numbers between white space."""
 
     def matches(line: str) -> bool:
         cells = line.split()

@@ -33,7 +33,7 @@ _WITH_A_LOG = 2
 
 
 def _looks_like_jupedsim(head: bytes, path: Path) -> bool:
-    """Whether the file begins with SQLite's signature."""
+    """Return whether the file begins with SQLite's signature."""
     return head.startswith(SQLITE)
 
 

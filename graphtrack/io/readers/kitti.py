@@ -35,7 +35,7 @@ _EARTH_RADIUS = 6378137.0
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether the lines are two numbers, a word and fourteen or fifteen more numbers."""
+    """Return whether the lines are two numbers, a word and fourteen or fifteen more numbers."""
 
     def matches(line: str) -> bool:
         cells = line.split()
@@ -45,7 +45,7 @@ def looks_like(head: bytes, path: Path) -> bool:
 
 
 def beside(path: Path) -> tuple[Path, ...]:
-    """Where the ego motion and the calibration lie, under the labels' name in folders next to theirs."""
+    """Paths of ego motion and calibration: the labels' name in folders next to theirs."""
     root, name = path.absolute().parent.parent, path.name.removesuffix(".gz")
     return root / "oxts" / name, root / "calib" / name
 

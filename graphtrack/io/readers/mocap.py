@@ -20,7 +20,7 @@ _LARGEST_YAW = 1e4
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether the first line names the columns of a motion-capture table."""
+    """Return whether the first line names the columns of a motion-capture table."""
     cells = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].strip().split(b",")
     return {name.encode() for name in _NEEDED} <= set(cells)
 

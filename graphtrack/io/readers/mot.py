@@ -45,7 +45,7 @@ _CLASSES = (
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether the lines are seven to ten numbers between commas."""
+    """Return whether the lines are seven to ten numbers between commas."""
 
     def matches(line: str) -> bool:
         cells = line.split(",")
@@ -55,7 +55,7 @@ def looks_like(head: bytes, path: Path) -> bool:
 
 
 def beside(path: Path) -> tuple[Path, ...]:
-    """Where a sequence's frame rate is told."""
+    """Paths of the file with a sequence's frame rate."""
     return path.parent / "seqinfo.ini", path.parent.parent / "seqinfo.ini"
 
 

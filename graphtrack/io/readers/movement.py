@@ -21,7 +21,7 @@ _CLASSIC = (b"CDF\x01", b"CDF\x02")
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether the file begins with the signature of netCDF, or of HDF5, which netCDF 4 is."""
+    """Return whether the file begins with the signature of netCDF, or of HDF5, which netCDF 4 is."""
     return head.startswith((_HDF5, *_CLASSIC))
 
 

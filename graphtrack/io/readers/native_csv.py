@@ -33,7 +33,7 @@ from graphtrack.tracks import TrackSet, to_columns
 
 
 def _looks_like_csv(head: bytes, path: Path) -> bool:
-    """Whether the first line names at least two columns of the native table."""
+    """Return whether the first line names at least two columns of the native table."""
     first = head.removeprefix(b"\xef\xbb\xbf").lstrip().split(b"\n", 1)[0].decode("utf-8", errors="replace")
     cells = {cell.strip().strip('"') for cell in first.split(",")}
     return len(cells & set(NAMES)) >= 2

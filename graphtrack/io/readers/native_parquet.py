@@ -31,7 +31,7 @@ ROW_GROUP = 131_072
 
 
 def _looks_like_parquet(head: bytes, path: Path) -> bool:
-    """Whether the file begins with Parquet's signature."""
+    """Return whether the file begins with Parquet's signature."""
     return head.startswith(b"PAR1")
 
 
@@ -61,7 +61,7 @@ def _read_parquet(source: Source, options: ReadOptions) -> Rows:
 
 
 def has_moments(source: Source) -> bool:
-    """Whether the column ``t`` holds dates or durations, by Arrow's types."""
+    """Return whether the column ``t`` holds dates or durations, by Arrow's types."""
     import pyarrow.parquet as pq
 
     with damage_told(source.path):
@@ -81,7 +81,7 @@ def _is_moment(kind: pa.DataType) -> bool:
 
 @contextmanager
 def damage_told(path: Path) -> Iterator[None]:
-    """What pyarrow raises for a file that it cannot read becomes an `InputError`."""
+    """Turn pyarrow's exceptions for a file that it cannot read into an `InputError`."""
     import pyarrow as pa
 
     try:

@@ -66,7 +66,7 @@ _CAREFUL = json.JSONDecoder(
     object_pairs_hook=tuple, parse_int=_integer, parse_float=_float, parse_constant=_Literal
 )
 _HUGE = re.compile(r"[eE]\+?\d{3}|\d{300}")
-"""Where a number may be too large: the careful decoder takes half as long again."""
+"""Sign of a number that may be too large: the careful decoder takes half as long again."""
 
 
 def parse_line(text: str) -> Pairs:
@@ -83,7 +83,7 @@ def parse_line(text: str) -> Pairs:
 
 
 def _no_json(text: str, place: int) -> InputError:
-    """What stands at a place where the decoder could not go on, and under which key."""
+    """The error for a place where the decoder could not go on, with its key."""
     if place >= len(text.rstrip()):
         return InputError("the end of the line", _EXPECTED)
     begin = place - len(_WORD_BEFORE.search(text[:place])[0])  # type: ignore[index]  # it always matches
@@ -207,7 +207,7 @@ REPLACED = "estimates that a later row of the same frame replaces"
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether most lines begin as an object does."""
+    """Return whether most lines begin as an object does."""
     return mostly(head, lambda line: line.startswith("{"))
 
 
@@ -258,7 +258,7 @@ def read(source: Source, options: ReadOptions) -> Rows:
 
 
 def _is_of_a_frame(given: Mapping[str, Any]) -> bool:
-    """Whether a line tells of groups, looks or a forecast, and not of what was seen or estimated."""
+    """Return whether a line tells of groups, looks or a forecast, and not of what was seen or estimated."""
     if "status" in given or "x" in given or "u" in given:
         return False
     is_list = any(isinstance(given.get(name), list) for name in ("attention", "forecast"))

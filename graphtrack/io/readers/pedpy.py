@@ -27,7 +27,7 @@ _UNITS = {
 
 
 def _looks_like_text(head: bytes, path: Path) -> bool:
-    """Whether comments come first, and below them rows of whole number, whole number, number, number."""
+    """Return whether comments come first, and below them rows of two whole numbers and two numbers."""
     lines = [line.strip() for line in head.decode("utf-8-sig", errors="replace").split("\n")[:-1]]
     lines = [line for line in lines if line]
     rows = [line.split() for line in lines if not line.startswith("#")][:20]

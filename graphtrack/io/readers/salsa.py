@@ -22,7 +22,7 @@ _LARGEST_ANGLE = 1e4
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether the lines are a number followed by ``ID_…``."""
+    """Return whether the lines are a number followed by ``ID_…``."""
 
     def matches(line: str) -> bool:
         cells = line.split(maxsplit=2)

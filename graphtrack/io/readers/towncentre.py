@@ -22,7 +22,7 @@ _NAMES = ("frame", "id", "left", "top", "width", "height")
 
 
 def looks_like(head: bytes, path: Path) -> bool:
-    """Whether the lines are six numbers between commas."""
+    """Return whether the lines are six numbers between commas."""
 
     def matches(line: str) -> bool:
         cells = line.split(",")
@@ -32,7 +32,7 @@ def looks_like(head: bytes, path: Path) -> bool:
 
 
 def beside(path: Path) -> tuple[Path, ...]:
-    """Where the camera's calibration lies."""
+    """Path of the camera's calibration."""
     return (path.parent / "calibration.ci",)
 
 

@@ -35,12 +35,12 @@ _WHOLE = {"frame"}
 
 
 def _looks_like_ucy(head: bytes, path: Path) -> bool:
-    """Whether the first line counts splines."""
+    """Return whether the first line counts splines."""
     return b"number of splines" in head.split(b"\n", 1)[0].lower()
 
 
 def _homography_beside(path: Path) -> tuple[Path, ...]:
-    """Where the homography of the data set lies."""
+    """Path of the data set's homography."""
     return (path.parent / "H.txt",)
 
 
@@ -133,7 +133,7 @@ class _Lines:
 
     @property
     def left(self) -> bool:
-        """Whether there is a current line."""
+        """Return whether there is a current line."""
         return self._place < len(self._lines)
 
     def text(self, expected: str) -> str:

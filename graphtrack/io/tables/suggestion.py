@@ -1,4 +1,4 @@
-"""Which options would read a file as it stands: proposed from what is seen in it, for its owner to judge."""
+"""Suggestion of the options that would read a file, for its owner to judge."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def suggest(path: Path) -> Suggestion:
 
 
 def _may_be_table(source: Source) -> bool:
-    """Whether options could name columns and marks: no database, and nothing that is only written."""
+    """Return whether options could name columns and marks: no database, and nothing that is only written."""
     known = next((one for one in FORMATS if one.looks_like(source.head, source.path)), None)
     return known is None or (known.is_read and not source.head.startswith(b"SQLite format 3"))
 
@@ -86,7 +86,7 @@ def _read_options(found: Suggestion) -> ReadOptions:
 
 
 def _as_people(rows: Rows) -> bool:
-    """Whether what was read moves as people do."""
+    """Return whether what was read moves as people do."""
     return not rows.has_identity or not _too_fast(rows)
 
 

@@ -29,7 +29,7 @@ _LONGEST = 40
 
 
 def is_empty(cell: object) -> bool:
-    """Whether a cell says nothing."""
+    """Return whether a cell says nothing."""
     return cell is None or cell != cell or (isinstance(cell, str) and not cell.strip())
 
 
@@ -112,7 +112,7 @@ def numbered_names(names: Sequence[str]) -> tuple[NDArray[np.int64], dict[int, s
 
 
 def _is_whole(text: str) -> bool:
-    """Whether a text is a whole number that reads back to the same text: 007 is a name."""
+    """Return whether a text is a whole number that reads back to the same text: 007 is a name."""
     digits = text.strip().removeprefix("-")
     if not (digits.isdecimal() and digits.isascii()) or len(digits) > 16:
         return False

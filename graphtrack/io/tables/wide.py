@@ -12,7 +12,7 @@ from graphtrack.io.tables.cells import Cells
 from graphtrack.io.tables.values import is_empty
 
 IDENTITY = "identity of the column"
-"""What the column is called that the identities get."""
+"""Name of the column of identities."""
 
 
 def long(cells: Cells, layout: Layout) -> tuple[Cells, Layout]:
