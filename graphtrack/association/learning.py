@@ -11,10 +11,10 @@ from scipy.optimize import minimize
 
 from graphtrack.association import duplicates
 from graphtrack.association.chains import Chains, Scene
-from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import innovations
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import NOTHING, Known, SceneParameters
+from graphtrack.table.detections import Detections
 
 _EDGE = 3
 """Frames at either end of a recording in which somebody may have been missed who was there."""

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from graphtrack.association import duplicates, facing, learning, looks, places
 from graphtrack.association.appearance import AppearanceModel
 from graphtrack.association.chains import Scene, link_by, unlinked
-from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import remember_rest
 from graphtrack.association.moves import Moves
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import GivenScene, Known, SceneParameters, known_values
+from graphtrack.table.detections import Detections
 
 APPEARANCE = "input_appearance"
 """The channel of descriptors of what detections look like, (n, d)."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from graphtrack.association import duplicates, learning
 from graphtrack.association.chains import DETECTION, Chains, IntArray, Scene, unlinked
-from graphtrack.association.detections import Detections
 from graphtrack.association.history import History
 from graphtrack.association.kernels import count_up, missed
 from graphtrack.association.looks import widened
@@ -28,6 +27,7 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import real, whole
 from graphtrack.scene import GivenScene, SceneParameters, known_values
+from graphtrack.table.detections import Detections
 
 TOLD = 0.45
 """How probable somebody has to be, and that who is not seen is still there, to be told. What makes an

@@ -7,12 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from graphtrack.association.detections import Detections, frames_between
 from graphtrack.association.offline import APPEARANCE, associate_detections, repair_detections
 from graphtrack.errors import InputError
 from graphtrack.gaps import with_rows
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import GivenScene, SceneParameters, known_values
+from graphtrack.table.detections import Detections, frames_between
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import Track, TrackSet
 

@@ -16,11 +16,12 @@ from graphtrack.behaviour.groups import KINDS, Groups
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import Source
+from graphtrack.table.groups import UNLABELLED
 
 IntArray = NDArray[np.int64]
 
-NOBODY, UNLABELLED = -1, -2
-"""Targets of looks that are at nobody, and of which nothing is said."""
+NOBODY = -1
+"""Target of looks at nobody."""
 
 _FIRST_LINE = 2
 _TARGETS = ("person", "place", "nothing")

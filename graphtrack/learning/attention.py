@@ -8,10 +8,11 @@ import numpy as np
 
 from graphtrack.behaviour.attention import Attention, AttentionParameters, attention
 from graphtrack.behaviour.groups import groups
-from graphtrack.behaviour.tables import UNLABELLED, LookLabels
+from graphtrack.behaviour.tables import LookLabels
 from graphtrack.errors import InputError
-from graphtrack.evaluation.looks import LEAST, LookScore, score_looks, true_shares
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.interaction.scores import LEAST, LookScore, score_looks, true_shares
+from graphtrack.table.groups import UNLABELLED
 from graphtrack.tracks import TrackSet
 
 _STEP = 0.5

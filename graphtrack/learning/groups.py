@@ -16,8 +16,8 @@ from graphtrack.behaviour.parameters import ConversationWeights, GroupParameters
 from graphtrack.behaviour.people import IntArray, People, people_of
 from graphtrack.behaviour.smoothing import averaged
 from graphtrack.errors import InputError
-from graphtrack.evaluation.groups import GroupScore, score_groups
 from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.interaction.scores import GroupScore, score_groups
 from graphtrack.learning.facing import fit_facing
 from graphtrack.learning.walking import fit_walking
 from graphtrack.table.groups import UNLABELLED, GroupLabels

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from graphtrack.association import duplicates, facing, learning
 from graphtrack.association.chains import Chains, link_by, unlinked
-from graphtrack.association.detections import Detections
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.rows import detections_of
 from graphtrack.association.tracks import rows_of
@@ -20,6 +19,7 @@ from graphtrack.errors import InputError
 from graphtrack.model import Model
 from graphtrack.scene import SceneParameters
 from graphtrack.simulation.detector import FALSE
+from graphtrack.table.detections import Detections
 from graphtrack.table.rows import Rows, check_rows
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.detections import with_those_between
 from graphtrack.bounds import LARGEST_ID, check_positive
 from graphtrack.display import counted
 from graphtrack.errors import InputError
@@ -17,6 +16,7 @@ from graphtrack.geometry.angles import BoolArray, FloatArray, wrap
 from graphtrack.io.given import tracks_of
 from graphtrack.simulation.degrade import add_noise, motion, withhold
 from graphtrack.table.columns import to_columns
+from graphtrack.table.detections import with_those_between
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:

@@ -13,11 +13,11 @@ from crossing_people import idf1, street
 
 import graphtrack as gt
 from graphtrack.association.chains import Scene
-from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import GATE, missed
 from graphtrack.association.moves import match
 from graphtrack.association.offline import associate_detections, repair_detections
 from graphtrack.scene import SceneParameters
+from graphtrack.table.detections import Detections
 
 
 def table_of(detections: Detections) -> pd.DataFrame:

@@ -11,9 +11,9 @@ from command import run as run_command
 from crossing_people import crowd, idf1, street
 
 import graphtrack as gt
-from graphtrack.association.detections import Detections
 from graphtrack.association.online import Decision, OnlineAssociation
 from graphtrack.scene import SceneParameters
+from graphtrack.table.detections import Detections
 
 SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
 

@@ -14,8 +14,8 @@ import graphtrack as gt
 from graphtrack.behaviour.partition import partition
 from graphtrack.behaviour.smoothing import averaged
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.evaluation.groups import matches, score_groups
 from graphtrack.geometry.angles import direction, wrap
+from graphtrack.interaction.scores import matches, score_groups
 from graphtrack.io.groups import read_groups
 from graphtrack.tracks import Track, TrackSet
 

@@ -12,11 +12,12 @@ from command import run as run_program
 import graphtrack as gt
 from graphtrack.behaviour.attention import AttentionParameters, attention
 from graphtrack.behaviour.files import load_attention, save_parameters
-from graphtrack.behaviour.tables import NOBODY, UNLABELLED, LookLabels, read_looks
+from graphtrack.behaviour.tables import NOBODY, LookLabels, read_looks
 from graphtrack.errors import InputError
-from graphtrack.evaluation.looks import calibration_error, score_looks
+from graphtrack.interaction.scores import calibration_error, score_looks
 from graphtrack.learning.attention import fit_attention
 from graphtrack.simulation.party import Party, party
+from graphtrack.table.groups import UNLABELLED
 
 
 def labels_of(made: Party) -> LookLabels:

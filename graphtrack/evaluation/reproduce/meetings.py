@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.detections import Detections
 from graphtrack.association.facing import observed
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.online import OnlineAssociation
@@ -27,6 +26,7 @@ from graphtrack.evaluation.reproduce.experiment import (
 from graphtrack.evaluation.reproduce.honesty import BODY_KAPPA, HEAD_KAPPA
 from graphtrack.geometry.angles import wrap
 from graphtrack.simulation.degrade import add_noise
+from graphtrack.table.detections import Detections
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
