@@ -92,17 +92,14 @@ class AppearanceModel:
     ) -> AppearanceModel:
         """The model of a recording, from pairs of its detections; one that says nothing if they are too few.
 
+        Raise InputError for arrays of other shapes, or rows that are not there.
+
         Parameters
         ----------
         descriptors : (n, k), NaN where one is missing
         same : (m, 2) rows of pairs that are thought to show one person, such as neighbours in tracklets.
             Looks drift apart: the model holds for pairs as far apart in time as these are.
         different : (l, 2) rows of pairs that show two people, such as those of one frame
-
-        Raises
-        ------
-        InputError
-            For arrays of other shapes, or rows that are not there.
         """
         values = np.asarray(descriptors, float)
         if values.ndim != 2 or not values.shape[1]:
@@ -121,20 +118,14 @@ class AppearanceModel:
     def log_ratio(self, first: ArrayLike, second: ArrayLike) -> FloatArray:
         """Log likelihood ratio (...) of descriptors (..., k), which broadcast; 0 where one is missing.
 
-        Raises
-        ------
-        InputError
-            For descriptors of another size.
+        Raise InputError for descriptors of another size.
         """
         return self.of_squares(np.sum((self.whitened(first) - self.whitened(second)) ** 2, axis=-1))
 
     def whitened(self, descriptors: ArrayLike) -> FloatArray:
         """Descriptors (..., k) whose squared Euclidean distances are those of `of_squares`.
 
-        Raises
-        ------
-        InputError
-            For descriptors of another size.
+        Raise InputError for descriptors of another size.
         """
         values, k = np.asarray(descriptors, float), len(self.whitening)
         if values.shape[-1:] != (k,):

@@ -99,10 +99,7 @@ def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
 def usable(rows: Rows) -> Rows:
     """The rows that have a position; of those that say the same twice only the first.
 
-    Raises
-    ------
-    InputError
-        With the line, where times do not increase from frame to frame.
+    Raise InputError with the line, where times do not increase from frame to frame.
     """
     rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
     if not len(rows):

@@ -37,15 +37,12 @@ def scores_of(seen: Sequence[Observation]) -> FloatArray:
 def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
     """What observations look like, (n, d): their input `APPEARANCE`.
 
+    Raise InputError for a descriptor that has another size.
+
     Parameters
     ----------
     seen : the observations
     size : d as it was before; 0: that of the first one
-
-    Raises
-    ------
-    InputError
-        For a descriptor that has another size.
     """
     given = [one.inputs.get(APPEARANCE) for one in seen]
     rows = [None if one is None else np.atleast_1d(np.asarray(one, float)) for one in given]

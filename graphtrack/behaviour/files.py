@@ -33,10 +33,7 @@ def save_parameters(parameters: GroupParameters | AttentionParameters, path: str
 def load_parameters(path: str | Path) -> GroupParameters:
     """Read parameters of groups (TOML); what is not named is as it was learned.
 
-    Raises
-    ------
-    InputError
-        With the file and the key.
+    Raise InputError with the file and the key.
     """
     return _loaded(path, "groups", lambda table: GroupParameters.from_dict(table, DEFAULT))
 
@@ -44,10 +41,7 @@ def load_parameters(path: str | Path) -> GroupParameters:
 def load_attention(path: str | Path) -> AttentionParameters:
     """Read parameters of attention (TOML); what is not named is as by default.
 
-    Raises
-    ------
-    InputError
-        With the file and the key.
+    Raise InputError with the file and the key.
     """
     return _loaded(path, "attention", lambda table: with_table(AttentionParameters(), "attention", table))
 

@@ -135,10 +135,7 @@ class GroupParameters:
     def from_dict(cls, tables: dict[str, Any], start: GroupParameters) -> GroupParameters:
         """Parameters from nested tables; what is not named is as in ``start``.
 
-        Raises
-        ------
-        InputError
-            For an unknown name, and for a value out of its range.
+        Raise InputError for an unknown name, and for a value out of its range.
         """
         given = dict(tables)
         parts = {}

@@ -106,12 +106,8 @@ def _read(path: str | Path, needed: Sequence[str]) -> _Rows:
 def read_group_table(path: str | Path) -> Groups:
     """Read what ``graphtrack groups`` wrote, or any table with ``frame``, ``track_id`` and ``group``.
 
-    Without ``kind`` groups are conversations; without ``probability`` or the centre these are NaN.
-
-    Raises
-    ------
-    InputError
-        With line and column: no number, an unknown kind, a probability that is none, somebody twice.
+    Without ``kind`` groups are conversations; without ``probability`` or the centre these are NaN. Raise
+    InputError with line and column: no number, an unknown kind, a probability that is none, somebody twice.
     """
     rows = _read(path, ("frame", "track_id", "group"))
     frame, person, group = (rows.whole(name) for name in ("frame", "track_id", "group"))
@@ -161,12 +157,8 @@ class LookLabels:
 def read_looks(path: str | Path) -> LookLabels:
     """Read labelled looks: CSV with ``frame``, ``track_id`` and ``target``, an id or −1 for nobody.
 
-    Rows whose target is empty say nothing.
-
-    Raises
-    ------
-    InputError
-        With line and column: no whole number, somebody who looks at themselves, a person twice in a frame.
+    Rows whose target is empty say nothing. Raise InputError with line and column: no whole number, somebody
+    who looks at themselves, a person twice in a frame.
     """
     rows = _read(path, ("frame", "track_id", "target"))
     frame, person = rows.whole("frame"), rows.whole("track_id")
@@ -183,10 +175,8 @@ def read_looks(path: str | Path) -> LookLabels:
 def read_attention(path: str | Path) -> list[Attention]:
     """Read what ``graphtrack attention`` wrote; targets that the table leaves out have the probability 0.
 
-    Raises
-    ------
-    InputError
-        With line and column: no number, an unknown kind, a target that is no person, a target twice.
+    Raise InputError with line and column: no number, an unknown kind, a target that is no person, a target
+    twice.
     """
     rows = _read(path, ("frame", "t", "track_id", "kind", "target", "probability"))
     frame, person, t = rows.whole("frame"), rows.whole("track_id"), rows.numbers("t")

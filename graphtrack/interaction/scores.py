@@ -199,10 +199,7 @@ def score_looks(
 ) -> LookScore:
     """Judge looks in the frames that are labelled, from a time to another.
 
-    Raises
-    ------
-    InputError
-        Where no look is labelled.
+    Raise InputError where no look is labelled.
     """
     p, y, top, hit = [], [], [], []
     for one, rows, true in true_shares(found, labels):

@@ -125,10 +125,7 @@ class ForecastFit:
 def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
     """Forecasts of a recording every `EVERY` seconds, beside what came of them.
 
-    Raises
-    ------
-    InputError
-        If nobody was seen for long enough after a forecast.
+    Raise InputError if nobody was seen for long enough after a forecast.
     """
     random = np.random.default_rng(0)
     parts: list[tuple[Expected, ComplexArray, ComplexArray]] = []

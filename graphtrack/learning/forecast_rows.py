@@ -113,10 +113,7 @@ def forecasts(
 def rows_of(of: Recording) -> Rows:
     """A recording's people, filtered.
 
-    Raises
-    ------
-    InputError
-        If nobody was seen for long enough after a forecast.
+    Raise InputError if nobody was seen for long enough after a forecast.
     """
     alone = replace(ForecastParameters(), stop_speed=0.0, companion_weight=0.0)
     parts: list[tuple[NDArray[np.complex128] | FloatArray | NDArray[np.bool_], ...]] = []

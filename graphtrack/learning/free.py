@@ -68,10 +68,7 @@ class Free:
 def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
     """What a model has to learn from such tracks; what is 0 in it is switched off, and stays so.
 
-    Raises
-    ------
-    InputError
-        For a term whose parameters cannot be learned.
+    Raise InputError for a term whose parameters cannot be learned.
     """
     for term in model.terms:
         if not term.states("reads"):

@@ -121,7 +121,8 @@ def occlude(
     """Withhold position and body, not the head, for a while around everybody's sharpest turn.
 
     The sharpest turn is where the direction of the true motion (of the observed, where no truth is known)
-    changes most over ``turn_seconds``, among the times at which the person moves.
+    changes most over ``turn_seconds``, among the times at which the person moves. Raise InputError for a
+    length or a time of turning that is not positive, or a negative margin.
 
     Parameters
     ----------
@@ -135,11 +136,6 @@ def occlude(
     -------
     Occlusion
         Tracks that are too short, or in which nobody moves, are left out with their reason.
-
-    Raises
-    ------
-    InputError
-        For a length or a time of turning that is not positive, or a negative margin.
     """
     if not (np.isfinite(seconds) and seconds > 0.0):
         raise InputError(f"seconds = {seconds!r}", "a positive number")

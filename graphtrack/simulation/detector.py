@@ -108,12 +108,7 @@ class Detected:
         """The detections without identities: columns of the native table, a row for each.
 
         By frames, and within a frame in random order. Place, time and what was seen of body and head stay;
-        nothing of the truth does.
-
-        Raises
-        ------
-        InputError
-            If nobody was detected.
+        nothing of the truth does. Raise InputError if nobody was detected.
         """
         columns = to_columns(self.observed)
         rows = np.flatnonzero(np.isfinite(columns["x"]))
@@ -139,7 +134,8 @@ def detect(
 
     False detections lie anywhere in the box around all true positions of the recording, each as probably as
     any other, in every frame from the first to the last. An occlusion lies anywhere within its person's
-    track, whose first and last frames it spares.
+    track, whose first and last frames it spares. Raise InputError for amounts that are none, and if nobody is
+    anywhere.
 
     Parameters
     ----------
@@ -148,11 +144,6 @@ def detect(
     every : seconds between the frames, see `sampled`; None: the recording's own frames
     position_std, body_kappa, head_kappa : the noise, as in `add_noise`
     rng : source of all that is random
-
-    Raises
-    ------
-    InputError
-        For amounts that are none, and if nobody is anywhere.
     """
     exact = tracks_of(tracks)
     if every is not None:
@@ -171,17 +162,13 @@ def sampled(tracks: TrackSet, every: float) -> TrackSet:
 
     Between two rows of a person everything goes straight on: positions on a line, angles the shorter way
     round. Rows without a position are passed over. Places, orientations and the truth of both are sampled,
-    nothing else. Who is not there at any of the times is left out, which the notes say.
+    nothing else. Who is not there at any of the times is left out, which the notes say. Raise InputError for
+    a time that is not positive, and if nobody is there at any of them.
 
     Parameters
     ----------
     tracks : with times, s
     every : seconds from a frame to the next
-
-    Raises
-    ------
-    InputError
-        For a time that is not positive, and if nobody is there at any of them.
     """
     check_positive("every", every, 1e6)
     times = [track.t for track in tracks]

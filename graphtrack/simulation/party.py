@@ -60,12 +60,8 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
     """Sample a party.
 
     Conversations stand on a grid `_APART` metres wide; who leaves one walks to another. Members spread about
-    the o-space, and face it more or less; each looks at a fellow member, or away.
-
-    Raises
-    ------
-    InputError
-        For fewer than one person or two steps.
+    the o-space, and face it more or less; each looks at a fellow member, or away. Raise InputError for fewer
+    than one person or two steps.
     """
     if people < 1 or steps < 2:
         raise InputError(f"{people} people, {steps} steps", "a person and two steps at least")

@@ -53,7 +53,8 @@ def scenario(
     """Six people: two cross, one stops and starts again, one turns, one looks aside, one is hidden.
 
     Speeds and courses are smooth and integrated to paths. The shoulders follow the course with a lag, the
-    head leads a turn. Paths sway a little, and differently for every ``rng``.
+    head leads a turn. Paths sway a little, and differently for every ``rng``. Raise InputError for a number
+    outside its range.
 
     Parameters
     ----------
@@ -69,11 +70,6 @@ def scenario(
     -------
     TrackSet
         Observations, the truth, and labels that say what each person does.
-
-    Raises
-    ------
-    InputError
-        For a number outside its range.
     """
     if not (np.isfinite(fps) and fps > 0.0):
         raise InputError(f"fps = {fps!r}", "a positive number of frames a second")

@@ -82,6 +82,8 @@ def strollers(
 ) -> TrackSet:
     """Pedestrians with their truth, observed with noise.
 
+    Raise InputError for a number outside its range.
+
     Parameters
     ----------
     rng : source of the people and of the noise
@@ -91,11 +93,6 @@ def strollers(
     body_std, head_std : radians, 1-σ of the observed angles (κ = 1/σ²); None: not observed
     turned : share of observed angles that are turned by 180°
     declared : whether the tracks state the noise of their angles; else the model's defaults stand
-
-    Raises
-    ------
-    InputError
-        For a number outside its range.
     """
     if people < 1 or not (np.isfinite(seconds * fps) and seconds > 0.0 and fps > 0.0):
         raise InputError(f"{people} people, {seconds!r} s at {fps!r} Hz", "positive numbers")

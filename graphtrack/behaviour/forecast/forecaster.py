@@ -65,10 +65,7 @@ class Forecast:
 def times_ahead(horizon: float, step: float) -> FloatArray:
     """Every ``step`` seconds up to ``horizon``.
 
-    Raises
-    ------
-    InputError
-        If there is none, or too many.
+    Raise InputError if there is none, or too many.
     """
     if not (math.isfinite(horizon) and 0.0 < horizon <= LONGEST_HORIZON):
         raise InputError(f"horizon = {horizon:g}", f"seconds above 0, {LONGEST_HORIZON:g} at most")

@@ -72,10 +72,7 @@ class ForecastParameters:
     def load(cls, path: str | Path) -> ForecastParameters:
         """Read a parameter file; what it does not have is as by default.
 
-        Raises
-        ------
-        InputError
-            With the file and the key that cannot be used.
+        Raise InputError with the file and the key that cannot be used.
         """
         expected = f"a file of graphtrack fit --forecast, with a table [{TABLE}]"
         content = read_toml(path, expected)
