@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.behaviour.evidence import PairEvidence, pair_evidence, with_bodies
+from graphtrack.behaviour.evidence import OnlineEvidence, PairEvidence, pair_evidence, with_bodies
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.numbering import Numbering, numbered
 from graphtrack.behaviour.parameters import GroupParameters
@@ -94,7 +94,14 @@ def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: 
     """
     chosen = DEFAULT if parameters is None else parameters
     people = people_of(tracks_of(tracks), online=online)
-    return groups_of(people, chosen, pair_evidence(people, chosen, both_sides=not online))
+    if not online:
+        return groups_of(people, chosen, pair_evidence(people, chosen))
+    known, numbering = OnlineEvidence(chosen), Numbering(chosen.look_seconds)
+    if not len(people):
+        return groups_of(people, chosen, known.take(people))
+    parts = [groups_of(one, chosen, known.take(one), numbering) for one in people.frames()]
+    columns = [np.concatenate([getattr(one, name) for one in parts]) for name in vars(parts[0])]
+    return Groups(*columns)
 
 
 def groups_of(

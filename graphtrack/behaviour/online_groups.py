@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from graphtrack.behaviour.evidence import OnlineEvidence
 from graphtrack.behaviour.groups import Groups, groups_of
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.numbering import Numbering
-from graphtrack.behaviour.online_evidence import OnlineEvidence
 from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.behaviour.people import People
 from graphtrack.behaviour.told import Told, people_told

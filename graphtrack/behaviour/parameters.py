@@ -131,6 +131,11 @@ class GroupParameters:
         """The weights in the order of what is known of people: their places, bodies, heads."""
         return self.places, self.bodies, self.heads
 
+    @property
+    def seconds(self) -> tuple[float, float, float]:
+        """The times over which a pair's values are averaged, as `PairValues` has them."""
+        return self.place_seconds, self.look_seconds, self.walking_seconds
+
     @classmethod
     def from_dict(cls, tables: dict[str, Any], start: GroupParameters) -> GroupParameters:
         """Parameters from nested tables; what is not named is as in ``start``.

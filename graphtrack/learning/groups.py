@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from graphtrack.behaviour.evidence import pair_evidence, walks, with_bodies
+from graphtrack.behaviour.evidence import SLOW, pair_evidence, walks, with_bodies
 from graphtrack.behaviour.features import pair_features
 from graphtrack.behaviour.groups import groups_of
 from graphtrack.behaviour.learned import DEFAULT
@@ -118,13 +118,9 @@ def _pairs(people: People, label: IntArray, parameters: GroupParameters) -> _Pai
     left, right, features = pair_features(people, parameters.stride)
     pair = people.person[left] * len(people.ids) + people.person[right]
     t = people.t[people.frame_of[left]]
-    seconds = [parameters.place_seconds, parameters.look_seconds]
-    means = np.column_stack(
-        [
-            averaged(pair, t, features[:, k].copy(), seconds[k in (1, 4)], both_sides=True)
-            for k in range(features.shape[1])
-        ]
-    )
+    means, _ = averaged(pair, t, features, parameters.place_seconds)
+    slow, _ = averaged(pair, t, features, parameters.look_seconds)
+    means = np.where(SLOW, slow, means)
     walk = walks(people, parameters)
     use = (label[left] != UNLABELLED) & (np.maximum(walk[left], walk[right]) < 0.5)
     together = (label[left] == label[right]) & (label[left] >= 0)
