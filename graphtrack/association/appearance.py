@@ -26,35 +26,16 @@ _LEAST = 1e-12
 """Squared distances below it are that."""
 _STEEPEST = 5.0
 """1-σ of what the slope is thought to be before anything is seen; people see it to be near 4."""
-
-
-@dataclass(frozen=True)
-class AppearanceLearning:
-    """How an `AppearanceModel` is learned.
-
-    Attributes
-    ----------
-    shrinkage : share of the within-person covariance that is taken to be the same in all directions
-    outlier : least probability that looks say nothing; it bounds the ratio
-    folds : groups of people that are held out in turn, to calibrate on
-    least_people : below which nothing is learned, and looks do not count
-    most_pairs : of either kind that are looked at
-    """
-
-    shrinkage: float = 0.3
-    outlier: float = 0.02
-    folds: int = 5
-    least_people: int = 4
-    most_pairs: int = 20_000
-
-    def __post_init__(self) -> None:
-        for name, low, high in (("shrinkage", 1e-6, 1.0), ("outlier", 1e-6, 0.5)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(f"{name} = {value!r}", f"a number from {low:g} to {high:g}")
-        for name in ("folds", "least_people", "most_pairs"):
-            if getattr(self, name) < 2:
-                raise InputError(f"{name} = {getattr(self, name)!r}", "at least 2")
+_SHRINKAGE = 0.3
+"""Share of the within-person covariance that is taken to be the same in all directions."""
+_OUTLIER = 0.02
+"""Least probability that looks say nothing; it bounds the ratio."""
+_FOLDS = 5
+"""Groups of people that are held out in turn, to calibrate on."""
+_LEAST_PEOPLE = 4
+"""Below which nothing is learned, and looks do not count."""
+_MOST_PAIRS = 20_000
+"""Pairs of either kind that are looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +56,7 @@ class AppearanceModel:
     whitening: FloatArray
     offset: float = 0.0
     slope: float = 0.0
-    outlier: float = 0.02
+    outlier: float = _OUTLIER
 
     @property
     def bound(self) -> float:
@@ -88,7 +69,7 @@ class AppearanceModel:
         descriptors: ArrayLike,
         same: ArrayLike,
         different: ArrayLike,
-        learning: AppearanceLearning = AppearanceLearning(),
+        shrinkage: float = _SHRINKAGE,
     ) -> AppearanceModel:
         """The model of a recording, from pairs of its detections; one that says nothing if they are too few.
 
@@ -104,16 +85,16 @@ class AppearanceModel:
         values = np.asarray(descriptors, float)
         if values.ndim != 2 or not values.shape[1]:
             raise InputError(f"descriptors of shape {values.shape}", "shape (n, k)")
-        one, other = (_usable(values, pairs, learning.most_pairs) for pairs in (same, different))
+        one, other = (_usable(values, pairs, _MOST_PAIRS) for pairs in (same, different))
         person = _people(one, len(values))
         people = len(np.unique(person))
-        if people < learning.least_people or len(other) < learning.least_people:
-            return cls(np.eye(values.shape[1]), outlier=learning.outlier)
-        of_one, of_two = _held_out(values, one, person, other, learning)
+        if people < _LEAST_PEOPLE or len(other) < _LEAST_PEOPLE:
+            return cls(np.eye(values.shape[1]), outlier=_OUTLIER)
+        of_one, of_two = _held_out(values, one, person, other, shrinkage)
         offset, slope = _logistic(np.log(of_one), np.log(of_two), people)
         # Of few people nobody knows how often looks deceive: as if one had, of two more.
-        outlier = max(learning.outlier, 1.0 / (people + 2.0))
-        return cls(_whitening(values, one, other, learning.shrinkage), offset, slope, outlier)
+        outlier = max(_OUTLIER, 1.0 / (people + 2.0))
+        return cls(_whitening(values, one, other, shrinkage), offset, slope, outlier)
 
     def log_ratio(self, first: ArrayLike, second: ArrayLike) -> FloatArray:
         """Log likelihood ratio (...) of descriptors (..., k), which broadcast; 0 where one is missing.
@@ -186,14 +167,14 @@ def _whitening(values: FloatArray, same: IntArray, different: IntArray, shrinkag
 
 
 def _held_out(
-    values: FloatArray, same: IntArray, person: IntArray, different: IntArray, learning: AppearanceLearning
+    values: FloatArray, same: IntArray, person: IntArray, different: IntArray, shrinkage: float
 ) -> tuple[FloatArray, FloatArray]:
     """Squared distances of both kinds of pairs, each whitened by other people than that of the pair."""
-    folds = min(learning.folds, int(person.max()) + 1)
+    folds = min(_FOLDS, int(person.max()) + 1)
     of_one, of_two = np.empty(len(same)), np.empty(len(different))
     mine, other = person % folds, np.arange(len(different)) % folds
     for fold in range(folds):
-        whitening = _whitening(values, same[mine != fold], different, learning.shrinkage)
+        whitening = _whitening(values, same[mine != fold], different, shrinkage)
         of_one[mine == fold] = _squares(values, same[mine == fold], whitening)
         of_two[other == fold] = _squares(values, different[other == fold], whitening)
     return of_one, of_two

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import NOTHING, Known, SceneParameters
 
-_REACH = 3.0
+_DUPLICATE_REACH = 3.0
 """Spreads within which a detection may be a duplicate."""
 
 
@@ -20,7 +20,7 @@ Pairs: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
 """Two detections each, and their squared distances (m²)."""
 
 
-def density(
+def duplicate_density(
     frame: NDArray[np.int64],
     position: FloatArray,
     identity: NDArray[np.int64],
@@ -38,22 +38,22 @@ def density(
     scene : rate and spread of duplicates
     """
     times = np.bincount(identity[identity >= 0], minlength=1)
-    return density_of(pairs(frame, position, scene), identity, scene, times)
+    return duplicate_density_of(duplicate_pairs(frame, position, scene), identity, scene, times)
 
 
-def pairs(frame: NDArray[np.int64], position: FloatArray, scene: SceneParameters) -> Pairs:
-    """Those of which one can be a duplicate of the other, as `near` has them."""
-    return near(frame, position, _REACH * scene.duplicate_spread)
+def duplicate_pairs(frame: NDArray[np.int64], position: FloatArray, scene: SceneParameters) -> Pairs:
+    """Those of which one can be a duplicate of the other, as `pairs_within` has them."""
+    return pairs_within(frame, position, _DUPLICATE_REACH * scene.duplicate_spread)
 
 
-def density_of(
+def duplicate_density_of(
     pairs: Pairs, identity: NDArray[np.int64], scene: SceneParameters, times: NDArray[np.int64]
 ) -> FloatArray:
-    """`density` where the pairs are known.
+    """`duplicate_density` where the pairs are known.
 
     Parameters
     ----------
-    pairs : as of `pairs`
+    pairs : as of `duplicate_pairs`
     identity : (n,) as they are thought to be; −1: false
     scene : rate and spread of duplicates
     times : identity → how often it was detected
@@ -70,7 +70,7 @@ def density_of(
     return np.bincount(first, each, minlength=len(identity)).astype(float)
 
 
-def near(frame: NDArray[np.int64], position: FloatArray, reach: float) -> Pairs:
+def pairs_within(frame: NDArray[np.int64], position: FloatArray, reach: float) -> Pairs:
     """Pairs (both ways) of detections of one frame within reach (m), and their squared distances (m²)."""
     # Frames far apart on a third axis: one tree for all.
     apart = np.column_stack([position, frame * (10.0 * reach)])
@@ -80,7 +80,7 @@ def near(frame: NDArray[np.int64], position: FloatArray, reach: float) -> Pairs:
     return first, second, np.sum((position[first] - position[second]) ** 2, axis=1)
 
 
-def learned(
+def learn_duplicates(
     frame: NDArray[np.int64],
     position: FloatArray,
     identity: NDArray[np.int64],
@@ -91,7 +91,7 @@ def learned(
 
     Those of the two that are known are kept.
     """
-    first, second, square = near(frame, position, 2.0)
+    first, second, square = pairs_within(frame, position, 2.0)
     counts = (identity[first] < 0) & (identity[second] >= 0)
     first, square = first[counts], square[counts]
     people = float((identity >= 0).sum())

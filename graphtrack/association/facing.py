@@ -23,7 +23,7 @@ _OUTLIERS = (0.02, 0.9)
 """Shares of outliers that can be learned: angles are never thought sure."""
 
 
-def observed(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
+def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
     """Observed body and head of each detection, (n, 2) radians; NaN where there is none.
 
     Parameters
@@ -44,7 +44,7 @@ def observed(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
     return found
 
 
-def learned(
+def learn_orientation(
     chains: Chains, scene: SceneParameters, seconds: float, known: Known = NOTHING
 ) -> SceneParameters:
     """The parameters of angles under which the tracks' are most probable.

@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.association import duplicates, facing, learning, places
 from graphtrack.association.chains import Chains, IntArray, Scene, link_by, unlinked
+from graphtrack.association.duplicates import learn_duplicates
+from graphtrack.association.facing import learn_orientation
 from graphtrack.association.kernels import refresh
+from graphtrack.association.learning import learn_scene
 from graphtrack.association.looks import widened
-from graphtrack.association.looks_online import Looks, of_tracks
+from graphtrack.association.looks_online import Looks, looks_of_tracks
 from graphtrack.association.notes import NOBODY, Notes
 from graphtrack.association.packing import packed, unpacked
-from graphtrack.association.places import Places
+from graphtrack.association.places import Places, learn_places
 from graphtrack.scene import Known, SceneParameters
 
 LEARNED_AT = (50, 200, 800, 1600, 3200, 6400, 12800)
@@ -95,13 +97,13 @@ class History:
         _, owner = np.unique(self.owner, return_inverse=True)
         identity = np.where(self.owner == NOBODY, NOBODY, owner - int((self.owner == NOBODY).any()))
         link_by(chains, identity)
-        scene = duplicates.learned(chains.frame, self.position, identity, scene, known)
-        scene = learning.learned(chains, identity, scene, self.std, step_seconds, known)
-        scene = facing.learned(chains, scene, step_seconds, known)
+        scene = learn_duplicates(chains.frame, self.position, identity, scene, known)
+        scene = learn_scene(chains, identity, scene, self.std, step_seconds, known)
+        scene = learn_orientation(chains, scene, step_seconds, known)
         scene = self._with_guess(scene, known)
-        shown = of_tracks(chains, identity, self.descriptor, self.score)
+        shown = looks_of_tracks(chains, identity, self.descriptor, self.score)
         refresh(chains, 0, len(self.t), Scene(*scene.packed(step_seconds)))
-        return scene, places.learned(chains, identity), shown
+        return scene, learn_places(chains, identity), shown
 
     def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:
         """With turns as the mean, over time, of the first guess and of what was found."""

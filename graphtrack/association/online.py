@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.association import duplicates, learning
 from graphtrack.association.chains import DETECTION, Chains, IntArray, Scene, unlinked
+from graphtrack.association.duplicates import Pairs, duplicate_density_of, duplicate_pairs
 from graphtrack.association.history import History
 from graphtrack.association.kernels import count_up, missed
+from graphtrack.association.learning import first_guess
 from graphtrack.association.looks import widened
 from graphtrack.association.looks_online import Looks
 from graphtrack.association.moves import Moves
@@ -101,7 +102,7 @@ class OnlineAssociation(Moves):
         self._looks = Looks()
         self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
-        self._pairs: duplicates.Pairs  # of the frames that can be revised
+        self._pairs: Pairs  # of the frames that can be revised
 
     @property
     def descriptor_size(self) -> int:
@@ -275,8 +276,7 @@ class OnlineAssociation(Moves):
         """Put a frame's detections behind the others; where they begin."""
         chains, n, first = self.chains, len(position), len(self.chains.t)
         new = unlinked(np.full(n, t), np.full(n, self.updates), position, facing)
-        if self._looks.model is not None:
-            new = new._replace(looks=self._looks.model.whitened(notes.descriptor))
+        new = self._looks.in_chains(new, notes.descriptor)
         if self._places is not None:
             births, deaths, notes.clutter = self._places.at(position)
             new.birth[:], new.death[:] = np.log(births), np.log(deaths)
@@ -324,7 +324,7 @@ class OnlineAssociation(Moves):
         if not self._first:
             return
         first = self._first[0]
-        self._pairs = duplicates.pairs(chains.frame[first:], chains.position[first:], self.scene)
+        self._pairs = duplicate_pairs(chains.frame[first:], chains.position[first:], self.scene)
         std = self._notes.std[first:]
         chains.variance[first:] = np.where(np.isnan(std), self.scene.position_std, std) ** 2
         self._weigh_duplicates()
@@ -339,7 +339,7 @@ class OnlineAssociation(Moves):
         track = np.where(value[root] > 0.0, root, NOBODY)
         times = np.zeros(len(root), np.int64)
         np.maximum.at(times, root, self._times())
-        near = duplicates.density_of(self._pairs, track[first:], self.scene, times)
+        near = duplicate_density_of(self._pairs, track[first:], self.scene, times)
         false = self.scene.clutter_density * notes.clutter[first:] + near
         chains.gain[first:] = np.log(self.scene.detection_probability) - np.log(false)
         chains.gain[first:] += self._looks.gain(notes.descriptor[first:], notes.score[first:])
@@ -384,8 +384,7 @@ class OnlineAssociation(Moves):
         if history.is_due():
             found = history.learned(self.scene, self.step_seconds, self.known)
             self.scene, self._places, self._looks = found
-            if self._looks.model is not None:
-                self.chains = chains._replace(looks=self._looks.model.whitened(self._notes.descriptor))
+            self.chains = self._looks.in_chains(chains, self._notes.descriptor)
         elif not history.times:
-            guess = learning.first_guess(Detections(chains.frame, chains.t, chains.position))
+            guess = first_guess(Detections(chains.frame, chains.t, chains.position))
             self.scene = replace(guess, **self.known)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from graphtrack.association import learning
 from graphtrack.association.chains import Chains, IntArray
+from graphtrack.association.learning import area, edge_of
 from graphtrack.geometry.angles import FloatArray
 
 SPREAD = 2.0
@@ -83,7 +83,7 @@ def _rate(grids: FloatArray, own: FloatArray | float, cells: FloatArray) -> Floa
     return rate
 
 
-def learned(chains: Chains, identity: IntArray) -> Places:
+def learn_places(chains: Chains, identity: IntArray) -> Places:
     """From people found in a recording, their tracks filtered.
 
     ``identity`` (n,) is of each detection, from 0; −1: false.
@@ -102,7 +102,7 @@ def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: I
         np.add.at(counts, (cell[:, 0], cell[:, 1]), weight)
         return gaussian_filter(counts, SPREAD / _CELL, mode="constant") / _CELL**2
 
-    square = learning.area(position)
+    square = area(position)
     # Who is there may leave; to come into view and to be false is possible everywhere.
     each = len(last) / max(int(person.sum()), 1)
     return Places(
@@ -115,7 +115,7 @@ def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: I
 
 
 def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`learned` and asked at the detections that it is learned from, (n,) each.
+    """`learn_places` and asked at the detections that it is learned from, (n,) each.
 
     Of each detection, what its own track has done does not count: it would speak for itself.
     """
@@ -129,7 +129,7 @@ def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, Fl
 def _events(chains: Chains, identity: IntArray) -> tuple[IntArray, IntArray]:
     """The detections with which somebody came into view, and left, within the recording."""
     newest = int(chains.frame[-1])
-    edge = learning.edge_of(newest + 1)
+    edge = edge_of(newest + 1)
     person = identity >= 0
     first = np.flatnonzero(person & (chains.preceding < 0) & (chains.frame > edge))
     last = np.flatnonzero(person & (chains.following < 0) & (chains.frame < newest - edge))

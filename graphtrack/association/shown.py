@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.association.facing import observed
+from graphtrack.association.facing import observed_angles
 from graphtrack.bounds import APPEARANCE
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -26,7 +26,7 @@ def facing_of(seen: Sequence[Observation]) -> FloatArray:
         if size:
             none = (math.nan,) * size
             channels[f"{name}_likelihood"] = np.array([none if one is None else one for one in classes])
-    return observed(channels, len(seen))
+    return observed_angles(channels, len(seen))
 
 
 def scores_of(seen: Sequence[Observation]) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.association import learning
+from graphtrack.association.learning import scene_log_density
 from graphtrack.io.reading import rows_of_file
 from graphtrack.learning import SceneFit, fit_scene
 from graphtrack.learning.scene import _Explained as Explained
@@ -91,7 +91,7 @@ def test_rates_and_noise_are_the_most_probable_ones_of_labelled_tracks(
     seconds = explained.detections.step_seconds
 
     def density(scene: gt.SceneParameters) -> float:
-        return learning.log_density(explained.chains(scene), explained.identity, scene, seconds)
+        return scene_log_density(explained.chains(scene), explained.identity, scene, seconds)
 
     for name in ("clutter_density", "birth_density", "death_rate", "position_std", "acceleration_density"):
         for factor in (0.7, 1.4):

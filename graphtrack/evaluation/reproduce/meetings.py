@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.facing import observed
+from graphtrack.association.facing import observed_angles
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.online import OnlineAssociation
 from graphtrack.evaluation.reproduce.experiment import (
@@ -123,7 +123,7 @@ def offline(seen: Detections) -> IntArray:
 def online(seen: Detections) -> IntArray:
     """Whose each detection is, as it is said at once; below 1: nobody's yet."""
     association, identity = OnlineAssociation({}, 2.0), np.zeros(len(seen), np.int64)
-    facing = observed(seen.channels, len(seen))
+    facing = observed_angles(seen.channels, len(seen))
     for frame in np.unique(seen.frame):
         rows = np.flatnonzero(seen.frame == frame)
         nothing = np.full(len(rows), np.nan)
