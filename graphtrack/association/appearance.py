@@ -12,15 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from graphtrack.association.chains import IntArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-
-IntArray = NDArray[np.int64]
 
 _LEAST = 1e-12
 """Squared distances below it are that."""

@@ -185,7 +185,7 @@ class _Events:
 
 
 def _per_exposure(events: int, exposure: float, before: float, low: float, high: float) -> float:
-    """Events per exposure, with `_PRIOR_EVENTS` events at the rate before: none so far does not mean never."""
+    """Events per exposure, with `_PRIOR_EVENTS` at the rate before: none so far does not mean never."""
     return float(np.clip((events + _PRIOR_EVENTS) / (exposure + _PRIOR_EVENTS / before), low, high))
 
 

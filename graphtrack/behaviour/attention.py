@@ -10,12 +10,11 @@ import numpy as np
 from graphtrack.behaviour.groups import Groups
 from graphtrack.behaviour.groups import groups as find_groups
 from graphtrack.behaviour.looking import REACH, concentration, looks_over_time
+from graphtrack.behaviour.people import IntArray
 from graphtrack.behaviour.places import Place
 from graphtrack.bounds import HEAD_CLASSES, check_numbers, number
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.tracks import STATE, Track
-
-IntArray = np.ndarray
 
 _EXACT = 200.0
 """Concentration of a head that comes with none."""

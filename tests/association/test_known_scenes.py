@@ -41,18 +41,6 @@ def test_what_is_known_is_kept_and_the_rest_is_learned() -> None:
         assert found.occlusion_probability != gt.SceneParameters().occlusion_probability
 
 
-def test_with_all_that_was_learned_the_same_people_are_found() -> None:
-    scores = []
-    for seed in range(3):
-        detections, whose = crowded(seed)
-        alone = associate_detections(detections)
-        told = associate_detections(detections, alone.scene)
-        assert told.scene == alone.scene
-        assert idf1(told.identity, alone.identity) > 0.95
-        scores.append([idf1(one.identity, whose) for one in (alone, told)])
-    assert np.ptp(np.mean(scores, axis=0)) < 0.02
-
-
 def test_online_a_known_scene_is_used_from_the_first_frame_on() -> None:
     """Ten seconds of other recordings of a place, with what one of them taught and without."""
     taught = associate_detections(crowded(10)[0]).scene

@@ -41,17 +41,6 @@ def test_people_come_where_they_came_and_leave_where_they_left() -> None:
     assert clutter[3] > 2.0 and clutter[:3].max() < 0.2
 
 
-def test_nothing_is_known_far_away_and_of_nobody() -> None:
-    chains, identity = street()
-    nobody = np.full(len(identity), -1)
-    far = np.array([[500.0, 500.0]])
-    for found in (learn_places(chains, identity).at(far), learn_places(chains, nobody).at(far)):
-        assert all(np.isfinite(rate).all() and (rate > 0.0).all() for rate in found)
-    births, deaths, _ = seen_from_within(chains, nobody)
-    np.testing.assert_array_equal(deaths, 1.0)
-    assert (births <= 1.0).all()
-
-
 def test_rates_move_with_the_world() -> None:
     chains, identity = street()
     moved, _ = street(shift=(300.0, -40.0))
@@ -59,22 +48,6 @@ def test_rates_move_with_the_world() -> None:
         seen_from_within(chains, identity), seen_from_within(moved, identity), strict=True
     ):
         np.testing.assert_allclose(here, there, rtol=1e-9)
-
-
-def test_a_track_says_nothing_of_where_itself_began() -> None:
-    """Of two tracks that are far apart each counts for the other alone."""
-    frame = np.tile(np.arange(10, 30), 2)
-    x = np.concatenate([np.arange(20.0), np.arange(20.0) + 200.0])
-    identity, order = np.repeat([0, 1], 20), np.argsort(frame, kind="stable")
-    position = np.column_stack([x, np.repeat([0.0, 200.0], 20)])[order]
-    nothing = np.full((40, 2), np.nan)
-    chains = unlinked(0.4 * frame[order], frame[order], position, nothing)
-    link_by(chains, identity[order])
-    births, deaths, _ = seen_from_within(chains, identity[order])
-    plain, plain_deaths, _ = learn_places(chains, identity[order]).at(chains.position)
-    first, last = int(np.argmin(x[order])), int(np.argmax(x[order] * (x[order] < 100.0)))
-    assert births[first] <= 1.0 + 1e-6 < plain[first]
-    assert deaths[last] <= plain_deaths[last]
 
 
 @pytest.mark.parametrize("k", [0, 7, 300])

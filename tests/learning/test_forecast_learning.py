@@ -96,16 +96,6 @@ def test_a_forecaster_goes_on_where_its_state_was_taken():
         broken = Forecaster.from_state(broken.state())
 
 
-def test_what_a_forecaster_knows_is_bounded():
-    rng, forecaster = np.random.default_rng(3), Forecaster()
-    speed = rng.normal(0, 1, (120, 2))
-    for k in range(60):
-        forecaster.update(STEP * k, np.arange(120) + 120 * (k // 20), rng.uniform(0, 9, (120, 2)) + speed * k)
-    places = forecaster.state()["places"]
-    assert places["count"] > len(places["_position"]) == len(places["_outcome"]) == 4096
-    assert np.isfinite(forecaster.forecast([0.4, 4.8]).radius_90).all()
-
-
 def test_recordings_that_nothing_can_be_learned_from_are_told():
     with pytest.raises(InputError, match="at least one"):
         learning.fit_forecast({})

@@ -72,12 +72,6 @@ def test_half_of_the_people_are_hidden_once_for_so_long_within_their_tracks() ->
     assert stats.kstest(starts, "uniform").pvalue > 1e-4
 
 
-def test_who_is_there_for_less_than_an_occlusion_is_not_hidden() -> None:
-    brief = TrackSet(tuple(track[:9] for track in crowd()))
-    observed = detect(brief, Detector(occluded_share=1.0), rng=np.random.default_rng(2)).observed
-    assert all(is_seen(track).all() for track in observed)
-
-
 def test_false_detections_are_uniform_over_the_place_and_poisson_over_frames() -> None:
     exact = crowd()
     found = detect(exact, Detector(clutter=4.0), rng=np.random.default_rng(3))
@@ -140,12 +134,6 @@ def test_sampling_goes_straight_on_between_rows_and_the_shorter_way_round() -> N
     assert track.label == "one" and "1 track between them left out" in found.summary.notes[-1]
 
 
-def test_sampling_at_the_frames_of_the_recording_gives_its_rows() -> None:
-    exact = crowd()
-    for before, after in zip(exact, sampled(exact, 0.2), strict=True):
-        np.testing.assert_allclose(after.position, before.position, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     "bad",
     [
@@ -183,24 +171,6 @@ def test_the_command_writes_detections_and_the_truth_that_judges_them(tmp_path, 
     assert (tmp_path / "anonymous.csv").read_text().splitlines()[0] == "frame,t,x,y,head_deg"
     read = gt.read("anonymous.csv")
     assert any(note.startswith("associated ") for note in read.summary.notes)
-
-
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ("--missed 2", "missed = 2"),
-        ("--clutter 0.5 --clutter-count fixed", "clutter = 0.5"),
-        ("--every 0", "every = 0"),
-        ("--anonymous -o out.txt", "ends with one of"),
-        ("--missed 0.1 --truth-output exact.csv", "--truth-output"),
-        ("--anonymous --missed 1", "nobody who was detected"),
-    ],
-)
-def test_wrong_options_are_one_error(more, said, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    gt.write(crowd(3), "exact.csv")
-    done = run("add-noise", "exact.csv", "-o", "out.csv", *more.split(), program="graphtrack")
-    assert done.returncode == 2 and said in done.stderr and not (tmp_path / "out.csv").exists()
 
 
 @pytest.mark.parametrize(
