@@ -85,10 +85,8 @@ class History:
     ) -> tuple[SceneParameters, Places, Looks]:
         """What the remembered tracks say.
 
-        Returns
-        -------
-        The parameters that they speak for but those known, where people come and go, and what looks and
-        scores are worth.
+        Returns the parameters that they speak for but those known, where people come and go, and what looks
+        and scores are worth.
         """
         self.times += 1
         chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)

@@ -38,9 +38,7 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: Floa
     The place may have jumped, after which nothing is known of the velocity: of the two states after that, the
     one that has their mean and covariance.
 
-    Returns
-    -------
-    The log density of the detection's place.
+    Returns the log density of the detection's place.
     """
     dt, q = later.t - earlier.t, scene.density
     p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
@@ -264,9 +262,8 @@ def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
 def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
     """What all linked detections say given those before, which are filtered again.
 
-    Returns
-    -------
-    The log density of their places, the sum of the log likelihood ratios of their angles, and their number.
+    Returns the log density of their places, the sum of the log likelihood ratios of their angles, and their
+    number.
     """
     places, angles, count = 0.0, 0.0, 0
     for m in range(len(chains.rows)):

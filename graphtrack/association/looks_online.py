@@ -53,9 +53,7 @@ class Looks:
     def gain(self, descriptors: FloatArray, score: FloatArray) -> FloatArray:
         """(n,) what detections gain as a person's, beside their places, by what they show.
 
-        Parameters
-        ----------
-        descriptors, score : (n, d) and (n,), NaN where one is missing
+        ``descriptors``, ``score``: (n, d) and (n,), NaN where one is missing
         """
         less = 0.0 if self.model is None else self.constancy
         return self.scores.of(score) - less * has_descriptor(descriptors)

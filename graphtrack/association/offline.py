@@ -229,10 +229,8 @@ class _Search(Moves):
     def sweep(self, changed: FloatArray | None = None) -> FloatArray:
         """Every move once, from the first frame to the last; the times (s) of frames in which links changed.
 
-        Parameters
-        ----------
-        changed : those of the sweep before, increasing: where nothing did, as far as a gap reaches, nothing
-            will; None: all frames are looked at
+        ``changed``: those of the sweep before, increasing: where nothing did, as far as a gap reaches,
+        nothing will; None: all frames are looked at
         """
         remember_rest(self.chains, self.packed)
         frames = zip(self._first.tolist(), self._end.tolist(), strict=True)

@@ -55,9 +55,7 @@ class Places:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """How many times the mean rate people come, leave and detections are false at positions (n, 2).
 
-        Parameters
-        ----------
-        own : (n,) each, of the events, those per square metre that are not to count
+        ``own``: (n,) each, of the events, those per square metre that are not to count
         """
         came, left, false = (0.0, 0.0, 0.0) if own is None else own
         return (

@@ -109,9 +109,7 @@ def groups_of(
 ) -> Groups:
     """The partition of every frame under the evidence of pairs.
 
-    Parameters
-    ----------
-    numbering : that knows the frames before; None: there are none
+    ``numbering``: that knows the frames before; None: there are none
     """
     odds = evidence.odds - evidence.caution
     label = partitions(people.first, evidence.start, evidence.left, evidence.right, odds, parameters.apart)

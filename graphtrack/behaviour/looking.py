@@ -84,10 +84,8 @@ def _covered(apart: float, half: float, of_target: float) -> float:
 def _share_in_sight(bearing: float, half: float, far: float, around: FloatArray, wide: FloatArray) -> float:
     """Share of the angle of a target that nobody nearer covers.
 
-    Parameters
-    ----------
-    around, wide : (3, k) bearing, half the angle and distance of people: of all by their bearing, three times
-        round, and of those who cover more than `_NARROW` to either side
+    ``around``, ``wide``: (3, k) bearing, half the angle and distance of people: of all by their bearing,
+    three times round, and of those who cover more than `_NARROW` to either side
     """
     covered = 0.0
     for k in range(wide.shape[1]):
@@ -176,9 +174,7 @@ def densities(
     Two von Mises densities are integrated, that of the head and that of looks at the target; "nothing" has
     the uniform one.
 
-    Parameters
-    ----------
-    weights, means, kappas : (modes,) of the head; a NaN weight: nothing is known
+    ``weights``, ``means``, ``kappas``: (modes,) of the head; a NaN weight: nothing is known
     """
     scale = np.empty(len(kappas))
     for m in range(len(kappas)):

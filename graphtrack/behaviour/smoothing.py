@@ -76,9 +76,7 @@ def _averaged(
 def since(gap: float, seconds: float) -> tuple[float, float]:
     """How many seconds a frame counts for where the past alone does, and the share of the past that stays.
 
-    Parameters
-    ----------
-    gap : seconds from the frame before; infinite for the first
+    ``gap``: seconds from the frame before; infinite for the first
     """
     if gap > FORGOTTEN * seconds:
         return min(_BEGINNING, seconds), 0.0

@@ -22,9 +22,7 @@ _EDGES = np.linspace(np.log(0.01), np.log(50.0), 121)
 class Calibration:
     """Counts of a scene's errors.
 
-    Parameters
-    ----------
-    parameters : what is expected of them, and how firmly
+    ``parameters``: what is expected of them, and how firmly
     """
 
     def __init__(self, parameters: ForecastParameters) -> None:
