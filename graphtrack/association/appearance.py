@@ -1,4 +1,4 @@
-"""How much more likely two detections look as they do if they show one person: a calibrated likelihood ratio.
+"""Appearance: a calibrated likelihood ratio of two descriptors under one person and under two.
 
 Differences are whitened by those within people, as in KISSME (Köstinger, Hirzer, Wohlhart, Roth & Bischof,
 Large scale metric learning from equivalence constraints, CVPR 2012). Its own ratio, of two Gaussians, is far

@@ -26,7 +26,7 @@ def duplicate_density(
     identity: NDArray[np.int64],
     scene: SceneParameters,
 ) -> FloatArray:
-    """How densely duplicates of other people are expected where each detection is, (n,) 1/m².
+    """Return the expected density of duplicates of other people at each detection, (n,) 1/m².
 
     A person counts for those who were detected less often: of two who walk in each other's place the one with
     more detections is the person.

@@ -1,4 +1,4 @@
-"""What observed angles say of who is who: learned from tracks, and never thought sharper than that."""
+"""Evidence of observed body and head angles for data association, with parameters learned from tracks."""
 
 from __future__ import annotations
 

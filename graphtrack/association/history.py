@@ -1,4 +1,4 @@
-"""What was decided lately of detections online, for the scene's parameters to be learned from."""
+"""The newest final decisions of online association, from which the scene's parameters are learned."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ GUESS_SECONDS = 10.0
 """Time that the first guess of how people turn counts for: at first they all may walk straight."""
 
 _TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
-"""What says how people turn, and the power of it that is a variance."""
+"""Parameters of turning, and the power of each that is a variance."""
 
 
 class History:
@@ -75,7 +75,7 @@ class History:
         return found
 
     def is_due(self) -> bool:
-        """Whether parameters are to be learned."""
+        """Return whether parameters are to be learned."""
         known = len(LEARNED_AT)
         due = LEARNED_AT[self.times] if self.times < known else LEARNED_AT[-1] * (self.times - known + 2)
         return self.count >= due
@@ -83,7 +83,7 @@ class History:
     def learned(
         self, scene: SceneParameters, step_seconds: float, known: Known
     ) -> tuple[SceneParameters, Places, Looks]:
-        """What the remembered tracks say.
+        """Learn from the remembered tracks.
 
         Returns the parameters that they speak for but those known, where people come and go, and what looks
         and scores are worth.

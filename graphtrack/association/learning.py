@@ -105,7 +105,7 @@ def learn_scene(
 def scene_log_density(
     chains: Chains, identity: NDArray[np.int64], scene: SceneParameters, seconds: float
 ) -> float:
-    """How probable detections and their tracks are: what `learn_scene` makes great, but for its priors.
+    """Return the log density of detections and their tracks, which `learn_scene` maximises with priors.
 
     Log of a density in 1/m² for each detection, relative to any angle; where people come and go and
     detections are false is taken to be the same everywhere.
@@ -140,7 +140,7 @@ def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Events:
-    """What happened in a recording.
+    """Counts of births, deaths, gaps and exposure in a recording.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What detections look like, as the chains' kernels compare it; and what a detector's score is worth."""
+"""Learning the likelihood ratios of appearance and of detection scores from tracks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BINS = 6
 
 
 def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray) -> AppearanceModel:
-    """What looks say in a recording, from neighbours in its tracks and from pairs of one frame.
+    """Learn the appearance model of a recording from neighbours in its tracks and from pairs of one frame.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def resemblance_of_false_ones(
 
 
 def has_descriptor(descriptors: FloatArray) -> NDArray[np.bool_]:
-    """Whether each detection (n,) has a descriptor."""
+    """Return whether each detection (n,) has a descriptor."""
     return np.asarray(np.isfinite(descriptors).all(axis=1))
 
 
@@ -102,7 +102,7 @@ def widened(descriptors: FloatArray, size: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class ScoreRatio:
-    """How much more probable scores are of people than of false detections.
+    """Likelihood ratio of detection scores, people against false detections.
 
     Attributes
     ----------

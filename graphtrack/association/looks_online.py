@@ -22,7 +22,7 @@ from graphtrack.geometry.angles import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What looks and scores are worth, as it was learned from tracks.
+    """Evidence of appearance and detection scores, as it was learned from tracks.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Looks:
 
 
 def looks_of_tracks(chains: Chains, identity: IntArray, descriptors: FloatArray, score: FloatArray) -> Looks:
-    """What looks and scores are worth in tracks; arguments as in `constancy` and `ScoreRatio`."""
+    """Learn it from tracks; arguments as in `constancy` and `ScoreRatio`."""
     scores = ScoreRatio.learned(score, identity)
     if not descriptors.shape[1]:
         return Looks(scores=scores)

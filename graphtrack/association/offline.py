@@ -47,7 +47,7 @@ TRUST = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Who is who.
+    """Identities of a recording's detections.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Who is who as detections come: said at once, and revised while what follows can still tell.
+"""Online data association with a revision window.
 
 The moves are those of a whole recording (`moves`), made in the newest frames alone. What lies further back is
 as it was decided; of it only the last detection of each track is kept, for it may be found again.
@@ -64,7 +64,7 @@ class Revision:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What is said of a frame's detections, n of them.
+    """Assignment of a frame's n detections.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Decision:
 
 
 class OnlineAssociation(Moves):
-    """Who is who, frame by frame.
+    """Online data association, frame by frame.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class OnlineAssociation(Moves):
 
     @property
     def descriptor_size(self) -> int:
-        """How many numbers the descriptors of looks have; 0: none has come so far."""
+        """Size of appearance descriptors; 0: none has come so far."""
         return int(self._notes.descriptor.shape[1])
 
     @property
@@ -178,7 +178,7 @@ class OnlineAssociation(Moves):
         return sorted(number[last[self._still_there(last, now) > TOLD]].tolist())
 
     def _still_there(self, last: IntArray, now: int) -> FloatArray:
-        """How probable it is that those who were last seen at these detections (n,) have not left by a frame.
+        """Return the probability (n,) that those last seen at these detections have not left by a frame.
 
         They may have left after any frame since, the likelier the more people did who went where they go, and
         the sooner the less often they must have been missed.
@@ -333,7 +333,7 @@ class OnlineAssociation(Moves):
         self.packed = self._looks.in_scene(Scene(*self.scene.packed(self.step_seconds)))
 
     def _weigh_duplicates(self) -> None:
-        """What detections gain as a person's: less where they are near somebody who is detected already."""
+        """Set the gains of detections: less where they are near somebody who is detected already."""
         chains, notes, first = self.chains, self._notes, self._first[0]
         root, value = self.roots()
         track = np.where(value[root] > 0.0, root, NOBODY)

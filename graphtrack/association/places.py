@@ -1,4 +1,4 @@
-"""Where in a scene people come into view, where they leave, and where detections are false.
+"""Birth, death and clutter rates, learned as maps over the ground plane.
 
 Each is a rate over the ground, as many times the scene's mean: events are counted on a grid, blurred, and
 compared with as many as there would be if they happened alike wherever they could.
@@ -53,7 +53,7 @@ class Places:
     def at(
         self, position: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray] | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """How many times the mean rate people come, leave and detections are false at positions (n, 2).
+        """Return births, deaths and clutter at positions (n, 2), as multiples of their mean rates.
 
         ``own``: (n,) each, of the events, those per square metre that are not to count
         """
@@ -65,7 +65,7 @@ class Places:
         )
 
     def leaving_for(self, goal: FloatArray) -> FloatArray:
-        """How many times the mean rate people leave who would be at (n, 2) in `AHEAD` seconds."""
+        """Return the death rate of those who would be at (n, 2) in `AHEAD` seconds, in mean rates."""
         return _rate(self.ways_out, 0.0, self._in_cells(goal))
 
     def _in_cells(self, position: FloatArray) -> FloatArray:
@@ -75,7 +75,7 @@ class Places:
 
 
 def _rate(grids: FloatArray, own: FloatArray | float, cells: FloatArray) -> FloatArray:
-    """How many times the mean rate there is, events (n,) that are not to count aside."""
+    """Return the rate as a multiple of its mean, without the events (n,) that are not to count."""
     events, expected = (map_coordinates(grid, cells, order=1, mode="nearest") for grid in grids)
     rate: FloatArray = (np.maximum(events - own, 0.0) + _PRIOR) / (expected + _PRIOR)
     return rate

@@ -1,4 +1,4 @@
-"""What two detections of one person share beside their places: directions of body and head, and looks."""
+"""Likelihood of two detections' angles and appearance if they are one person's."""
 
 from __future__ import annotations
 

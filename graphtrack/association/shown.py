@@ -1,4 +1,4 @@
-"""What observations show beside where they are, as arrays; NaN where one does not."""
+"""Angles, scores and descriptors of observations as arrays; NaN where one has none."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def facing_of(seen: Sequence[Observation]) -> FloatArray:
 
 
 def scores_of(seen: Sequence[Observation]) -> FloatArray:
-    """How sure the detector was, (n,)."""
+    """Return the detector's scores, (n,)."""
     return np.array([math.nan if one.score is None else one.score for one in seen])
 
 
 def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
-    """What observations look like, (n, d): their input `APPEARANCE`.
+    """Return the descriptors of observations, (n, d): their input `APPEARANCE`.
 
     Raise InputError for a descriptor that has another size.
 

@@ -17,7 +17,7 @@ from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import from_text, to_text
 
 SLOW = np.array([False, True, False, False, True])
-"""Which of the features are averaged over ``look_seconds``."""
+"""Mask of the features that are averaged over ``look_seconds``."""
 _SPEED_STEP = 0.1
 """m/s over which standing becomes walking."""
 ALONG = 1.5
@@ -70,7 +70,7 @@ def known_shares(people: People, left: IntArray, right: IntArray) -> FloatArray:
 def conversation_odds(
     shares: FloatArray, features: FloatArray, parameters: GroupParameters
 ) -> tuple[FloatArray, FloatArray]:
-    """What features say of each pair, (n,): what is averaged over a short time, and over a long one."""
+    """Return the log odds of each pair by features, (n,): over a short time, and over a long one."""
     quick, slow = np.zeros(len(features)), np.zeros(len(features))
     for share, weights in zip(shares.T, parameters.conversations, strict=True):
         terms = weights.of_features
@@ -135,7 +135,7 @@ PARTS = 2
 
 @dataclass(frozen=True, eq=False)
 class PairValues:
-    """What each frame says by itself of pairs of people near each other.
+    """Evidence of pairs near each other from single frames.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class PairValues:
 
 
 def pair_values(people: People, parameters: GroupParameters) -> PairValues:
-    """What each frame says of all pairs; bodies face where the others stand, as far as they are unknown."""
+    """Return the evidence of single frames; unknown bodies are taken to face where the others stand."""
     people = with_bodies(people, parameters.head_spread)
     found = _values(people, parameters)
     unknown = 1.0 - np.linalg.norm(people.body, axis=1)

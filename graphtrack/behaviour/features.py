@@ -1,4 +1,4 @@
-"""What two people's places and directions say of whether they are in one conversation: numbers, compiled."""
+"""Features of a pair of people that tell conversations: positions, o-spaces, crowding and gaze, compiled."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def load_attention(path: str | Path) -> AttentionParameters:
 
 
 def _loaded(path: str | Path, name: str, made: Callable[[dict[str, Any]], Made]) -> Made:
-    """What is made of a table of a file; its errors name the file."""
+    """Return parameters made of a file's table; errors name the file."""
     table = _table(path, name)
     try:
         return made(table)

@@ -27,7 +27,7 @@ KINDS = ("", "conversing", "walking")
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Who is in a group with whom, a row for each person and frame, sorted by frame and by identity.
+    """Group memberships, a row for each person and frame, sorted by frame and by identity.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Groups:
         return len(self.frame)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """What the table holds."""
+        """Return the columns of the table."""
         return {
             "frame": self.frame,
             "t": self.t,

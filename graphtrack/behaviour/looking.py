@@ -1,4 +1,4 @@
-"""Densities of where heads point that look at something, and the chain of looks, compiled."""
+"""Model of gaze: densities of head directions given a target, and a Markov chain over targets, compiled."""
 
 from __future__ import annotations
 
@@ -203,7 +203,7 @@ def carry(
     anew: FloatArray,
     held: FloatArray,
 ) -> None:
-    """What a frame says of a new look, ``anew``, which is changed, and of one that goes on, ``held``.
+    """Fill a frame's likelihood of a new look, ``anew``, which is changed, and of one that goes on, ``held``.
 
     The deviation from a target is autoregressive. A look at nothing goes somewhere, too, and stays there:
     what is known of it is where the head was. Where heads have several modes or are known less surely than

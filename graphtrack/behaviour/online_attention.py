@@ -27,7 +27,7 @@ _FORGOTTEN = 40.0
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What the people of a frame look at.
+    """Targets of the looks of a frame's people.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Looks:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What was known of p people when each was last seen; the fields of `Looks`, and besides:
+    """State of p people when each was last seen; the fields of `Looks`, and:
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ def _nobody(places: int) -> _Known:
 
 
 class OnlineAttention:
-    """Who looks at whom, frame by frame: what `attention` finds with ``online=True``.
+    """Targets of looks, frame by frame: `attention` with ``online=True``.
 
     What is kept is bounded: of each who was seen in the last 100 s (40 looks), what they looked at then.
 

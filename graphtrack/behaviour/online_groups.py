@@ -18,7 +18,7 @@ from graphtrack.saved import DAMAGES, damaged, real
 
 
 class OnlineGroups:
-    """Who is in a group with whom, frame by frame: what `groups` finds with ``online=True``.
+    """Groups, frame by frame: `groups` with ``online=True``.
 
     Evidence of pairs is averaged over the past, each pair's by itself; what is kept of it is bounded, see
     `OnlineEvidence`.

@@ -51,7 +51,7 @@ class Place:
 
 
 def _inside(position: FloatArray, outline: FloatArray) -> np.ndarray:
-    """Whether points (n, 2) lie in a polygon: how often a ray crosses its sides."""
+    """Return whether points (n, 2) lie in a polygon, by ray casting."""
     x, y = position.T
     ax, ay = outline.T
     bx, by = np.roll(outline, -1, axis=0).T

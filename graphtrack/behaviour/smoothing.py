@@ -1,4 +1,4 @@
-"""Evidence about pairs, averaged over time."""
+"""Evidence of pairs of people in one group: from each frame, averaged over time."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _averaged(
 
 @compiled
 def since(gap: float, seconds: float) -> tuple[float, float]:
-    """How many seconds a frame counts for where the past alone does, and the share of the past that stays.
+    """Return the seconds a frame counts for where the past alone does, and the share of the past that stays.
 
     ``gap``: seconds from the frame before; infinite for the first
     """

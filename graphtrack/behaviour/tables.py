@@ -131,7 +131,7 @@ def read_group_table(path: str | Path) -> Groups:
 
 @dataclass(frozen=True, eq=False)
 class LookLabels:
-    """Whom people look at, as somebody labelled it: (n,) rows of a person in a frame.
+    """Labelled targets of looks: (n,) rows of a person in a frame.
 
     Attributes
     ----------

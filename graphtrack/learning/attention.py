@@ -25,7 +25,7 @@ _MOST = 300
 
 @dataclass(frozen=True)
 class AttentionFit:
-    """What was learned, and how well looks are told: in what was learned from, and in what was held out."""
+    """Learned parameters, and their scores on what was learned from and on what was held out."""
 
     parameters: AttentionParameters
     start: AttentionParameters
@@ -95,7 +95,7 @@ def _check(tracks: TrackSet, labels: LookLabels) -> None:
 
 
 def _looks(found: list[Attention], labels: LookLabels, split: float) -> int:
-    """How many looks were labelled: frames of one say the same again."""
+    """Return the number of labelled looks: consecutive frames of one count once."""
     count = 0
     for one in found:
         target = labels.of(one.track_id, one.frame[one.t <= split])

@@ -1,4 +1,4 @@
-"""Where bodies face by where the others stand, learned from bodies that are known."""
+"""Learning the parameters of groups and of attention from labels."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class ForecastFit:
-    """What was learned, and from what.
+    """Learned parameters, and the errors of their forecasts.
 
     Attributes
     ----------
@@ -280,7 +280,7 @@ def _fit_scene_prior(
     start: ForecastParameters,
     progress: Callable[[str], None],
 ) -> ForecastParameters:
-    """How soon a scene is trusted: by the circles in each, where the spread is that of the others."""
+    """Learn how soon a scene's own errors are trusted, by its circles with the spread of the others."""
     if len(found) < 2:
         return start  # one scene says nothing of how scenes differ
     others = {

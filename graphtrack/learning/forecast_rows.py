@@ -1,4 +1,4 @@
-"""A recording as forecasts are learned from it: who was seen, what came of them, and mean errors at once.
+"""Learning the parameters of forecasts from recordings, and the errors of a whole recording at once.
 
 `errors_at_once` says what `Forecaster` would, frame by frame, at a fraction of the time: what a search needs.
 """

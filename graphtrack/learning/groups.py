@@ -43,7 +43,7 @@ _HIDDEN: dict[str, Callable[[Track], Track]] = {
 
 @dataclass(frozen=True)
 class GroupFit:
-    """What was learned, and how well it finds groups: in what was learned from, and in what was held out."""
+    """Learned parameters, and their scores on what was learned from and on what was held out."""
 
     parameters: GroupParameters
     start: GroupParameters
@@ -139,7 +139,7 @@ def _faced(tracks: TrackSet, people: People, parameters: GroupParameters, used: 
 
 
 def _thinned(t: FloatArray, split: float) -> BoolArray:
-    """Which pairs are learned from."""
+    """Return the mask of the pairs that are learned from."""
     return np.isin(t, _chosen(t, split))
 
 

@@ -1,4 +1,4 @@
-"""What learning makes great: the likelihood of the truth, the evidence, or that of hidden observations."""
+"""Objectives of learning: the likelihood of the truth, the evidence, or that of held-out observations."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class SceneFit:
-    """What was learned of a scene.
+    """Learned parameters of a scene.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ NUMERALS = ("i", "ii", "iii", "iv", "v", "vi", "vii")
 
 @dataclass(frozen=True)
 class CorpusParameters:
-    """What the corpus is made of. Starred numbers are Baxter et al.'s, the others are choices.
+    """Parameters of the corpus. Starred numbers are Baxter et al.'s, the others are choices.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Made-up people who cross a place, alone or in pairs, and stop now and then: scenes to tune trackers on."""
+"""Simulated people who cross a place, alone or in pairs, and stop now and then: to tune trackers on."""
 
 from __future__ import annotations
 

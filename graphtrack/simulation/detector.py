@@ -1,4 +1,4 @@
-"""What a detector of people makes of a recording whose truth is known: noise, misses, false detections."""
+"""Simulated detector: noise, misses, occlusions and false detections of a recording with known truth."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SEEN = (
     "head_kappa",
     "head_likelihood",
 )
-"""What is not observed of somebody who is not detected."""
+"""Channels that are missing of somebody who is not detected."""
 
 _OBSERVED_COLUMNS = ("frame", "t", "x", "y", "body_deg", "head_deg")
 """Columns of a detection without an identity: nothing of the truth, nor of how noisy it was made."""
@@ -46,7 +46,7 @@ ClutterCount = Literal["poisson", "fixed"]
 
 @dataclass(frozen=True)
 class Detector:
-    """What a detector gets wrong.
+    """Errors of a detector.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Detector:
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """What a detector made of a recording.
+    """Detections of a recording.
 
     Attributes
     ----------
@@ -96,12 +96,12 @@ class Detected:
 
     @property
     def false(self) -> int:
-        """How many detections are false."""
+        """Number of false detections."""
         return sum(track.label == FALSE for track in self.observed)
 
     @property
     def detections(self) -> int:
-        """How many detections there are, false ones among them."""
+        """Number of detections, false ones included."""
         return sum(int(np.isfinite(track.position).all(axis=1).sum()) for track in self.observed)
 
     def anonymous(self, rng: np.random.Generator) -> dict[str, NDArray[Any]]:
@@ -283,7 +283,7 @@ def _false_detections(
 
 
 def summary_of(found: Detected) -> str:
-    """How many people were there, and how many detections and false ones came out, in words."""
+    """Return the numbers of people, detections and false ones, in words."""
     return (
         f"{counted(len(found.truth), 'track')}, {found.truth.n_frames} person-frames; "
         f"{counted(found.detections, 'detection')}, {found.false} of them false"

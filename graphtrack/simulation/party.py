@@ -119,7 +119,7 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
 
 
 def _drawn(one: int, position: FloatArray, fellows: IntArray, anybody: bool, rng: np.random.Generator) -> int:
-    """Whom somebody looks at next: a fellow member, or anybody in sight, the rather the nearer."""
+    """Draw whom somebody looks at next: a fellow member, or anybody in sight, the rather the nearer."""
     if not anybody:
         return int(rng.choice(fellows))
     away = position - position[one]
@@ -135,7 +135,7 @@ def _drawn(one: int, position: FloatArray, fellows: IntArray, anybody: bool, rng
 def _seats(
     member: IntArray, places: int, rng: np.random.Generator, before: FloatArray | None = None
 ) -> FloatArray:
-    """Where in its circle each member stands, (people, 2): radius and angle."""
+    """Return the seat of each member in its circle, (people, 2): radius and angle."""
     seat = np.zeros((len(member), 2)) if before is None else before.copy()
     for group in range(places):
         inside = np.flatnonzero(member == group)

@@ -26,7 +26,7 @@ _HIDDEN = (*WITHHELD, "head", "head_kappa", "head_likelihood")
 
 @dataclass(frozen=True)
 class _Part:
-    """What one person does: speed in m/s, course and gaze (head against course) in radians, of time in s.
+    """Script of one person: speed in m/s, course and gaze (head against course) in radians, of time in s.
 
     ``anchor`` is where the person is at ``anchor_time``.
     """

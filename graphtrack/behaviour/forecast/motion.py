@@ -4,7 +4,7 @@ For each person a Kalman filter (white-noise acceleration, the model's term `Mot
 `BELIEFS`; how well it predicted the next position says which holds (a static multiple model: Magill, IEEE TAC
 10(4), 1965). Annotators' splines and detectors' jitter differ by two orders of magnitude, and a filter that
 is wrong about them either lags or shakes. Points of the plane are complex numbers: both axes share their
-gains.
+gains. (The filter of data association takes one belief and jumps, one detection at a time, compiled.)
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class MotionFilters:
         self._variance[at], self._evidence[at] = variance, evidence
 
     def learn(self, at: NDArray[np.int64], share: float) -> None:
-        """What people of the places ``at`` are like is what others of the scene will be, a little."""
+        """Shift the scene's prior over beliefs towards those of the people of the places ``at``."""
         self._habit += share * self._weights(at).sum(axis=0)
 
     def _weights(self, at: NDArray[np.int64]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What is learned of how people go on, with units and ranges; `ForecastParameters`."""
+"""Parameters of forecasts, with units and ranges, and their file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TABLE = "forecast"
 
 @dataclass(frozen=True)
 class ForecastParameters:
-    """How people go on; the defaults are learned (docs/forecast.md says on what).
+    """Parameters of forecasts; the defaults are learned (docs/forecast.md says on what).
 
     Attributes
     ----------

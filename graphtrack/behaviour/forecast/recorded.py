@@ -30,7 +30,7 @@ _MOST_ROWS = 20_000_000
 
 @dataclass(frozen=True, eq=False)
 class SeenFrame:
-    """Who was seen at a time.
+    """People seen at a time.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Forecasts:
 
 
 def frames_of(tracks: TrackSet | list[Track]) -> Iterator[SeenFrame]:
-    """Who was seen, time by time; rows without a position are left out."""
+    """Return the people seen, time by time; rows without a position are left out."""
     parts: list[tuple[FloatArray, ...]] = []
     for track in tracks:
         seen = np.isfinite(track.position).all(axis=1)
@@ -124,7 +124,7 @@ def forecast(
     parameters: ForecastParameters | str | Path | None = None,
     seed: int = 0,
 ) -> Forecasts:
-    """Where people will be, and how sure that is, at each time from what was seen until then.
+    """Forecast everybody at each time from the frames until then.
 
     Parameters
     ----------

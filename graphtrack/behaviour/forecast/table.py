@@ -20,7 +20,7 @@ _PARQUET = b"PAR1"
 
 
 def is_forecast(path: Path) -> bool:
-    """Whether a file is a table of forecasts.
+    """Return whether a file is a table of forecasts.
 
     Raise InputError if it cannot be read at all.
     """
