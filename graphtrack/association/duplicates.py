@@ -35,7 +35,6 @@ def duplicate_density(
     ----------
     frame, position : (n,) and (n, 2) of the detections
     identity : (n,) as they are thought to be; −1: false
-    scene : rate and spread of duplicates
     """
     times = np.bincount(identity[identity >= 0], minlength=1)
     return duplicate_density_of(duplicate_pairs(frame, position, scene), identity, scene, times)
@@ -53,9 +52,7 @@ def duplicate_density_of(
 
     Parameters
     ----------
-    pairs : as of `duplicate_pairs`
     identity : (n,) as they are thought to be; −1: false
-    scene : rate and spread of duplicates
     times : identity → how often it was detected
     """
     first, second, square = pairs

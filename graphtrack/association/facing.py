@@ -30,7 +30,6 @@ def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
     ----------
     channels : by the names of a track's attributes; where there is no angle, class likelihoods are taken by
         their circular mean
-    n : detections
     """
     found = np.full((n, 2), np.nan)
     for column, name in enumerate(("body", "head")):
@@ -52,9 +51,6 @@ def learn_orientation(
     Parameters
     ----------
     chains : the tracks; their states are filtered anew
-    scene : the parameters before
-    seconds : from a frame to the next
-    known : parameters that are kept
     """
     later = np.flatnonzero(chains.preceding >= 0)
     both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])

@@ -16,7 +16,7 @@ from graphtrack.association.learning import learn_scene
 from graphtrack.association.looks import widened
 from graphtrack.association.looks_online import Looks, looks_of_tracks
 from graphtrack.association.notes import NOBODY, Notes
-from graphtrack.association.packing import packed, unpacked
+from graphtrack.association.packing import pack_tree, unpack_tree
 from graphtrack.association.places import Places, learn_places
 from graphtrack.scene import Known, SceneParameters
 
@@ -63,15 +63,13 @@ class History:
 
     def state(self) -> dict[str, Any]:
         """As JSON-able data."""
-        values = vars(self).items()
-        return {name: packed(value) if isinstance(value, np.ndarray) else value for name, value in values}
+        return pack_tree(vars(self))
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> History:
         """The inverse of `state`."""
         found = cls()
-        for name, value in state.items():
-            setattr(found, name, unpacked(value) if isinstance(value, list) else value)
+        vars(found).update(unpack_tree(state))
         return found
 
     def is_due(self) -> bool:

@@ -201,7 +201,6 @@ def gains_of_detections(
     Parameters
     ----------
     heads, tails : (tracks,) the last detection before the frame and the first after it, linked; −1: none
-    detections : of the frame, linked to nothing
     """
     gains, state, here = np.full((len(heads), len(detections)), NOTHING), np.empty(STATE), np.empty(STATE)
     alone, near, next_one = np.empty(len(detections)), np.arange(len(detections)), np.empty(1, np.int64)

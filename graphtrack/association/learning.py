@@ -68,12 +68,8 @@ def learn_scene(
 
     Parameters
     ----------
-    chains : the tracks, filtered
     identity : (n,) of each detection; −1: false
-    scene : the parameters before
     known_std : (n,) metres that detections say themselves; NaN: they do not
-    seconds : from a frame to the next
-    known : parameters that are kept
     """
     if not (identity >= 0).any():
         return scene
@@ -114,8 +110,6 @@ def scene_log_density(
     ----------
     chains : the tracks, linked; they are filtered anew
     identity : (n,) of each detection; −1: false
-    scene : the parameters
-    seconds : from a frame to the next
     """
     events = _Events.of(chains, identity, seconds)
     gaps, hide = events.gaps, scene.occlusion_probability

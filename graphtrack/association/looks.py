@@ -27,7 +27,6 @@ def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray
 
     Parameters
     ----------
-    chains : the tracks
     identity : (n,) of each detection; −1: false
     descriptors : (n, d), NaN where one is missing
     """
@@ -54,7 +53,6 @@ def constancy(chains: Chains, identity: IntArray, model: AppearanceModel, descri
 
     Parameters
     ----------
-    chains : the tracks
     identity : (n,) of each detection; −1: false
     model, descriptors : what looks say, and the (n, d) descriptors, NaN where one is missing
     """
@@ -76,7 +74,6 @@ def resemblance_of_false_ones(
     Parameters
     ----------
     chains : the detections, in the order of time
-    identity, model, descriptors : as in `constancy`
     """
     false = np.flatnonzero((identity < 0) & has_descriptor(descriptors))
     if not len(false):

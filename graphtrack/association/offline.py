@@ -75,7 +75,6 @@ def associate_detections(
 
     Parameters
     ----------
-    detections : of the whole recording
     scene : parameters that are known; the others are learned from the detections
     progress : called with sweeps done and sweeps in all
     start : parameters to begin with; None: a guess from how many detections there are
@@ -103,7 +102,6 @@ def repair_detections(
 
     Parameters
     ----------
-    detections : of the whole recording
     given : (n,) identities from 0; −1: none
     scene : parameters that are known; the others are learned from the tracks
 

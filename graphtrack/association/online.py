@@ -22,7 +22,14 @@ from graphtrack.association.looks import widened
 from graphtrack.association.looks_online import Looks
 from graphtrack.association.moves import Moves
 from graphtrack.association.notes import NOBODY, Notes
-from graphtrack.association.packing import pack_records, packed, unpack_records, unpacked
+from graphtrack.association.packing import (
+    pack_records,
+    pack_tree,
+    packed,
+    unpack_records,
+    unpack_tree,
+    unpacked,
+)
 from graphtrack.association.places import AHEAD, Places
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -122,7 +129,7 @@ class OnlineAssociation(Moves):
             "lag": self.lag if np.isfinite(self.lag) else None,
             "chains": [pack_records(self.chains.rows), packed(self.chains.state), packed(self.chains.looks)],
             "link_p": packed(self.link_p),
-            "notes": {name: packed(values) for name, values in vars(self._notes).items()},
+            "notes": pack_tree(vars(self._notes)),
             "first": self._first,
             "history": self._history.state(),
             "places": None
@@ -148,7 +155,7 @@ class OnlineAssociation(Moves):
         rows, *others = state["chains"]
         found.chains = Chains(unpack_records(rows, DETECTION), *(unpacked(saved) for saved in others))
         found.link_p = unpacked(state["link_p"])
-        found._notes = Notes(**{name: unpacked(text) for name, text in state["notes"].items()})
+        found._notes = Notes(**unpack_tree(state["notes"]))
         found._first = list(map(whole, state["first"]))
         found._intervals = list(map(real, state["intervals"]))
         found._history = History.from_state(state["history"])

@@ -58,11 +58,9 @@ class Places:
         ``own``: (n,) each, of the events, those per square metre that are not to count
         """
         came, left, false = (0.0, 0.0, 0.0) if own is None else own
-        return (
-            _rate(self.births, came, self._in_cells(position)),
-            _rate(self.deaths, left, self._in_cells(position)),
-            _rate(self.clutter, false, self._in_cells(position)),
-        )
+        cells = self._in_cells(position)
+        births, deaths = _rate(self.births, came, cells), _rate(self.deaths, left, cells)
+        return births, deaths, _rate(self.clutter, false, cells)
 
     def leaving_for(self, goal: FloatArray) -> FloatArray:
         """Return the death rate of those who would be at (n, 2) in `AHEAD` seconds, in mean rates."""

@@ -37,7 +37,6 @@ def associated(rows: Rows, scene: GivenScene = None, *, repair: bool = False) ->
 
     Parameters
     ----------
-    rows : on the ground, with times
     scene : its parameters that are known; the others are learned
     repair : the rows are a tracker's, whose identities are kept but where the evidence is against them
     """
@@ -145,7 +144,6 @@ def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.l
 
     Parameters
     ----------
-    tracks : as they were associated
     longest_filled : seconds of a gap that is filled
     """
     frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)

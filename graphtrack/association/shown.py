@@ -41,7 +41,6 @@ def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
 
     Parameters
     ----------
-    seen : the observations
     size : d as it was before; 0: that of the first one
     """
     given = [one.inputs.get(APPEARANCE) for one in seen]

@@ -67,7 +67,6 @@ def rows_of(
 
     Parameters
     ----------
-    detections, fps, **options : as in `associate`
     format : of a file; None: recognised by its content
     """
     if isinstance(detections, str | Path):

@@ -48,15 +48,10 @@ def load_attention(path: str | Path) -> AttentionParameters:
 
 def _loaded(path: str | Path, name: str, made: Callable[[dict[str, Any]], Made]) -> Made:
     """Return parameters made of a file's table; errors name the file."""
-    table = _table(path, name)
+    table = read_toml(path, "a file of parameters").get(name)
     try:
+        if not isinstance(table, dict):
+            raise InputError(f"no table [{name}]", f"what 'graphtrack fit --{name}' writes")
         return made(table)
     except InputError as error:
         raise InputError(error.found, error.expected, path=path) from error
-
-
-def _table(path: str | Path, name: str) -> dict[str, Any]:
-    table = read_toml(path, "a file of parameters").get(name)
-    if not isinstance(table, dict):
-        raise InputError(f"no table [{name}]", f"what 'graphtrack fit --{name}' writes", path=path)
-    return table

@@ -137,7 +137,6 @@ def prior_of_looks(
     bearing, half : (targets,) radians, as they are seen; people come first
     far : (targets,) metres; NaN: not there
     fellow : (people,) whether they are in one group with whom looks
-    people : how many targets are people
     """
     around, wide = _in_the_way(bearing[:people], half[:people], far[:people])
     total = 0.0

@@ -6,6 +6,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,16 +118,8 @@ def read_group_table(path: str | Path) -> Groups:
     centre = np.stack([rows.numbers(name, needed=False) for name in ("centre_x", "centre_y")], axis=1)
     t, probability = rows.numbers("t", needed=False), rows.shares("probability", needed=False)
     order = np.lexsort((person, frame))
-    number = np.where(grouped, group, -1)
-    return Groups(
-        frame[order],
-        t[order],
-        person[order],
-        number[order],
-        kind[order],
-        probability[order],
-        centre[order],
-    )
+    columns: list[Any] = [frame, t, person, np.where(grouped, group, -1), kind, probability, centre]
+    return Groups(*(values[order] for values in columns))
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,7 @@ def fit_groups(
         if (name == "heads" and not shown.head.any()) or (name != "places" and not shown.body.any()):
             continue
         pairs = _pairs(shown, label, parameters)
-        used = _thinned(pairs.t, split)
+        used = np.isin(pairs.t, _chosen(pairs.t, split))
         if walked != start and not pairs.together[used].any():  # they all walk
             continue
         weights = _weights(pairs, used)
@@ -136,11 +136,6 @@ def _faced(tracks: TrackSet, people: People, parameters: GroupParameters, used: 
     evidence = [pair_evidence(one, parameters) for one in known]
     companions, others = fit_facing(people, evidence, standing, parameters)
     return replace(parameters, companions=companions, others=others)
-
-
-def _thinned(t: FloatArray, split: float) -> BoolArray:
-    """Return the mask of the pairs that are learned from."""
-    return np.isin(t, _chosen(t, split))
 
 
 def _chosen(t: FloatArray, split: float) -> list[float]:
@@ -189,7 +184,7 @@ def _caution(
     people: People, label: IntArray, pairs: _Pairs, parameters: GroupParameters, name: str, split: float
 ) -> float:
     """The caution with the best F1 in parts of the time, each found by weights from the other parts."""
-    used = _thinned(pairs.t, split)
+    used = np.isin(pairs.t, _chosen(pairs.t, split))
     t = people.t[people.frame_of]
     learned_t = t[(label != UNLABELLED) & (t <= split)]
     edges = np.linspace(learned_t.min(), learned_t.max() + 1e-6, _BLOCKS + 1)

@@ -21,7 +21,6 @@ class EvaluationJournal:
     Parameters
     ----------
     path : the file; None: nothing is kept
-    fingerprint : of data and settings
     """
 
     def __init__(self, path: Path | None, fingerprint: str) -> None:

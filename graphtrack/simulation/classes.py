@@ -23,7 +23,6 @@ def confusion_matrix(n_classes: int, *, flipped: float = 0.2, at_random: float =
 
     Parameters
     ----------
-    n_classes : an even number
     flipped : share of the answers that take front for back
     at_random : share that is any class
     """
@@ -52,10 +51,8 @@ def add_class_likelihoods(
 
     Parameters
     ----------
-    tracks : in any form that `graphtrack.solve` takes
     body : (8, 8) confusion of the body's classes, rows true classes; None: `confusion_matrix`
     head : (12, 12) of the head's
-    rng : source of the answers
     """
     confusions = {
         "body": confusion_matrix(BODY_CLASSES) if body is None else _checked("body", body, BODY_CLASSES),

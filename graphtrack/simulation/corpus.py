@@ -123,7 +123,6 @@ class Corpus:
         Parameters
         ----------
         rate : in (0, 1]
-        rng : source of the choice
         head : "with position": who is not detected shows no head either; "always": the head is seen all the
             time
         """

@@ -63,8 +63,6 @@ def crowd(
 
     Parameters
     ----------
-    rng : source of all that is random
-    place : what it is like there
     seconds, fps : length of the scene, and frames a second
     """
     tracks: list[Track] = []

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 WITHHELD = ("position", "position_std", "pixel", "body", "body_kappa", "body_likelihood")
 """What `occlude` withholds: everything but the head, which shows longest above what stands in the way."""
 
+OBSERVED = (*WITHHELD, "head", "head_kappa", "head_likelihood")
+"""Channels that are missing of somebody who is not detected at all."""
+
 TURN_SECONDS = 1.0
 """Time over which a turn is measured, by default: from the motion of the first half to that of the second."""
 
@@ -126,7 +129,6 @@ def occlude(
 
     Parameters
     ----------
-    tracks : observations
     seconds : length of the window, > 0
     margin : seconds of the track that must remain on both sides of the window, with a position in each
     turn_seconds : time over which a turn is measured, > 0; where the truth itself is rough, long enough for

@@ -14,7 +14,7 @@ from graphtrack.display import counted
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray, wrap
 from graphtrack.io.given import tracks_of
-from graphtrack.simulation.degrade import add_noise, motion, withhold
+from graphtrack.simulation.degrade import OBSERVED, add_noise, motion, withhold
 from graphtrack.table.columns import to_columns
 from graphtrack.table.detections import with_those_between
 from graphtrack.tracks import Track, TrackSet
@@ -24,19 +24,6 @@ if TYPE_CHECKING:
 
 FALSE = "false"
 """Label of a false detection, where identities are kept."""
-
-SEEN = (
-    "position",
-    "position_std",
-    "pixel",
-    "body",
-    "body_kappa",
-    "body_likelihood",
-    "head",
-    "head_kappa",
-    "head_likelihood",
-)
-"""Channels that are missing of somebody who is not detected."""
 
 _OBSERVED_COLUMNS = ("frame", "t", "x", "y", "body_deg", "head_deg")
 """Columns of a detection without an identity: nothing of the truth, nor of how noisy it was made."""
@@ -140,10 +127,7 @@ def detect(
     Parameters
     ----------
     tracks : what is known, in any form that `graphtrack.solve` takes
-    detector : what is missed, hidden and false
     every : seconds between the frames, see `sampled`; None: the recording's own frames
-    position_std, body_kappa, head_kappa : the noise, as in `add_noise`
-    rng : source of all that is random
     """
     exact = tracks_of(tracks)
     if every is not None:
@@ -167,7 +151,6 @@ def sampled(tracks: TrackSet, every: float) -> TrackSet:
 
     Parameters
     ----------
-    tracks : with times, s
     every : seconds from a frame to the next
     """
     check_positive("every", every, 1e6)
@@ -246,7 +229,7 @@ def _unseen(track: Track, missed: float, hidden: Mapping[int, BoolArray], rng: n
     window = rng.random(len(track)) < missed
     if track.track_id in hidden:
         window |= hidden[track.track_id]
-    return withhold(track, window, SEEN)
+    return withhold(track, window, OBSERVED)
 
 
 def _false_detections(

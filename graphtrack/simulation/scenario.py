@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit, wrap
-from graphtrack.simulation.degrade import WITHHELD, add_noise, withhold
+from graphtrack.simulation.degrade import OBSERVED, add_noise, withhold
 from graphtrack.tracks import Track, TrackSet
 
 SHORTEST = 12.0
@@ -18,10 +18,6 @@ SHORTEST = 12.0
 _GRID = 0.01
 _BODY_LAG, _HEAD_LEAD, _HEAD_LAG = 0.25, 0.55, 0.15
 """Seconds: the shoulders follow the course late; the head looks ahead and follows its aim quickly."""
-
-
-_HIDDEN = (*WITHHELD, "head", "head_kappa", "head_likelihood")
-"""Whoever is behind something shows nothing, the head neither."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +79,7 @@ def scenario(
     return noisy.with_tracks(
         track
         if part.hidden is None
-        else withhold(track, (track.t >= part.hidden[0]) & (track.t < part.hidden[1]), _HIDDEN)
+        else withhold(track, (track.t >= part.hidden[0]) & (track.t < part.hidden[1]), OBSERVED)
         for track, part in zip(noisy, parts, strict=True)
     )
 

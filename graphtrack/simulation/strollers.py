@@ -83,7 +83,6 @@ def strollers(
     Parameters
     ----------
     rng : source of the people and of the noise
-    parameters : their habits
     people, seconds, fps : number of tracks, their length and frames a second
     position_std : metres, 1-σ of each axis
     body_std, head_std : radians, 1-σ of the observed angles (κ = 1/σ²); None: not observed

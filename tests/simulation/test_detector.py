@@ -9,7 +9,8 @@ from scipy import stats
 
 import graphtrack as gt
 from graphtrack import InputError, Track, TrackSet
-from graphtrack.simulation.detector import FALSE, SEEN, Detector, detect, sampled
+from graphtrack.simulation.degrade import OBSERVED
+from graphtrack.simulation.detector import FALSE, Detector, detect, sampled
 
 ALL_FAULTS = Detector(missed=0.15, occluded_share=0.5, occluded_seconds=2.0, clutter=1.0)
 
@@ -49,7 +50,7 @@ def test_as_many_are_missed_as_is_said_and_then_nothing_is_observed() -> None:
     low, high = stats.binom.interval(1.0 - 1e-4, len(seen), 0.7)
     assert low <= seen.sum() <= high
     for track, truth in zip(found.observed, found.truth, strict=True):
-        for name in SEEN:
+        for name in OBSERVED:
             values = getattr(track, name)
             if values is not None:
                 missing = np.isnan(values.reshape(len(track), -1)).all(axis=1)

@@ -54,7 +54,6 @@ class Places:
 
     Parameters
     ----------
-    parameters : how near is near
     judge : is told of errors over the expected spread, beside the numbers of their `LAGS`
     """
 
