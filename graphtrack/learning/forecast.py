@@ -164,11 +164,6 @@ def _some(of: Outcomes, chosen: np.ndarray[Any, Any]) -> Outcomes:
     return Outcomes(expected, of.error[chosen], of.straight[chosen])
 
 
-def errors(found: Outcomes) -> tuple[float, float]:
-    """Mean error of whole paths and of their ends, over those of the last step's velocity."""
-    return relative_errors(found.error, found.straight)
-
-
 def density(found: Outcomes, parameters: ForecastParameters) -> float:
     """Mean log density of where people were, in a scene like others."""
     few = _some(found, np.arange(min(_MOST, len(found.error))))
@@ -224,7 +219,7 @@ def fit_forecast(
     return ForecastFit(
         parameters=best,
         start=before,
-        errors={name: errors(one) for name, one in found.items()},
+        errors={name: relative_errors(one.error, one.straight) for name, one in found.items()},
         density={name: (density(one, before), density(one, best)) for name, one in found.items()},
     )
 

@@ -31,7 +31,8 @@ def crowd(count=15, seed=1, steps=30):
 @pytest.mark.parametrize("changed", [{}, {"stop_speed": 0.45, "companion_weight": 4.0, "place_prior": 0.3}])
 def test_errors_at_once_are_those_of_forecasts_frame_by_frame(changed):
     parameters, scene = replace(ForecastParameters(), **changed), recording(crowd())
-    one_by_one = learning.errors(learning.outcomes(scene, parameters))
+    found = learning.outcomes(scene, parameters)
+    one_by_one = learning.relative_errors(found.error, found.straight)
     assert errors_at_once(rows_of(scene), parameters) == pytest.approx(one_by_one, rel=1e-3)
 
 
