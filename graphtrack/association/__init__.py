@@ -1,1 +1,1 @@
-"""Who is who: detections without identities become tracks."""
+"""Data association: detections without identities become tracks."""

@@ -1,4 +1,4 @@
-"""How much more likely two detections look as they do if they show one person: a calibrated likelihood ratio.
+"""Appearance: a calibrated likelihood ratio of two descriptors under one person and under two.
 
 Differences are whitened by those within people, as in KISSME (Köstinger, Hirzer, Wohlhart, Roth & Bischof,
 Large scale metric learning from equivalence constraints, CVPR 2012). Its own ratio, of two Gaussians, is far
@@ -12,49 +12,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from graphtrack.association.chains import IntArray
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-
-IntArray = NDArray[np.int64]
 
 _LEAST = 1e-12
 """Squared distances below it are that."""
 _STEEPEST = 5.0
 """1-σ of what the slope is thought to be before anything is seen; people see it to be near 4."""
-
-
-@dataclass(frozen=True)
-class AppearanceLearning:
-    """How an `AppearanceModel` is learned.
-
-    Attributes
-    ----------
-    shrinkage : share of the within-person covariance that is taken to be the same in all directions
-    outlier : least probability that looks say nothing; it bounds the ratio
-    folds : groups of people that are held out in turn, to calibrate on
-    least_people : below which nothing is learned, and looks do not count
-    most_pairs : of either kind that are looked at
-    """
-
-    shrinkage: float = 0.3
-    outlier: float = 0.02
-    folds: int = 5
-    least_people: int = 4
-    most_pairs: int = 20_000
-
-    def __post_init__(self) -> None:
-        for name, low, high in (("shrinkage", 1e-6, 1.0), ("outlier", 1e-6, 0.5)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(f"{name} = {value!r}", f"a number from {low:g} to {high:g}")
-        for name in ("folds", "least_people", "most_pairs"):
-            if getattr(self, name) < 2:
-                raise InputError(f"{name} = {getattr(self, name)!r}", "at least 2")
+_SHRINKAGE = 0.3
+"""Share of the within-person covariance that is taken to be the same in all directions."""
+_OUTLIER = 0.02
+"""Least probability that looks say nothing; it bounds the ratio."""
+_FOLDS = 5
+"""Groups of people that are held out in turn, to calibrate on."""
+_LEAST_PEOPLE = 4
+"""Below which nothing is learned, and looks do not count."""
+_MOST_PAIRS = 20_000
+"""Pairs of either kind that are looked at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +55,7 @@ class AppearanceModel:
     whitening: FloatArray
     offset: float = 0.0
     slope: float = 0.0
-    outlier: float = 0.02
+    outlier: float = _OUTLIER
 
     @property
     def bound(self) -> float:
@@ -88,9 +68,11 @@ class AppearanceModel:
         descriptors: ArrayLike,
         same: ArrayLike,
         different: ArrayLike,
-        learning: AppearanceLearning = AppearanceLearning(),
+        shrinkage: float = _SHRINKAGE,
     ) -> AppearanceModel:
         """The model of a recording, from pairs of its detections; one that says nothing if they are too few.
+
+        Raise InputError for arrays of other shapes, or rows that are not there.
 
         Parameters
         ----------
@@ -98,43 +80,32 @@ class AppearanceModel:
         same : (m, 2) rows of pairs that are thought to show one person, such as neighbours in tracklets.
             Looks drift apart: the model holds for pairs as far apart in time as these are.
         different : (l, 2) rows of pairs that show two people, such as those of one frame
-
-        Raises
-        ------
-        InputError
-            For arrays of other shapes, or rows that are not there.
         """
         values = np.asarray(descriptors, float)
         if values.ndim != 2 or not values.shape[1]:
             raise InputError(f"descriptors of shape {values.shape}", "shape (n, k)")
-        one, other = (_usable(values, pairs, learning.most_pairs) for pairs in (same, different))
+        one, other = (_usable(values, pairs, _MOST_PAIRS) for pairs in (same, different))
         person = _people(one, len(values))
         people = len(np.unique(person))
-        if people < learning.least_people or len(other) < learning.least_people:
-            return cls(np.eye(values.shape[1]), outlier=learning.outlier)
-        of_one, of_two = _held_out(values, one, person, other, learning)
+        if people < _LEAST_PEOPLE or len(other) < _LEAST_PEOPLE:
+            return cls(np.eye(values.shape[1]), outlier=_OUTLIER)
+        of_one, of_two = _held_out(values, one, person, other, shrinkage)
         offset, slope = _logistic(np.log(of_one), np.log(of_two), people)
         # Of few people nobody knows how often looks deceive: as if one had, of two more.
-        outlier = max(learning.outlier, 1.0 / (people + 2.0))
-        return cls(_whitening(values, one, other, learning.shrinkage), offset, slope, outlier)
+        outlier = max(_OUTLIER, 1.0 / (people + 2.0))
+        return cls(_whitening(values, one, other, shrinkage), offset, slope, outlier)
 
     def log_ratio(self, first: ArrayLike, second: ArrayLike) -> FloatArray:
         """Log likelihood ratio (...) of descriptors (..., k), which broadcast; 0 where one is missing.
 
-        Raises
-        ------
-        InputError
-            For descriptors of another size.
+        Raise InputError for descriptors of another size.
         """
         return self.of_squares(np.sum((self.whitened(first) - self.whitened(second)) ** 2, axis=-1))
 
     def whitened(self, descriptors: ArrayLike) -> FloatArray:
         """Descriptors (..., k) whose squared Euclidean distances are those of `of_squares`.
 
-        Raises
-        ------
-        InputError
-            For descriptors of another size.
+        Raise InputError for descriptors of another size.
         """
         values, k = np.asarray(descriptors, float), len(self.whitening)
         if values.shape[-1:] != (k,):
@@ -195,14 +166,14 @@ def _whitening(values: FloatArray, same: IntArray, different: IntArray, shrinkag
 
 
 def _held_out(
-    values: FloatArray, same: IntArray, person: IntArray, different: IntArray, learning: AppearanceLearning
+    values: FloatArray, same: IntArray, person: IntArray, different: IntArray, shrinkage: float
 ) -> tuple[FloatArray, FloatArray]:
     """Squared distances of both kinds of pairs, each whitened by other people than that of the pair."""
-    folds = min(learning.folds, int(person.max()) + 1)
+    folds = min(_FOLDS, int(person.max()) + 1)
     of_one, of_two = np.empty(len(same)), np.empty(len(different))
     mine, other = person % folds, np.arange(len(different)) % folds
     for fold in range(folds):
-        whitening = _whitening(values, same[mine != fold], different, learning.shrinkage)
+        whitening = _whitening(values, same[mine != fold], different, shrinkage)
         of_one[mine == fold] = _squares(values, same[mine == fold], whitening)
         of_two[other == fold] = _squares(values, different[other == fold], whitening)
     return of_one, of_two

@@ -15,7 +15,7 @@ STATE = 11
 """Numbers in a filtered state: x, y, vx, vy, the covariance p, pv, v of each axis, and the directions of body
 and head as vectors (x, y) whose length is their concentration; 0: not known."""
 BODY, HEAD = 7, 9
-"""Where the last two begin."""
+"""Places of the last two."""
 
 
 class Scene(NamedTuple):
@@ -67,7 +67,7 @@ DETECTION = np.dtype(
         ("rest", float),  # of the track from there on, to its end: as it was when a sweep began
     ]
 )
-"""What kernels know of a detection: one record, since each array that they are handed costs some time."""
+"""A detection as kernels read it: one record, since each array that they are handed costs some time."""
 
 
 Row: TypeAlias = Any

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import NOTHING, Known, SceneParameters
 
-_REACH = 3.0
+_DUPLICATE_REACH = 3.0
 """Spreads within which a detection may be a duplicate."""
 
 
@@ -20,13 +20,13 @@ Pairs: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
 """Two detections each, and their squared distances (m²)."""
 
 
-def density(
+def duplicate_density(
     frame: NDArray[np.int64],
     position: FloatArray,
     identity: NDArray[np.int64],
     scene: SceneParameters,
 ) -> FloatArray:
-    """How densely duplicates of other people are expected where each detection is, (n,) 1/m².
+    """Return the expected density of duplicates of other people at each detection, (n,) 1/m².
 
     A person counts for those who were detected less often: of two who walk in each other's place the one with
     more detections is the person.
@@ -35,27 +35,24 @@ def density(
     ----------
     frame, position : (n,) and (n, 2) of the detections
     identity : (n,) as they are thought to be; −1: false
-    scene : rate and spread of duplicates
     """
     times = np.bincount(identity[identity >= 0], minlength=1)
-    return density_of(pairs(frame, position, scene), identity, scene, times)
+    return duplicate_density_of(duplicate_pairs(frame, position, scene), identity, scene, times)
 
 
-def pairs(frame: NDArray[np.int64], position: FloatArray, scene: SceneParameters) -> Pairs:
-    """Those of which one can be a duplicate of the other, as `near` has them."""
-    return near(frame, position, _REACH * scene.duplicate_spread)
+def duplicate_pairs(frame: NDArray[np.int64], position: FloatArray, scene: SceneParameters) -> Pairs:
+    """Those of which one can be a duplicate of the other, as `pairs_within` has them."""
+    return pairs_within(frame, position, _DUPLICATE_REACH * scene.duplicate_spread)
 
 
-def density_of(
+def duplicate_density_of(
     pairs: Pairs, identity: NDArray[np.int64], scene: SceneParameters, times: NDArray[np.int64]
 ) -> FloatArray:
-    """`density` where the pairs are known.
+    """`duplicate_density` where the pairs are known.
 
     Parameters
     ----------
-    pairs : as of `pairs`
     identity : (n,) as they are thought to be; −1: false
-    scene : rate and spread of duplicates
     times : identity → how often it was detected
     """
     first, second, square = pairs
@@ -70,7 +67,7 @@ def density_of(
     return np.bincount(first, each, minlength=len(identity)).astype(float)
 
 
-def near(frame: NDArray[np.int64], position: FloatArray, reach: float) -> Pairs:
+def pairs_within(frame: NDArray[np.int64], position: FloatArray, reach: float) -> Pairs:
     """Pairs (both ways) of detections of one frame within reach (m), and their squared distances (m²)."""
     # Frames far apart on a third axis: one tree for all.
     apart = np.column_stack([position, frame * (10.0 * reach)])
@@ -80,7 +77,7 @@ def near(frame: NDArray[np.int64], position: FloatArray, reach: float) -> Pairs:
     return first, second, np.sum((position[first] - position[second]) ** 2, axis=1)
 
 
-def learned(
+def learn_duplicates(
     frame: NDArray[np.int64],
     position: FloatArray,
     identity: NDArray[np.int64],
@@ -91,7 +88,7 @@ def learned(
 
     Those of the two that are known are kept.
     """
-    first, second, square = near(frame, position, 2.0)
+    first, second, square = pairs_within(frame, position, 2.0)
     counts = (identity[first] < 0) & (identity[second] >= 0)
     first, square = first[counts], square[counts]
     people = float((identity >= 0).sum())

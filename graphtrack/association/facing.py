@@ -1,4 +1,4 @@
-"""What observed angles say of who is who: learned from tracks, and never thought sharper than that."""
+"""Evidence of observed body and head angles for data association, with parameters learned from tracks."""
 
 from __future__ import annotations
 
@@ -23,14 +23,13 @@ _OUTLIERS = (0.02, 0.9)
 """Shares of outliers that can be learned: angles are never thought sure."""
 
 
-def observed(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
+def observed_angles(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
     """Observed body and head of each detection, (n, 2) radians; NaN where there is none.
 
     Parameters
     ----------
     channels : by the names of a track's attributes; where there is no angle, class likelihoods are taken by
         their circular mean
-    n : detections
     """
     found = np.full((n, 2), np.nan)
     for column, name in enumerate(("body", "head")):
@@ -44,7 +43,7 @@ def observed(channels: Mapping[str, FloatArray], n: int) -> FloatArray:
     return found
 
 
-def learned(
+def learn_orientation(
     chains: Chains, scene: SceneParameters, seconds: float, known: Known = NOTHING
 ) -> SceneParameters:
     """The parameters of angles under which the tracks' are most probable.
@@ -52,9 +51,6 @@ def learned(
     Parameters
     ----------
     chains : the tracks; their states are filtered anew
-    scene : the parameters before
-    seconds : from a frame to the next
-    known : parameters that are kept
     """
     later = np.flatnonzero(chains.preceding >= 0)
     both = np.isfinite(chains.facing[later]) & np.isfinite(chains.facing[chains.preceding[later]])

@@ -1,4 +1,4 @@
-"""What was decided lately of detections online, for the scene's parameters to be learned from."""
+"""The newest final decisions of online association, from which the scene's parameters are learned."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.association import duplicates, facing, learning, places
 from graphtrack.association.chains import Chains, IntArray, Scene, link_by, unlinked
+from graphtrack.association.duplicates import learn_duplicates
+from graphtrack.association.facing import learn_orientation
 from graphtrack.association.kernels import refresh
+from graphtrack.association.learning import learn_scene
 from graphtrack.association.looks import widened
-from graphtrack.association.looks_online import Looks, of_tracks
+from graphtrack.association.looks_online import Looks, looks_of_tracks
 from graphtrack.association.notes import NOBODY, Notes
-from graphtrack.association.packing import packed, unpacked
-from graphtrack.association.places import Places
+from graphtrack.association.packing import pack_tree, unpack_tree
+from graphtrack.association.places import Places, learn_places
 from graphtrack.scene import Known, SceneParameters
 
 LEARNED_AT = (50, 200, 800, 1600, 3200, 6400, 12800)
@@ -28,7 +30,7 @@ GUESS_SECONDS = 10.0
 """Time that the first guess of how people turn counts for: at first they all may walk straight."""
 
 _TURNS = {"acceleration_density": 1, "body_turn": 2, "head_turn": 2}
-"""What says how people turn, and the power of it that is a variance."""
+"""Parameters of turning, and the power of each that is a variance."""
 
 
 class History:
@@ -61,19 +63,17 @@ class History:
 
     def state(self) -> dict[str, Any]:
         """As JSON-able data."""
-        values = vars(self).items()
-        return {name: packed(value) if isinstance(value, np.ndarray) else value for name, value in values}
+        return pack_tree(vars(self))
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> History:
         """The inverse of `state`."""
         found = cls()
-        for name, value in state.items():
-            setattr(found, name, unpacked(value) if isinstance(value, list) else value)
+        vars(found).update(unpack_tree(state))
         return found
 
     def is_due(self) -> bool:
-        """Whether parameters are to be learned."""
+        """Return whether parameters are to be learned."""
         known = len(LEARNED_AT)
         due = LEARNED_AT[self.times] if self.times < known else LEARNED_AT[-1] * (self.times - known + 2)
         return self.count >= due
@@ -81,12 +81,10 @@ class History:
     def learned(
         self, scene: SceneParameters, step_seconds: float, known: Known
     ) -> tuple[SceneParameters, Places, Looks]:
-        """What the remembered tracks say.
+        """Learn from the remembered tracks.
 
-        Returns
-        -------
-        The parameters that they speak for but those known, where people come and go, and what looks and
-        scores are worth.
+        Returns the parameters that they speak for but those known, where people come and go, and what looks
+        and scores are worth.
         """
         self.times += 1
         chains = unlinked(self.t, self.frame - self.frame[0], self.position, self.facing)
@@ -95,13 +93,13 @@ class History:
         _, owner = np.unique(self.owner, return_inverse=True)
         identity = np.where(self.owner == NOBODY, NOBODY, owner - int((self.owner == NOBODY).any()))
         link_by(chains, identity)
-        scene = duplicates.learned(chains.frame, self.position, identity, scene, known)
-        scene = learning.learned(chains, identity, scene, self.std, step_seconds, known)
-        scene = facing.learned(chains, scene, step_seconds, known)
+        scene = learn_duplicates(chains.frame, self.position, identity, scene, known)
+        scene = learn_scene(chains, identity, scene, self.std, step_seconds, known)
+        scene = learn_orientation(chains, scene, step_seconds, known)
         scene = self._with_guess(scene, known)
-        shown = of_tracks(chains, identity, self.descriptor, self.score)
+        shown = looks_of_tracks(chains, identity, self.descriptor, self.score)
         refresh(chains, 0, len(self.t), Scene(*scene.packed(step_seconds)))
-        return scene, places.learned(chains, identity), shown
+        return scene, learn_places(chains, identity), shown
 
     def _with_guess(self, scene: SceneParameters, known: Known) -> SceneParameters:
         """With turns as the mean, over time, of the first guess and of what was found."""

@@ -38,9 +38,7 @@ def move(earlier: Row, before: FloatArray, later: Row, scene: Scene, state: Floa
     The place may have jumped, after which nothing is known of the velocity: of the two states after that, the
     one that has their mean and covariance.
 
-    Returns
-    -------
-    The log density of the detection's place.
+    Returns the log density of the detection's place.
     """
     dt, q = later.t - earlier.t, scene.density
     p = before[4] + 2.0 * dt * before[5] + dt * dt * before[6] + q * dt**3 / 3.0
@@ -97,7 +95,7 @@ def follow(chains: Chains, before: FloatArray, k: int, m: int, scene: Scene, sta
 def is_within(
     off_x: float, off_y: float, dt: float, p: float, pv: float, v: float, variance: float, scene: Scene
 ) -> bool:
-    """Whether a detection so far from where somebody would be by then can be theirs.
+    """Return whether a detection is within the gate about a predicted position.
 
     Parameters
     ----------
@@ -176,7 +174,7 @@ def born(chains: Chains, k: int, scene: Scene) -> float:
 
 @allocating
 def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scene) -> FloatArray:
-    """How much evidence (heads, tails) each link of a track's head to a tail brings over none."""
+    """Return the gain in evidence (heads, tails) of each link of a track's head to a tail over none."""
     gains, state = np.full((len(heads), len(tails)), NOTHING), np.empty(STATE)
     alone, near = np.empty(len(tails)), np.empty(len(tails), np.int64)
     for j in range(len(tails)):
@@ -198,12 +196,11 @@ def gains_of_links(chains: Chains, heads: IntArray, tails: IntArray, scene: Scen
 def gains_of_detections(
     chains: Chains, heads: IntArray, tails: IntArray, detections: IntArray, scene: Scene
 ) -> FloatArray:
-    """How much evidence (tracks, detections) it brings that a track has a detection of a frame it spans.
+    """Return the gain in evidence (tracks, detections) of a frame's detection in a track that spans it.
 
     Parameters
     ----------
     heads, tails : (tracks,) the last detection before the frame and the first after it, linked; −1: none
-    detections : of the frame, linked to nothing
     """
     gains, state, here = np.full((len(heads), len(detections)), NOTHING), np.empty(STATE), np.empty(STATE)
     alone, near, next_one = np.empty(len(detections)), np.arange(len(detections)), np.empty(1, np.int64)
@@ -262,11 +259,10 @@ def refresh(chains: Chains, first: int, end: int, scene: Scene) -> None:
 
 @allocating
 def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
-    """What all linked detections say given those before, which are filtered again.
+    """Return the innovation likelihood of all linked detections, which are filtered again.
 
-    Returns
-    -------
-    The log density of their places, the sum of the log likelihood ratios of their angles, and their number.
+    Returns the log density of their places, the sum of the log likelihood ratios of their angles, and their
+    number.
     """
     places, angles, count = 0.0, 0.0, 0
     for m in range(len(chains.rows)):
@@ -283,7 +279,7 @@ def innovations(chains: Chains, scene: Scene) -> tuple[float, float, int]:
 
 @compiled
 def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: FloatArray) -> None:
-    """How probable the link of each head to its tail is among all that either could have, or none.
+    """Return the probability of each head's link to its tail among all that either could have, or none.
 
     Parameters
     ----------
@@ -308,7 +304,7 @@ def probabilities_of_links(gains: FloatArray, tail_of: IntArray, probability: Fl
 
 @compiled
 def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> None:
-    """Where the track of each detection begins (n,), and for each beginning what the track is worth."""
+    """Fill the first detection of each detection's track (n,), and at each first one the track's evidence."""
     for k in range(len(root)):
         before = chains.rows[k].preceding
         root[k] = k if before < 0 else root[before]
@@ -320,7 +316,7 @@ def roots(chains: Chains, scene: Scene, root: IntArray, value: FloatArray) -> No
 
 @compiled
 def count_up(chains: Chains, times: IntArray) -> None:
-    """How many detections the track of each has up to it (n,); of those that begin one it is given."""
+    """Fill the number of detections that each one's track has up to it (n,); first ones have it."""
     for k in range(len(times)):
         before = chains.rows[k].preceding
         if before >= 0:

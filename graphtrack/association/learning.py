@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from graphtrack.association import duplicates
 from graphtrack.association.chains import Chains, Scene
-from graphtrack.association.detections import Detections
+from graphtrack.association.duplicates import duplicate_density
 from graphtrack.association.kernels import innovations
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import NOTHING, Known, SceneParameters
+from graphtrack.table.detections import Detections
 
 _EDGE = 3
 """Frames at either end of a recording in which somebody may have been missed who was there."""
 
-_PRIOR = 2.0
+_PRIOR_EVENTS = 2.0
 """Events that the first guess counts for."""
 
 _FIRST_STD = 0.3
@@ -56,7 +56,7 @@ def first_guess(detections: Detections) -> SceneParameters:
     )
 
 
-def learned(
+def learn_scene(
     chains: Chains,
     identity: NDArray[np.int64],
     scene: SceneParameters,
@@ -68,12 +68,8 @@ def learned(
 
     Parameters
     ----------
-    chains : the tracks, filtered
     identity : (n,) of each detection; −1: false
-    scene : the parameters before
     known_std : (n,) metres that detections say themselves; NaN: they do not
-    seconds : from a frame to the next
-    known : parameters that are kept
     """
     if not (identity >= 0).any():
         return scene
@@ -87,21 +83,25 @@ def learned(
         hidden = ((share * some).sum() * seconds + 2.0) / (share.sum() + 1.0)
         gap = {
             "detection_probability": np.clip((seen + 9.0) / (seen + missed + 10.0), 0.02, 0.995),
-            "occlusion_probability": np.clip((share.sum() + 0.01 * _PRIOR) / (seen + _PRIOR), 1e-6, 0.3),
+            "occlusion_probability": np.clip(
+                (share.sum() + 0.01 * _PRIOR_EVENTS) / (seen + _PRIOR_EVENTS), 1e-6, 0.3
+            ),
             "occlusion_seconds": np.clip(hidden, 0.2, 20.0),
         }
         scene = replace(scene, **{name: float(value) for name, value in gap.items()} | dict(known))
     false = len(identity) - events.seen
     rates = {
-        "clutter_density": _rate(false, events.exposure, scene.clutter_density, 1e-9, 100.0),
-        "birth_density": _rate(events.born, events.open_exposure, scene.birth_density, 1e-9, 100.0),
-        "death_rate": _rate(events.left, events.in_view, scene.death_rate, 1e-6, 10.0),
+        "clutter_density": _per_exposure(false, events.exposure, scene.clutter_density, 1e-9, 100.0),
+        "birth_density": _per_exposure(events.born, events.open_exposure, scene.birth_density, 1e-9, 100.0),
+        "death_rate": _per_exposure(events.left, events.in_view, scene.death_rate, 1e-6, 10.0),
     }
     return replace(scene, **_motion(chains, scene, seconds, known_std, known) | rates | dict(known))
 
 
-def log_density(chains: Chains, identity: NDArray[np.int64], scene: SceneParameters, seconds: float) -> float:
-    """How probable detections and their tracks are: what `learned` makes great, but for its priors.
+def scene_log_density(
+    chains: Chains, identity: NDArray[np.int64], scene: SceneParameters, seconds: float
+) -> float:
+    """Return the log density of detections and their tracks, which `learn_scene` maximises with priors.
 
     Log of a density in 1/m² for each detection, relative to any angle; where people come and go and
     detections are false is taken to be the same everywhere.
@@ -110,15 +110,13 @@ def log_density(chains: Chains, identity: NDArray[np.int64], scene: SceneParamet
     ----------
     chains : the tracks, linked; they are filtered anew
     identity : (n,) of each detection; −1: false
-    scene : the parameters
-    seconds : from a frame to the next
     """
     events = _Events.of(chains, identity, seconds)
     gaps, hide = events.gaps, scene.occlusion_probability
     hidden = np.log(hide) - gaps * seconds / scene.occlusion_seconds
     between = np.logaddexp(gaps * np.log1p(-scene.detection_probability), hidden).sum()
     between += (events.links - len(gaps)) * np.log1p(-hide)
-    around = duplicates.density(chains.frame, chains.position, identity, scene)[identity < 0]
+    around = duplicate_density(chains.frame, chains.position, identity, scene)[identity < 0]
     false = np.log(scene.clutter_density + around).sum() - scene.clutter_density * events.exposure
     false -= scene.duplicate_rate * events.seen
     came = events.born * np.log(scene.birth_density) - scene.birth_density * events.open_exposure
@@ -136,7 +134,7 @@ def gaps_of(chains: Chains, identity: NDArray[np.int64]) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Events:
-    """What happened in a recording.
+    """Counts of births, deaths, gaps and exposure in a recording.
 
     Attributes
     ----------
@@ -180,9 +178,9 @@ class _Events:
         )
 
 
-def _rate(events: int, exposure: float, before: float, low: float, high: float) -> float:
-    """Events per exposure, with `_PRIOR` events at the rate of before: none so far does not mean never."""
-    return float(np.clip((events + _PRIOR) / (exposure + _PRIOR / before), low, high))
+def _per_exposure(events: int, exposure: float, before: float, low: float, high: float) -> float:
+    """Events per exposure, with `_PRIOR_EVENTS` at the rate before: none so far does not mean never."""
+    return float(np.clip((events + _PRIOR_EVENTS) / (exposure + _PRIOR_EVENTS / before), low, high))
 
 
 def _motion(

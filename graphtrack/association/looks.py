@@ -1,4 +1,4 @@
-"""What detections look like, as the chains' kernels compare it; and what a detector's score is worth."""
+"""Learning the likelihood ratios of appearance and of detection scores from tracks."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from graphtrack.association.appearance import AppearanceModel
-from graphtrack.association.chains import Chains, Scene
+from graphtrack.association.chains import Chains, IntArray
 from graphtrack.geometry.angles import FloatArray
-
-IntArray = NDArray[np.int64]
 
 _TAUGHT_SECONDS = 0.6
 """Two detections of one person teach what stays the same if they are no further apart."""
@@ -24,12 +22,11 @@ _BINS = 6
 """Into which scores are put, as many in each."""
 
 
-def learned(chains: Chains, identity: IntArray, descriptors: FloatArray) -> AppearanceModel:
-    """What looks say in a recording, from neighbours in its tracks and from pairs of one frame.
+def learn_appearance(chains: Chains, identity: IntArray, descriptors: FloatArray) -> AppearanceModel:
+    """Learn the appearance model of a recording from neighbours in its tracks and from pairs of one frame.
 
     Parameters
     ----------
-    chains : the tracks
     identity : (n,) of each detection; −1: false
     descriptors : (n, d), NaN where one is missing
     """
@@ -47,22 +44,7 @@ def learned(chains: Chains, identity: IntArray, descriptors: FloatArray) -> Appe
     return AppearanceModel.learned(descriptors, same, np.concatenate(pairs))
 
 
-def compared(
-    chains: Chains, scene: Scene, model: AppearanceModel, descriptors: FloatArray
-) -> tuple[Chains, Scene]:
-    """Chains and scene that compare looks as the model does."""
-    looks = np.ascontiguousarray(model.whitened(descriptors))
-    return chains._replace(looks=looks), in_scene(scene, model)
-
-
-def in_scene(scene: Scene, model: AppearanceModel) -> Scene:
-    """A scene that compares looks as the model does."""
-    return scene._replace(looks_offset=model.offset, looks_slope=model.slope, looks_outliers=model.outlier)
-
-
-def constancy(
-    chains: Chains, identity: NDArray[np.int64], model: AppearanceModel, descriptors: FloatArray
-) -> float:
+def constancy(chains: Chains, identity: IntArray, model: AppearanceModel, descriptors: FloatArray) -> float:
     """Log ratio that looks bring on average where nobody changed; at least 0.
 
     What is false resembles itself from frame to frame as much as a person does, when it is a thing or a part
@@ -71,19 +53,18 @@ def constancy(
 
     Parameters
     ----------
-    chains : the tracks
     identity : (n,) of each detection; −1: false
     model, descriptors : what looks say, and the (n, d) descriptors, NaN where one is missing
     """
     later = np.flatnonzero((identity >= 0) & (chains.preceding >= 0))
     ratios = model.log_ratio(descriptors[chains.preceding[later]], descriptors[later])
-    has = known(descriptors)
+    has = has_descriptor(descriptors)
     both = has[later] & has[chains.preceding[later]]
     return max(float(ratios[both].mean()), 0.0) if both.any() else 0.0
 
 
 def resemblance_of_false_ones(
-    chains: Chains, identity: NDArray[np.int64], model: AppearanceModel, descriptors: FloatArray
+    chains: Chains, identity: IntArray, model: AppearanceModel, descriptors: FloatArray
 ) -> float:
     """Log ratio that looks bring on average where a false detection follows a near one; at least 0.
 
@@ -93,9 +74,8 @@ def resemblance_of_false_ones(
     Parameters
     ----------
     chains : the detections, in the order of time
-    identity, model, descriptors : as in `constancy`
     """
-    false = np.flatnonzero((identity < 0) & known(descriptors))
+    false = np.flatnonzero((identity < 0) & has_descriptor(descriptors))
     if not len(false):
         return 0.0
     # Frames far apart on a third axis, as in `duplicates.near`.
@@ -107,8 +87,8 @@ def resemblance_of_false_ones(
     return max(float(ratios.sum()) / (len(ratios) + _PRIOR), 0.0)
 
 
-def known(descriptors: FloatArray) -> NDArray[np.bool_]:
-    """Whether each detection (n,) has a descriptor."""
+def has_descriptor(descriptors: FloatArray) -> NDArray[np.bool_]:
+    """Return whether each detection (n,) has a descriptor."""
     return np.asarray(np.isfinite(descriptors).all(axis=1))
 
 
@@ -119,7 +99,7 @@ def widened(descriptors: FloatArray, size: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class ScoreRatio:
-    """How much more probable scores are of people than of false detections.
+    """Likelihood ratio of detection scores, people against false detections.
 
     Attributes
     ----------

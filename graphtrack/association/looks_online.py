@@ -1,4 +1,4 @@
-"""What looks and scores are worth, as it is learned online and goes with the state."""
+"""Evidence of appearance and detection scores, as it is learned from tracks."""
 
 from __future__ import annotations
 
@@ -6,17 +6,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from graphtrack.association import looks
+import numpy as np
+
 from graphtrack.association.appearance import AppearanceModel
 from graphtrack.association.chains import Chains, IntArray, Scene
-from graphtrack.association.looks import ScoreRatio
+from graphtrack.association.looks import (
+    ScoreRatio,
+    has_descriptor,
+    learn_appearance,
+    resemblance_of_false_ones,
+)
 from graphtrack.association.packing import packed, unpacked
 from graphtrack.geometry.angles import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What looks and scores are worth, as it was learned from tracks.
+    """Evidence of appearance and detection scores, as it was learned from tracks.
 
     Attributes
     ----------
@@ -31,17 +37,26 @@ class Looks:
 
     def in_scene(self, scene: Scene) -> Scene:
         """A scene that compares looks as the model does."""
-        return scene if self.model is None else looks.in_scene(scene, self.model)
+        model = self.model
+        if model is None:
+            return scene
+        return scene._replace(
+            looks_offset=model.offset, looks_slope=model.slope, looks_outliers=model.outlier
+        )
+
+    def in_chains(self, chains: Chains, descriptors: FloatArray) -> Chains:
+        """Chains that have descriptors (n, d) as the model compares them."""
+        if self.model is None:
+            return chains
+        return chains._replace(looks=np.ascontiguousarray(self.model.whitened(descriptors)))
 
     def gain(self, descriptors: FloatArray, score: FloatArray) -> FloatArray:
         """(n,) what detections gain as a person's, beside their places, by what they show.
 
-        Parameters
-        ----------
-        descriptors, score : (n, d) and (n,), NaN where one is missing
+        ``descriptors``, ``score``: (n, d) and (n,), NaN where one is missing
         """
         less = 0.0 if self.model is None else self.constancy
-        return self.scores.of(score) - less * looks.known(descriptors)
+        return self.scores.of(score) - less * has_descriptor(descriptors)
 
     def state(self) -> dict[str, Any]:
         """As JSON-able data."""
@@ -64,10 +79,10 @@ class Looks:
         return cls(model, state["constancy"], ScoreRatio(*map(unpacked, state["scores"])))
 
 
-def of_tracks(chains: Chains, identity: IntArray, descriptors: FloatArray, score: FloatArray) -> Looks:
-    """What looks and scores are worth in tracks; arguments as in `constancy` and `ScoreRatio`."""
+def looks_of_tracks(chains: Chains, identity: IntArray, descriptors: FloatArray, score: FloatArray) -> Looks:
+    """Learn it from tracks; arguments as in `constancy` and `ScoreRatio`."""
     scores = ScoreRatio.learned(score, identity)
     if not descriptors.shape[1]:
         return Looks(scores=scores)
-    model = looks.learned(chains, identity, descriptors)
-    return Looks(model, looks.resemblance_of_false_ones(chains, identity, model, descriptors), scores)
+    model = learn_appearance(chains, identity, descriptors)
+    return Looks(model, resemblance_of_false_ones(chains, identity, model, descriptors), scores)

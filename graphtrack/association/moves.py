@@ -112,7 +112,7 @@ class Moves:
         )
 
     def _note(self, gains: FloatArray, heads: IntArray, tails: IntArray) -> None:
-        """How probable each link is among those that either end could have had, or none."""
+        """Keep the probability of each link among those that either end could have had, or none."""
         place = np.full(len(self.chains.t) + 1, -1)
         place[tails] = np.arange(len(tails))
         sure = self.link_p[tails]

@@ -1,4 +1,4 @@
-"""What is known online of detections beside their chains."""
+"""Attributes of open detections alongside their chains."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NOBODY = -1
 
 @dataclass
 class Notes:
-    """What is known of the n detections beside their chains.
+    """Attributes of n detections alongside their chains.
 
     Attributes
     ----------

@@ -15,14 +15,18 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association import duplicates, facing, learning, looks, places
-from graphtrack.association.appearance import AppearanceModel
 from graphtrack.association.chains import Scene, link_by, unlinked
-from graphtrack.association.detections import Detections
+from graphtrack.association.duplicates import duplicate_density, learn_duplicates
+from graphtrack.association.facing import learn_orientation, observed_angles
 from graphtrack.association.kernels import remember_rest
+from graphtrack.association.learning import first_guess, learn_scene
+from graphtrack.association.looks import ScoreRatio, constancy, learn_appearance
+from graphtrack.association.looks_online import Looks
 from graphtrack.association.moves import Moves
+from graphtrack.association.places import seen_from_within
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import GivenScene, Known, SceneParameters, known_values
+from graphtrack.table.detections import Detections
 
 APPEARANCE = "input_appearance"
 """The channel of descriptors of what detections look like, (n, d)."""
@@ -43,7 +47,7 @@ TRUST = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Who is who.
+    """Identities of a recording's detections.
 
     Attributes
     ----------
@@ -71,7 +75,6 @@ def associate_detections(
 
     Parameters
     ----------
-    detections : of the whole recording
     scene : parameters that are known; the others are learned from the detections
     progress : called with sweeps done and sweeps in all
     start : parameters to begin with; None: a guess from how many detections there are
@@ -99,7 +102,6 @@ def repair_detections(
 
     Parameters
     ----------
-    detections : of the whole recording
     given : (n,) identities from 0; −1: none
     scene : parameters that are known; the others are learned from the tracks
 
@@ -142,18 +144,18 @@ class _Search(Moves):
     def __init__(self, detections: Detections, known: Known, start: SceneParameters | None = None) -> None:
         n = len(detections)
         self.detections, self._known = detections, known
-        scene = replace(learning.first_guess(detections) if start is None else start, **known)
+        scene = replace(first_guess(detections) if start is None else start, **known)
         std = detections.channels.get("position_std")
         self._std = np.full(n, np.nan) if std is None else std
         channels = detections.channels
-        angles = facing.observed(channels, n)
+        angles = observed_angles(channels, n)
         chains = unlinked(detections.t, detections.step, np.ascontiguousarray(detections.position), angles)
         super().__init__(chains, Scene(*scene.packed(detections.step_seconds)))
         _, self._first = np.unique(chains.frame, return_index=True)
         self._end = np.append(self._first[1:], n)
-        self._duplicates, self._score = np.zeros(n), channels.get("score")
-        self._descriptors = channels.get(APPEARANCE)
-        self._looks: AppearanceModel | None = None
+        self._duplicates, self._score = np.zeros(n), channels.get("score", np.full(n, np.nan))
+        self._descriptors = channels.get(APPEARANCE, np.empty((n, 0)))
+        self._looks = Looks()
         self._trust = 0.0
         self.adopt(scene)
 
@@ -170,34 +172,32 @@ class _Search(Moves):
         identity = self.identities()
         if (identity >= 0).any():
             detections = self.detections
-            self._duplicates = duplicates.density(detections.step, detections.position, identity, scene)
+            self._duplicates = duplicate_density(detections.step, detections.position, identity, scene)
         packed = Scene(*scene.packed(self.detections.step_seconds))
-        self.packed = packed._replace(trust=self._trust)
-        if self._looks is not None and self._descriptors is not None:
-            self.chains, self.packed = looks.compared(
-                self.chains, self.packed, self._looks, self._descriptors
-            )
+        self.packed = self._looks.in_scene(packed._replace(trust=self._trust))
+        self.chains = self._looks.in_chains(self.chains, self._descriptors)
         self.chains.variance[:] = np.where(np.isnan(self._std), scene.position_std, self._std) ** 2
-        births, deaths, clutter = places.seen_from_within(self.chains, identity)
+        births, deaths, clutter = seen_from_within(self.chains, identity)
         self.chains.birth[:], self.chains.death[:] = np.log(births), np.log(deaths)
         false = scene.clutter_density * clutter + self._duplicates
         self.chains.gain[:] = np.log(scene.detection_probability) - np.log(false)
-        if self._looks is not None and self._descriptors is not None:
-            each = looks.constancy(self.chains, identity, self._looks, self._descriptors)
-            self.chains.gain[:] -= each * looks.known(self._descriptors)
-        if self._score is not None and (identity >= 0).any():
-            self.chains.gain[:] += looks.ScoreRatio.learned(self._score, identity).of(self._score)
+        model, each = self._looks.model, 0.0
+        if model is not None:
+            each = constancy(self.chains, identity, model, self._descriptors)
+        scores = ScoreRatio.learned(self._score, identity) if (identity >= 0).any() else ScoreRatio()
+        self._looks = Looks(model, each, scores)
+        self.chains.gain[:] += self._looks.gain(self._descriptors, self._score)
         self.filter_from(0)
 
     def learned(self) -> SceneParameters:
         """The parameters that the tracks of now speak for."""
         identity, seen = self.identities(), self.detections
-        scene = duplicates.learned(seen.step, seen.position, identity, self.scene, self._known)
-        if self._descriptors is not None:
-            self._looks = looks.learned(self.chains, identity, self._descriptors)
+        scene = learn_duplicates(seen.step, seen.position, identity, self.scene, self._known)
+        if self._descriptors.shape[1]:
+            self._looks = Looks(learn_appearance(self.chains, identity, self._descriptors))
         seconds = self.packed.frame_seconds
-        scene = facing.learned(self.chains, scene, seconds, self._known)
-        return learning.learned(self.chains, identity, scene, self._std, seconds, self._known)
+        scene = learn_orientation(self.chains, scene, seconds, self._known)
+        return learn_scene(self.chains, identity, scene, self._std, seconds, self._known)
 
     def join_generously(self) -> None:
         """One sweep in which to come and to go costs nothing.
@@ -227,10 +227,8 @@ class _Search(Moves):
     def sweep(self, changed: FloatArray | None = None) -> FloatArray:
         """Every move once, from the first frame to the last; the times (s) of frames in which links changed.
 
-        Parameters
-        ----------
-        changed : those of the sweep before, increasing: where nothing did, as far as a gap reaches, nothing
-            will; None: all frames are looked at
+        ``changed``: those of the sweep before, increasing: where nothing did, as far as a gap reaches,
+        nothing will; None: all frames are looked at
         """
         remember_rest(self.chains, self.packed)
         frames = zip(self._first.tolist(), self._end.tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""Who is who as detections come: said at once, and revised while what follows can still tell.
+"""Online data association with a revision window.
 
 The moves are those of a whole recording (`moves`), made in the newest frames alone. What lies further back is
 as it was decided; of it only the last detection of each track is kept, for it may be found again.
@@ -13,21 +13,29 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.association import duplicates, learning
 from graphtrack.association.chains import DETECTION, Chains, IntArray, Scene, unlinked
-from graphtrack.association.detections import Detections
+from graphtrack.association.duplicates import Pairs, duplicate_density_of, duplicate_pairs
 from graphtrack.association.history import History
 from graphtrack.association.kernels import count_up, missed
+from graphtrack.association.learning import first_guess
 from graphtrack.association.looks import widened
 from graphtrack.association.looks_online import Looks
 from graphtrack.association.moves import Moves
 from graphtrack.association.notes import NOBODY, Notes
-from graphtrack.association.packing import pack_records, packed, unpack_records, unpacked
+from graphtrack.association.packing import (
+    pack_records,
+    pack_tree,
+    packed,
+    unpack_records,
+    unpack_tree,
+    unpacked,
+)
 from graphtrack.association.places import AHEAD, Places
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.saved import real, whole
 from graphtrack.scene import GivenScene, SceneParameters, known_values
+from graphtrack.table.detections import Detections
 
 TOLD = 0.45
 """How probable somebody has to be, and that who is not seen is still there, to be told. What makes an
@@ -63,7 +71,7 @@ class Revision:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What is said of a frame's detections, n of them.
+    """Assignment of a frame's n detections.
 
     Attributes
     ----------
@@ -78,7 +86,7 @@ class Decision:
 
 
 class OnlineAssociation(Moves):
-    """Who is who, frame by frame.
+    """Online data association, frame by frame.
 
     Parameters
     ----------
@@ -101,11 +109,11 @@ class OnlineAssociation(Moves):
         self._looks = Looks()
         self._next, self.updates, self._last = 1, 0, -np.inf
         self._intervals: list[float] = []
-        self._pairs: duplicates.Pairs  # of the frames that can be revised
+        self._pairs: Pairs  # of the frames that can be revised
 
     @property
     def descriptor_size(self) -> int:
-        """How many numbers the descriptors of looks have; 0: none has come so far."""
+        """Size of appearance descriptors; 0: none has come so far."""
         return int(self._notes.descriptor.shape[1])
 
     @property
@@ -121,7 +129,7 @@ class OnlineAssociation(Moves):
             "lag": self.lag if np.isfinite(self.lag) else None,
             "chains": [pack_records(self.chains.rows), packed(self.chains.state), packed(self.chains.looks)],
             "link_p": packed(self.link_p),
-            "notes": {name: packed(values) for name, values in vars(self._notes).items()},
+            "notes": pack_tree(vars(self._notes)),
             "first": self._first,
             "history": self._history.state(),
             "places": None
@@ -147,7 +155,7 @@ class OnlineAssociation(Moves):
         rows, *others = state["chains"]
         found.chains = Chains(unpack_records(rows, DETECTION), *(unpacked(saved) for saved in others))
         found.link_p = unpacked(state["link_p"])
-        found._notes = Notes(**{name: unpacked(text) for name, text in state["notes"].items()})
+        found._notes = Notes(**unpack_tree(state["notes"]))
         found._first = list(map(whole, state["first"]))
         found._intervals = list(map(real, state["intervals"]))
         found._history = History.from_state(state["history"])
@@ -177,7 +185,7 @@ class OnlineAssociation(Moves):
         return sorted(number[last[self._still_there(last, now) > TOLD]].tolist())
 
     def _still_there(self, last: IntArray, now: int) -> FloatArray:
-        """How probable it is that those who were last seen at these detections (n,) have not left by a frame.
+        """Return the probability (n,) that those last seen at these detections have not left by a frame.
 
         They may have left after any frame since, the likelier the more people did who went where they go, and
         the sooner the less often they must have been missed.
@@ -275,8 +283,7 @@ class OnlineAssociation(Moves):
         """Put a frame's detections behind the others; where they begin."""
         chains, n, first = self.chains, len(position), len(self.chains.t)
         new = unlinked(np.full(n, t), np.full(n, self.updates), position, facing)
-        if self._looks.model is not None:
-            new = new._replace(looks=self._looks.model.whitened(notes.descriptor))
+        new = self._looks.in_chains(new, notes.descriptor)
         if self._places is not None:
             births, deaths, notes.clutter = self._places.at(position)
             new.birth[:], new.death[:] = np.log(births), np.log(deaths)
@@ -324,7 +331,7 @@ class OnlineAssociation(Moves):
         if not self._first:
             return
         first = self._first[0]
-        self._pairs = duplicates.pairs(chains.frame[first:], chains.position[first:], self.scene)
+        self._pairs = duplicate_pairs(chains.frame[first:], chains.position[first:], self.scene)
         std = self._notes.std[first:]
         chains.variance[first:] = np.where(np.isnan(std), self.scene.position_std, std) ** 2
         self._weigh_duplicates()
@@ -333,13 +340,13 @@ class OnlineAssociation(Moves):
         self.packed = self._looks.in_scene(Scene(*self.scene.packed(self.step_seconds)))
 
     def _weigh_duplicates(self) -> None:
-        """What detections gain as a person's: less where they are near somebody who is detected already."""
+        """Set the gains of detections: less where they are near somebody who is detected already."""
         chains, notes, first = self.chains, self._notes, self._first[0]
         root, value = self.roots()
         track = np.where(value[root] > 0.0, root, NOBODY)
         times = np.zeros(len(root), np.int64)
         np.maximum.at(times, root, self._times())
-        near = duplicates.density_of(self._pairs, track[first:], self.scene, times)
+        near = duplicate_density_of(self._pairs, track[first:], self.scene, times)
         false = self.scene.clutter_density * notes.clutter[first:] + near
         chains.gain[first:] = np.log(self.scene.detection_probability) - np.log(false)
         chains.gain[first:] += self._looks.gain(notes.descriptor[first:], notes.score[first:])
@@ -384,8 +391,7 @@ class OnlineAssociation(Moves):
         if history.is_due():
             found = history.learned(self.scene, self.step_seconds, self.known)
             self.scene, self._places, self._looks = found
-            if self._looks.model is not None:
-                self.chains = chains._replace(looks=self._looks.model.whitened(self._notes.descriptor))
+            self.chains = self._looks.in_chains(chains, self._notes.descriptor)
         elif not history.times:
-            guess = learning.first_guess(Detections(chains.frame, chains.t, chains.position))
+            guess = first_guess(Detections(chains.frame, chains.t, chains.position))
             self.scene = replace(guess, **self.known)

@@ -1,4 +1,4 @@
-"""Where in a scene people come into view, where they leave, and where detections are false.
+"""Birth, death and clutter rates, learned as maps over the ground plane.
 
 Each is a rate over the ground, as many times the scene's mean: events are counted on a grid, blurred, and
 compared with as many as there would be if they happened alike wherever they could.
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from graphtrack.association import learning
 from graphtrack.association.chains import Chains, IntArray
+from graphtrack.association.learning import area, edge_of
 from graphtrack.geometry.angles import FloatArray
 
 SPREAD = 2.0
@@ -53,21 +53,17 @@ class Places:
     def at(
         self, position: FloatArray, own: tuple[FloatArray, FloatArray, FloatArray] | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """How many times the mean rate people come, leave and detections are false at positions (n, 2).
+        """Return births, deaths and clutter at positions (n, 2), as multiples of their mean rates.
 
-        Parameters
-        ----------
-        own : (n,) each, of the events, those per square metre that are not to count
+        ``own``: (n,) each, of the events, those per square metre that are not to count
         """
         came, left, false = (0.0, 0.0, 0.0) if own is None else own
-        return (
-            _rate(self.births, came, self._in_cells(position)),
-            _rate(self.deaths, left, self._in_cells(position)),
-            _rate(self.clutter, false, self._in_cells(position)),
-        )
+        cells = self._in_cells(position)
+        births, deaths = _rate(self.births, came, cells), _rate(self.deaths, left, cells)
+        return births, deaths, _rate(self.clutter, false, cells)
 
     def leaving_for(self, goal: FloatArray) -> FloatArray:
-        """How many times the mean rate people leave who would be at (n, 2) in `AHEAD` seconds."""
+        """Return the death rate of those who would be at (n, 2) in `AHEAD` seconds, in mean rates."""
         return _rate(self.ways_out, 0.0, self._in_cells(goal))
 
     def _in_cells(self, position: FloatArray) -> FloatArray:
@@ -77,13 +73,13 @@ class Places:
 
 
 def _rate(grids: FloatArray, own: FloatArray | float, cells: FloatArray) -> FloatArray:
-    """How many times the mean rate there is, events (n,) that are not to count aside."""
+    """Return the rate as a multiple of its mean, without the events (n,) that are not to count."""
     events, expected = (map_coordinates(grid, cells, order=1, mode="nearest") for grid in grids)
     rate: FloatArray = (np.maximum(events - own, 0.0) + _PRIOR) / (expected + _PRIOR)
     return rate
 
 
-def learned(chains: Chains, identity: IntArray) -> Places:
+def learn_places(chains: Chains, identity: IntArray) -> Places:
     """From people found in a recording, their tracks filtered.
 
     ``identity`` (n,) is of each detection, from 0; −1: false.
@@ -102,7 +98,7 @@ def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: I
         np.add.at(counts, (cell[:, 0], cell[:, 1]), weight)
         return gaussian_filter(counts, SPREAD / _CELL, mode="constant") / _CELL**2
 
-    square = learning.area(position)
+    square = area(position)
     # Who is there may leave; to come into view and to be false is possible everywhere.
     each = len(last) / max(int(person.sum()), 1)
     return Places(
@@ -115,7 +111,7 @@ def _counted(chains: Chains, person: NDArray[np.bool_], first: IntArray, last: I
 
 
 def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`learned` and asked at the detections that it is learned from, (n,) each.
+    """`learn_places` and asked at the detections that it is learned from, (n,) each.
 
     Of each detection, what its own track has done does not count: it would speak for itself.
     """
@@ -129,7 +125,7 @@ def seen_from_within(chains: Chains, identity: IntArray) -> tuple[FloatArray, Fl
 def _events(chains: Chains, identity: IntArray) -> tuple[IntArray, IntArray]:
     """The detections with which somebody came into view, and left, within the recording."""
     newest = int(chains.frame[-1])
-    edge = learning.edge_of(newest + 1)
+    edge = edge_of(newest + 1)
     person = identity >= 0
     first = np.flatnonzero(person & (chains.preceding < 0) & (chains.frame > edge))
     last = np.flatnonzero(person & (chains.following < 0) & (chains.frame < newest - edge))

@@ -27,7 +27,6 @@ def track_rows(
     Parameters
     ----------
     rows : on the ground, with times; their own identities do not matter
-    tracker : that has seen nothing yet
     advance : is told of detections that were taken in
     """
     rows = usable(rows)

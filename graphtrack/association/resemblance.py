@@ -1,4 +1,4 @@
-"""What two detections of one person share beside their places: directions of body and head, and looks."""
+"""Likelihood of two detections' angles and appearance if they are one person's."""
 
 from __future__ import annotations
 
@@ -36,7 +36,6 @@ def see_angle(
     ----------
     angle : radians; NaN: not observed
     prior_x, prior_y : the direction that is expected, with its concentration
-    noise : variance of the observation
     outliers : share of observations that have nothing to do with the direction; 1: none is looked at
     """
     if outliers >= 1.0 or math.isnan(angle):

@@ -7,12 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from graphtrack.association.detections import Detections, frames_between
 from graphtrack.association.offline import APPEARANCE, associate_detections, repair_detections
 from graphtrack.errors import InputError
 from graphtrack.gaps import with_rows
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.scene import GivenScene, SceneParameters, known_values
+from graphtrack.table.detections import Detections, frames_between
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import Track, TrackSet
 
@@ -37,7 +37,6 @@ def associated(rows: Rows, scene: GivenScene = None, *, repair: bool = False) ->
 
     Parameters
     ----------
-    rows : on the ground, with times
     scene : its parameters that are known; the others are learned
     repair : the rows are a tracker's, whose identities are kept but where the evidence is against them
     """
@@ -99,10 +98,7 @@ def with_repaired_identities(rows: Rows, scene: GivenScene = None) -> Rows:
 def usable(rows: Rows) -> Rows:
     """The rows that have a position; of those that say the same twice only the first.
 
-    Raises
-    ------
-    InputError
-        With the line, where times do not increase from frame to frame.
+    Raise InputError with the line, where times do not increase from frame to frame.
     """
     rows = rows.keep(np.asarray(np.isfinite(rows.channels["position"]).all(axis=1)), NOWHERE)
     if not len(rows):
@@ -148,7 +144,6 @@ def with_every_frame(tracks: TrackSet, longest_filled: float = SceneParameters.l
 
     Parameters
     ----------
-    tracks : as they were associated
     longest_filled : seconds of a gap that is filled
     """
     frames, first = np.unique(np.concatenate([track.frame for track in tracks]), return_index=True)

@@ -1,4 +1,4 @@
-"""What observations show beside where they are, as arrays; NaN where one does not."""
+"""Angles, scores and descriptors of observations as arrays; NaN where one has none."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphtrack.association.facing import observed
+from graphtrack.association.facing import observed_angles
 from graphtrack.bounds import APPEARANCE
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
@@ -26,26 +26,22 @@ def facing_of(seen: Sequence[Observation]) -> FloatArray:
         if size:
             none = (math.nan,) * size
             channels[f"{name}_likelihood"] = np.array([none if one is None else one for one in classes])
-    return observed(channels, len(seen))
+    return observed_angles(channels, len(seen))
 
 
 def scores_of(seen: Sequence[Observation]) -> FloatArray:
-    """How sure the detector was, (n,)."""
+    """Return the detector's scores, (n,)."""
     return np.array([math.nan if one.score is None else one.score for one in seen])
 
 
 def descriptors_of(seen: Sequence[Observation], size: int = 0) -> FloatArray:
-    """What observations look like, (n, d): their input `APPEARANCE`.
+    """Return the descriptors of observations, (n, d): their input `APPEARANCE`.
+
+    Raise InputError for a descriptor that has another size.
 
     Parameters
     ----------
-    seen : the observations
     size : d as it was before; 0: that of the first one
-
-    Raises
-    ------
-    InputError
-        For a descriptor that has another size.
     """
     given = [one.inputs.get(APPEARANCE) for one in seen]
     rows = [None if one is None else np.atleast_1d(np.asarray(one, float)) for one in given]

@@ -63,15 +63,11 @@ def rows_of(
 ) -> Rows:
     """The rows of whatever holds detections, with the identities that they have.
 
+    Raise InputError if the input cannot be read.
+
     Parameters
     ----------
-    detections, fps, **options : as in `associate`
     format : of a file; None: recognised by its content
-
-    Raises
-    ------
-    InputError
-        If the input cannot be read.
     """
     if isinstance(detections, str | Path):
         return rows_of_file(detections, format, ReadOptions(fps=fps, **options))

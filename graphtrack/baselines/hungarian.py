@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.association.detections import Detections, with_those_between
 from graphtrack.bounds import check_numbers, number
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.model.terms.motion import process_noise, transition_matrix
+from graphtrack.table.detections import Detections, with_those_between
 from graphtrack.tracks import Track, TrackSet
 
 IntArray = NDArray[np.int64]

@@ -1,1 +1,1 @@
-"""What people do together: who stands or walks with whom, and who looks at what."""
+"""Conversational groups, visual attention and forecasts."""

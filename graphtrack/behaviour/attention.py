@@ -10,12 +10,11 @@ import numpy as np
 from graphtrack.behaviour.groups import Groups
 from graphtrack.behaviour.groups import groups as find_groups
 from graphtrack.behaviour.looking import REACH, concentration, looks_over_time
+from graphtrack.behaviour.people import IntArray
 from graphtrack.behaviour.places import Place
 from graphtrack.bounds import HEAD_CLASSES, check_numbers, number
 from graphtrack.geometry.angles import FloatArray, class_centres, class_kappa
 from graphtrack.tracks import STATE, Track
-
-IntArray = np.ndarray
 
 _EXACT = 200.0
 """Concentration of a head that comes with none."""
@@ -23,7 +22,7 @@ _EXACT = 200.0
 
 @dataclass(frozen=True)
 class AttentionParameters:
-    """How people look.
+    """Parameters of gaze.
 
     Attributes
     ----------
@@ -52,7 +51,7 @@ class AttentionParameters:
 
 @dataclass(frozen=True, eq=False)
 class Attention:
-    """What one person looks at.
+    """Targets of one person's looks.
 
     Attributes
     ----------
@@ -85,7 +84,7 @@ def attention(
     groups: Groups | None = None,
     online: bool = False,
 ) -> list[Attention]:
-    """Who looks at whom, and at what.
+    """Estimate the targets of everybody's looks.
 
     Targets have a density each of where a head points that looks at them: about their bearing, as wide as
     they are seen; "nothing" has the uniform one. That meets the head's whole posterior: all modes of class
@@ -161,7 +160,7 @@ def _others(
 
 
 def head_mixture(track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What is known of a head: weights (n, m), means (n, m) and concentrations (n, m) of von Mises densities.
+    """Return a head's von Mises mixture: weights, means and concentrations, (n, m) each.
 
     NaN weights: nothing is known.
     """

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -10,11 +12,12 @@ from graphtrack.behaviour.facing import facing
 from graphtrack.behaviour.features import pair_features
 from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.behaviour.people import IntArray, People
-from graphtrack.behaviour.smoothing import averaged, averaged_seconds
+from graphtrack.behaviour.smoothing import averaged, merged
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.saved import from_text, to_text
 
-_SLOW = np.array([False, True, False, False, True])
-"""Which of the features are averaged over ``look_seconds``."""
+SLOW = np.array([False, True, False, False, True])
+"""Mask of the features that are averaged over ``look_seconds``."""
 _SPEED_STEP = 0.1
 """m/s over which standing becomes walking."""
 ALONG = 1.5
@@ -67,12 +70,12 @@ def known_shares(people: People, left: IntArray, right: IntArray) -> FloatArray:
 def conversation_odds(
     shares: FloatArray, features: FloatArray, parameters: GroupParameters
 ) -> tuple[FloatArray, FloatArray]:
-    """What features say of each pair, (n,): what is averaged over a short time, and over a long one."""
+    """Return the log odds of each pair by features, (n,): over a short time, and over a long one."""
     quick, slow = np.zeros(len(features)), np.zeros(len(features))
     for share, weights in zip(shares.T, parameters.conversations, strict=True):
         terms = weights.of_features
-        quick += share * (weights.bias + features @ np.where(_SLOW, 0.0, terms))
-        slow += share * (features @ np.where(_SLOW, terms, 0.0))
+        quick += share * (weights.bias + features @ np.where(SLOW, 0.0, terms))
+        slow += share * (features @ np.where(SLOW, terms, 0.0))
     return quick, slow
 
 
@@ -126,50 +129,45 @@ def walks(people: People, parameters: GroupParameters) -> FloatArray:
     return share
 
 
+PARTS = 2
+"""Values of a pair that are averaged over each of the three times."""
+
+
 @dataclass(frozen=True, eq=False)
 class PairValues:
-    """What each frame says by itself of pairs of people near each other.
+    """Evidence of pairs near each other from single frames.
 
     Attributes
     ----------
     left, right : (n,) rows in `People`, the left one first
-    place : (n, 2) log odds by places and bodies, and the caution; averaged over ``place_seconds``
-    look : (n, 2) log odds by looks and the crowd, and the probability that both stand, or walk together;
-        averaged over ``look_seconds``
-    walking : (n, 2) log odds by walking, and how much both walk; averaged over ``walking_seconds``
+    values : (n, 6) log odds by places and bodies, and the caution, averaged over ``place_seconds``;
+        log odds by looks and the crowd, and the probability that both stand, or walk together, over
+        ``look_seconds``; log odds by walking, and how much both walk, over ``walking_seconds``
     """
 
     left: IntArray
     right: IntArray
-    place: FloatArray
-    look: FloatArray
-    walking: FloatArray
+    values: FloatArray
 
     def evidence(
-        self,
-        people: People,
-        place: FloatArray,
-        look: FloatArray,
-        walking: FloatArray,
-        seconds: FloatArray,
-        parameters: GroupParameters,
+        self, people: People, means: FloatArray, seconds: FloatArray, parameters: GroupParameters
     ) -> PairEvidence:
-        """The evidence, given the averages of the three, and the seconds (n,) that those of looks are of."""
+        """The evidence, given the averages (n, 6) and the seconds (n,) that those of looks are of."""
         start = np.searchsorted(people.frame_of[self.left], np.arange(len(people.frame) + 1))
-        odds = place[:, 0] + look[:, 0] + walking[:, 0]
-        standing = np.maximum(1.0 - 2.0 * walking[:, 1], 0.0)  # groups that walk are judged by how they do
-        odds = odds - standing * encounter_odds(look[:, 1], seconds, parameters)
-        return PairEvidence(self.left, self.right, start, odds, place[:, 1], walking[:, 1])
+        place, caution, look, company, alike, walking = means.T
+        standing = np.maximum(1.0 - 2.0 * walking, 0.0)  # groups that walk are judged by how they do
+        odds = place + look + alike - standing * encounter_odds(company, seconds, parameters)
+        return PairEvidence(self.left, self.right, start, odds, caution, walking)
 
 
 def pair_values(people: People, parameters: GroupParameters) -> PairValues:
-    """What each frame says of all pairs; bodies face where the others stand, as far as they are unknown."""
+    """Return the evidence of single frames; unknown bodies are taken to face where the others stand."""
     people = with_bodies(people, parameters.head_spread)
     found = _values(people, parameters)
     unknown = 1.0 - np.linalg.norm(people.body, axis=1)
     if not (unknown > _UNSURE).any():
         return found
-    odds = found.place[:, 0] + found.look[:, 0] + found.walking[:, 0]
+    odds = found.values[:, ::PARTS].sum(axis=1)
     faced = facing(people.position, found.left, found.right, odds, parameters)
     return _values(replace(people, body=people.body + np.maximum(unknown, 0.0)[:, None] * faced), parameters)
 
@@ -184,37 +182,65 @@ def _values(people: People, parameters: GroupParameters) -> PairValues:
     quick = standing * quick + (1.0 - standing - walking) * parameters.apart
     alike = walking_odds(people, left, right, parameters)
     company = standing + walking * 0.5 * (1.0 + np.tanh(0.5 * alike))
-    return PairValues(
-        left,
-        right,
-        np.column_stack([quick, standing * caution]),
-        np.column_stack([standing * slow, company]),
-        np.column_stack([walking * alike, walking]),
+    columns = (quick, standing * caution, standing * slow, company, walking * alike, walking)
+    return PairValues(left, right, np.column_stack(columns))
+
+
+def pair_evidence(people: People, parameters: GroupParameters) -> PairEvidence:
+    """The evidence of all pairs of a recording, from the past and the future of each frame."""
+    found = pair_values(people, parameters)
+    pair = people.person[found.left] * len(people.ids) + people.person[found.right]
+    t = people.t[people.frame_of[found.left]]
+    parts = np.split(found.values, 3, axis=1)
+    (place, _), (look, seconds), (walking, _) = (
+        averaged(pair, t, values, time) for values, time in zip(parts, parameters.seconds, strict=True)
     )
+    return found.evidence(people, np.hstack([place, look, walking]), seconds, parameters)
 
 
-def pair_evidence(people: People, parameters: GroupParameters, *, both_sides: bool = True) -> PairEvidence:
-    """The evidence of all pairs.
+class OnlineEvidence:
+    """`pair_evidence` from the past alone, frame by frame.
 
-    Parameters
-    ----------
-    both_sides : whether the future counts, or the past alone
+    Each pair has averages of its own. What is kept is bounded: the pairs that were within 4 m of each other
+    in the last minutes (five times the longest time of averaging).
     """
-    values = pair_values(people, parameters)
-    pair = people.person[values.left] * len(people.ids) + people.person[values.right]
-    t = people.t[people.frame_of[values.left]]
 
-    def mean(columns: FloatArray, seconds: float) -> FloatArray:
-        found = [averaged(pair, t, column, seconds, both_sides=both_sides) for column in columns.T]
-        return np.column_stack(found)
+    def __init__(self, parameters: GroupParameters) -> None:
+        self.parameters = parameters
+        self._pairs = np.empty((0, 2), dtype=np.int64)  # ids, ascending by the greater, then by the lesser
+        self._last = np.empty(0)
+        # Of each pair its values, each times the seconds it counts for, and those seconds.
+        self._sums = np.empty((0, 3 * PARTS + 3))
 
-    long = parameters.look_seconds
-    company, seconds = averaged_seconds(pair, t, values.look[:, 1], long, both_sides=both_sides)
-    return values.evidence(
-        people,
-        mean(values.place, parameters.place_seconds),
-        np.column_stack([mean(values.look[:, :1], long), company]),
-        mean(values.walking, parameters.walking_seconds),
-        seconds,
-        parameters,
-    )
+    def __len__(self) -> int:
+        """The pairs that are known."""
+        return len(self._pairs)
+
+    def take(self, people: People) -> PairEvidence:
+        """Take in the people of one frame, later than those before, or of none; the evidence of its pairs."""
+        found = pair_values(people, self.parameters)
+        if not len(people):
+            return found.evidence(people, found.values, np.zeros(0), self.parameters)
+        pairs, t = np.column_stack([people.ids[found.left], people.ids[found.right]]), float(people.t[0])
+        self._pairs, self._last, self._sums, means = merged(
+            self._pairs,
+            self._last,
+            self._sums,
+            pairs,
+            found.values,
+            np.repeat(np.arange(3), PARTS),
+            np.array(self.parameters.seconds),
+            t,
+        )
+        here = self._last == t  # in the order of the frame's pairs
+        return found.evidence(people, means, self._sums[here, 3 * PARTS + 1], self.parameters)
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on elsewhere, as JSON-able data; see `restore`."""
+        return {"pairs": self._pairs.tolist(), "last": to_text(self._last), "sums": to_text(self._sums)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state` was taken, given the same parameters."""
+        self._pairs = np.array(state["pairs"], dtype=np.int64).reshape(-1, 2)
+        self._last = from_text(state["last"]).reshape(len(self._pairs))
+        self._sums = from_text(state["sums"]).reshape(len(self._pairs), 3 * PARTS + 3)

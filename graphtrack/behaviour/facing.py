@@ -1,4 +1,4 @@
-"""Where people face by where the others stand: an o-space is empty, with companions about it."""
+"""Expected body orientation from where the others stand: an o-space is empty, with companions about it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What two people's places and directions say of whether they are in one conversation: numbers, compiled."""
+"""Features of a pair of people that tell conversations: positions, o-spaces, crowding and gaze, compiled."""
 
 from __future__ import annotations
 
@@ -127,13 +127,10 @@ def pair_features(people: People, stride: float) -> tuple[IntArray, IntArray, Fl
     Directions count by their expected vectors, so that the o-space of somebody whose body is unknown is where
     they stand.
 
-    Parameters
-    ----------
-    stride : metres from somebody to the o-space ahead of them
+    ``stride``: metres from somebody to the o-space ahead of them
 
-    Returns
-    -------
-    rows of the one and of the other person in ``people``, (n,) each, frame by frame; (n, 5) as `FEATURES`
+    Returns rows of the one and of the other person in ``people``, (n,) each, frame by frame; (n, 5) as
+    `FEATURES`.
     """
     # A pair at the very edge may be counted and not found, as sums are reordered: there is room for more.
     count = _near_pairs(people.position, people.first) + len(people.frame)

@@ -33,10 +33,7 @@ def save_parameters(parameters: GroupParameters | AttentionParameters, path: str
 def load_parameters(path: str | Path) -> GroupParameters:
     """Read parameters of groups (TOML); what is not named is as it was learned.
 
-    Raises
-    ------
-    InputError
-        With the file and the key.
+    Raise InputError with the file and the key.
     """
     return _loaded(path, "groups", lambda table: GroupParameters.from_dict(table, DEFAULT))
 
@@ -44,25 +41,17 @@ def load_parameters(path: str | Path) -> GroupParameters:
 def load_attention(path: str | Path) -> AttentionParameters:
     """Read parameters of attention (TOML); what is not named is as by default.
 
-    Raises
-    ------
-    InputError
-        With the file and the key.
+    Raise InputError with the file and the key.
     """
     return _loaded(path, "attention", lambda table: with_table(AttentionParameters(), "attention", table))
 
 
 def _loaded(path: str | Path, name: str, made: Callable[[dict[str, Any]], Made]) -> Made:
-    """What is made of a table of a file; its errors name the file."""
-    table = _table(path, name)
+    """Return parameters made of a file's table; errors name the file."""
+    table = read_toml(path, "a file of parameters").get(name)
     try:
+        if not isinstance(table, dict):
+            raise InputError(f"no table [{name}]", f"what 'graphtrack fit --{name}' writes")
         return made(table)
     except InputError as error:
         raise InputError(error.found, error.expected, path=path) from error
-
-
-def _table(path: str | Path, name: str) -> dict[str, Any]:
-    table = read_toml(path, "a file of parameters").get(name)
-    if not isinstance(table, dict):
-        raise InputError(f"no table [{name}]", f"what 'graphtrack fit --{name}' writes", path=path)
-    return table

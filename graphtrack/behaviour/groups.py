@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from graphtrack.association.reading import tracks_of
-from graphtrack.behaviour.evidence import PairEvidence, pair_evidence, with_bodies
+from graphtrack.behaviour.evidence import OnlineEvidence, PairEvidence, pair_evidence, with_bodies
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.numbering import Numbering, numbered
 from graphtrack.behaviour.parameters import GroupParameters
@@ -27,7 +27,7 @@ KINDS = ("", "conversing", "walking")
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Who is in a group with whom, a row for each person and frame, sorted by frame and by identity.
+    """Group memberships, a row for each person and frame, sorted by frame and by identity.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Groups:
         return len(self.frame)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """What the table holds."""
+        """Return the columns of the table."""
         return {
             "frame": self.frame,
             "t": self.t,
@@ -94,7 +94,14 @@ def groups(tracks: Given, parameters: GroupParameters | None = None, *, online: 
     """
     chosen = DEFAULT if parameters is None else parameters
     people = people_of(tracks_of(tracks), online=online)
-    return groups_of(people, chosen, pair_evidence(people, chosen, both_sides=not online))
+    if not online:
+        return groups_of(people, chosen, pair_evidence(people, chosen))
+    known, numbering = OnlineEvidence(chosen), Numbering(chosen.look_seconds)
+    if not len(people):
+        return groups_of(people, chosen, known.take(people))
+    parts = [groups_of(one, chosen, known.take(one), numbering) for one in people.frames()]
+    columns = [np.concatenate([getattr(one, name) for one in parts]) for name in vars(parts[0])]
+    return Groups(*columns)
 
 
 def groups_of(
@@ -102,9 +109,7 @@ def groups_of(
 ) -> Groups:
     """The partition of every frame under the evidence of pairs.
 
-    Parameters
-    ----------
-    numbering : that knows the frames before; None: there are none
+    ``numbering``: that knows the frames before; None: there are none
     """
     odds = evidence.odds - evidence.caution
     label = partitions(people.first, evidence.start, evidence.left, evidence.right, odds, parameters.apart)

@@ -1,4 +1,4 @@
-"""Densities of where heads point that look at something, and the chain of looks, compiled."""
+"""Model of gaze: densities of head directions given a target, and a Markov chain over targets, compiled."""
 
 from __future__ import annotations
 
@@ -84,10 +84,8 @@ def _covered(apart: float, half: float, of_target: float) -> float:
 def _share_in_sight(bearing: float, half: float, far: float, around: FloatArray, wide: FloatArray) -> float:
     """Share of the angle of a target that nobody nearer covers.
 
-    Parameters
-    ----------
-    around, wide : (3, k) bearing, half the angle and distance of people: of all by their bearing, three times
-        round, and of those who cover more than `_NARROW` to either side
+    ``around``, ``wide``: (3, k) bearing, half the angle and distance of people: of all by their bearing,
+    three times round, and of those who cover more than `_NARROW` to either side
     """
     covered = 0.0
     for k in range(wide.shape[1]):
@@ -139,7 +137,6 @@ def prior_of_looks(
     bearing, half : (targets,) radians, as they are seen; people come first
     far : (targets,) metres; NaN: not there
     fellow : (people,) whether they are in one group with whom looks
-    people : how many targets are people
     """
     around, wide = _in_the_way(bearing[:people], half[:people], far[:people])
     total = 0.0
@@ -176,9 +173,7 @@ def densities(
     Two von Mises densities are integrated, that of the head and that of looks at the target; "nothing" has
     the uniform one.
 
-    Parameters
-    ----------
-    weights, means, kappas : (modes,) of the head; a NaN weight: nothing is known
+    ``weights``, ``means``, ``kappas``: (modes,) of the head; a NaN weight: nothing is known
     """
     scale = np.empty(len(kappas))
     for m in range(len(kappas)):
@@ -207,7 +202,7 @@ def carry(
     anew: FloatArray,
     held: FloatArray,
 ) -> None:
-    """What a frame says of a new look, ``anew``, which is changed, and of one that goes on, ``held``.
+    """Fill a frame's likelihood of a new look, ``anew``, which is changed, and of one that goes on, ``held``.
 
     The deviation from a target is autoregressive. A look at nothing goes somewhere, too, and stays there:
     what is known of it is where the head was. Where heads have several modes or are known less surely than

@@ -1,4 +1,4 @@
-"""What everybody looks at in a frame, given what they looked at before, compiled."""
+"""One step of everybody's chain of looks, compiled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What attention adds up to: tables, who looks at whom, dwell times, mutual gaze."""
+"""Summaries of attention: tables, looks at each target, dwell times, mutual gaze."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class Numbering:
         return [taken[place] for place in range(len(members))]
 
     def state(self) -> dict[str, Any]:
-        """What going on takes, as JSON-able data; see `restore`."""
+        """Return the state as JSON-able data; see `restore`."""
         groups = [[number, t, sorted(who)] for number, (t, who) in self._last.items()]
         return {"following": self._following, "groups": groups, "of": list(self._number_of.items())}
 

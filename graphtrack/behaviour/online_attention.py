@@ -27,7 +27,7 @@ _FORGOTTEN = 40.0
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What the people of a frame look at.
+    """Targets of the looks of a frame's people.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Looks:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What was known of p people when each was last seen; the fields of `Looks`, and besides:
+    """State of p people when each was last seen; the fields of `Looks`, and:
 
     Attributes
     ----------
@@ -94,31 +94,22 @@ class _Known:
         first = np.append(0, np.cumsum(size))
         flat = np.arange(first[-1]) + np.repeat(self.first[:-1][rows] - first[:-1], size)
         return _Known(
-            self.track_id[rows],
-            self.t[rows],
-            self.head[rows],
-            first,
-            self.target[flat],
-            self.bearing[flat],
-            self.person[flat],
-            self.place_bearing[rows],
-            self.place[rows],
+            **{
+                name: first if name == "first" else values[flat if name in _OF_TARGETS else rows]
+                for name, values in vars(self).items()
+            }
         )
 
-    def beside(self, other: _Known) -> _Known:
+    def with_others(self, other: _Known) -> _Known:
         """The people of both, who are others, by identity."""
-        both = _Known(
-            np.append(self.track_id, other.track_id),
-            np.append(self.t, other.t),
-            np.concatenate([self.head, other.head]),
-            np.append(self.first, self.first[-1] + other.first[1:]),
-            np.append(self.target, other.target),
-            np.append(self.bearing, other.bearing),
-            np.append(self.person, other.person),
-            np.concatenate([self.place_bearing, other.place_bearing]),
-            np.concatenate([self.place, other.place]),
-        )
+        joined = {name: np.concatenate([values, getattr(other, name)]) for name, values in vars(self).items()}
+        joined["first"] = np.append(self.first, self.first[-1] + other.first[1:])
+        both = _Known(**joined)
         return both.of(np.argsort(both.track_id))
+
+
+_OF_TARGETS = ("target", "bearing", "person")
+"""Fields of `_Known` with a value for each target; others have one for each person."""
 
 
 def _nobody(places: int) -> _Known:
@@ -129,7 +120,7 @@ def _nobody(places: int) -> _Known:
 
 
 class OnlineAttention:
-    """Who looks at whom, frame by frame: what `attention` finds with ``online=True``.
+    """Targets of looks, frame by frame: `attention` with ``online=True``.
 
     What is kept is bounded: of each who was seen in the last 100 s (40 looks), what they looked at then.
 
@@ -194,28 +185,16 @@ class OnlineAttention:
         angle = direction(people.head)
         seen = np.array([place.seen_from(people.position) for place in self.places]).reshape(-1, 3, len(ids))
         bearing, half, far = np.ascontiguousarray(seen.transpose(1, 2, 0))
-        seen_places, now = (bearing, half, far), (people.position, angle, kappa, length > 0.0, groups.group)
+        before = list(vars(known).values())[1:]  # in the order in which the step takes them
         head, first, target, bearing_now, person, place = looks_of_frame(
-            t,
-            ids,
-            *now,
-            *seen_places,
-            was,
-            known.t,
-            known.head,
-            known.first,
-            known.target,
-            known.bearing,
-            known.person,
-            known.place_bearing,
-            known.place,
-            parameters,
+            *(t, ids, people.position, angle, kappa, length > 0.0, groups.group),
+            *(bearing, half, far, was, *before, parameters),
         )
         kept = _Known(ids, np.full(len(ids), t), head, first, target, bearing_now, person, bearing, place)
         gone = np.ones(len(known.track_id), dtype=bool)
         gone[was[was >= 0]] = False
         away = np.flatnonzero(gone & (parameters[SWITCHING] * (t - known.t) <= _FORGOTTEN))
-        self._known = kept.beside(known.of(away)) if len(away) else kept
+        self._known = kept.with_others(known.of(away)) if len(away) else kept
         self.t = t
         return Looks(int(people.frame[0]), t, ids, first, target, person, names, place)
 

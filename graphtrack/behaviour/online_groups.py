@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from graphtrack.behaviour.evidence import OnlineEvidence
 from graphtrack.behaviour.groups import Groups, groups_of
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.numbering import Numbering
-from graphtrack.behaviour.online_evidence import OnlineEvidence
 from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.behaviour.people import People
 from graphtrack.behaviour.told import Told, people_told
@@ -18,7 +18,7 @@ from graphtrack.saved import DAMAGES, damaged, real
 
 
 class OnlineGroups:
-    """Who is in a group with whom, frame by frame: what `groups` finds with ``online=True``.
+    """Groups, frame by frame: `groups` with ``online=True``.
 
     Evidence of pairs is averaged over the past, each pair's by itself; what is kept of it is bounded, see
     `OnlineEvidence`.

@@ -14,7 +14,7 @@ from graphtrack.geometry.angles import FloatArray
 
 @dataclass(frozen=True)
 class ConversationWeights:
-    """What a pair's features add to the log odds that the two are in one conversation.
+    """Weights of a pair's features in the log odds that the two are in one conversation.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ RINGS = (0.0, 0.3, 0.6, 0.9, 1.2, 1.6)
 
 @dataclass(frozen=True)
 class FacingWeights:
-    """What somebody so many centimetres from the o-space ahead of a body adds to its log odds.
+    """Log odds that somebody adds to a body direction, by its distance from the o-space ahead in cm.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class FacingWeights:
 
 @dataclass(frozen=True)
 class GroupParameters:
-    """Who is in a group with whom.
+    """Parameters of groups.
 
     Attributes
     ----------
@@ -131,14 +131,16 @@ class GroupParameters:
         """The weights in the order of what is known of people: their places, bodies, heads."""
         return self.places, self.bodies, self.heads
 
+    @property
+    def seconds(self) -> tuple[float, float, float]:
+        """The times over which a pair's values are averaged, as `PairValues` has them."""
+        return self.place_seconds, self.look_seconds, self.walking_seconds
+
     @classmethod
     def from_dict(cls, tables: dict[str, Any], start: GroupParameters) -> GroupParameters:
         """Parameters from nested tables; what is not named is as in ``start``.
 
-        Raises
-        ------
-        InputError
-            For an unknown name, and for a value out of its range.
+        Raise InputError for an unknown name, and for a value out of its range.
         """
         given = dict(tables)
         parts = {}
@@ -151,5 +153,5 @@ class GroupParameters:
         return replace(with_table(start, "groups", given), **parts)
 
     def to_dict(self) -> dict[str, Any]:
-        """What a file holds: the inverse of `from_dict`."""
+        """Return nested tables: the inverse of `from_dict`."""
         return asdict(self)

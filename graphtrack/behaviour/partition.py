@@ -124,7 +124,6 @@ def partition(people: int, left: IntArray, right: IntArray, odds: FloatArray, fa
 
     Parameters
     ----------
-    people : how many
     left, right : (k,) places of the two of a pair
     odds : (k,) log odds that they are of one group
     far : log odds of pairs that are not among them

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,19 @@ class People:
     def frame_of(self) -> IntArray:
         """(n,) place in ``frame`` of each row."""
         return np.repeat(np.arange(len(self.frame)), np.diff(self.first))
+
+    def frames(self) -> Iterator[People]:
+        """Return the people of each frame by themselves."""
+        for k, (begin, end) in enumerate(pairwise(self.first.tolist())):
+            here, count = slice(begin, end), end - begin
+            yield People(
+                self.ids[self.person[here]],
+                self.frame[k : k + 1],
+                self.t[k : k + 1],
+                np.array([0, count]),
+                np.arange(count),
+                *(values[here] for values in (self.position, self.velocity, self.body, self.head)),
+            )
 
 
 def people_of(tracks: Iterable[Track], *, online: bool = False) -> People:

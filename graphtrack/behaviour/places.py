@@ -51,7 +51,7 @@ class Place:
 
 
 def _inside(position: FloatArray, outline: FloatArray) -> np.ndarray:
-    """Whether points (n, 2) lie in a polygon: how often a ray crosses its sides."""
+    """Return whether points (n, 2) lie in a polygon, by ray casting."""
     x, y = position.T
     ax, ay = outline.T
     bx, by = np.roll(outline, -1, axis=0).T
@@ -64,10 +64,8 @@ def _inside(position: FloatArray, outline: FloatArray) -> np.ndarray:
 def read_places(path: str | Path) -> list[Place]:
     """Read places: CSV with ``name`` and either ``x, y, radius`` or ``polygon`` (``x y x y x y …``), metres.
 
-    Raises
-    ------
-    InputError
-        With line and column: a place without radius and polygon, or with both, a name twice, no number.
+    Raise InputError with line and column: a place without radius and polygon, or with both, a name twice, no
+    number.
     """
     source = Source.open(path)
     reader = csv.DictReader(source.lines, skipinitialspace=True)

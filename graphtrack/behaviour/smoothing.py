@@ -1,4 +1,4 @@
-"""Evidence about pairs, averaged over time."""
+"""Evidence of pairs of people in one group: from each frame, averaged over time."""
 
 from __future__ import annotations
 
@@ -18,83 +18,69 @@ FORGOTTEN = 5.0
 
 
 def averaged(
-    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, *, both_sides: bool
-) -> FloatArray:
-    """Averages with weights exp(−|Δt|/seconds), within each pair.
+    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float
+) -> tuple[FloatArray, FloatArray]:
+    """Averages (n, k) with weights exp(−|Δt|/seconds) within each pair, and the sum of the weights, (n,) s.
 
     Each frame counts for the time about it, so that the frame rate is without effect, but no frame for more
-    than `seconds`.
+    than `seconds`. Without averaging (0 s) the values stay, and the sums are 0.
 
     Parameters
     ----------
     pair : (n,) which pair a value is of
     t : (n,) seconds
-    values : (n,)
-    both_sides : whether the future counts, or the past alone
+    values : (n, k)
     """
-    return averaged_seconds(pair, t, values, seconds, both_sides=both_sides)[0]
-
-
-def averaged_seconds(
-    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, *, both_sides: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Averages as `averaged`, and the sum of their weights, (n,) seconds; 0 without averaging."""
     if seconds <= 0.0 or not len(pair):
         return values, np.zeros(len(pair))
     order: NDArray[np.int64] = np.lexsort((t, pair))
     found, weight = np.empty_like(values), np.empty(len(pair))
-    found[order], weight[order] = _averaged(pair[order], t[order], values[order], seconds, both_sides)
+    found[order], weight[order] = _averaged(pair[order], t[order], values[order], seconds)
     return found, weight
-
-
-@compiled
-def since(gap: float, seconds: float) -> tuple[float, float]:
-    """How many seconds a frame counts for where the past alone does, and the share of the past that stays.
-
-    Parameters
-    ----------
-    gap : seconds from the frame before; infinite for the first
-    """
-    if gap > FORGOTTEN * seconds:
-        return min(_BEGINNING, seconds), 0.0
-    return min(gap, seconds), math.exp(-gap / seconds)
 
 
 @allocating
 def _averaged(
-    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float, both: bool
+    pair: IntArray, t: FloatArray, values: FloatArray, seconds: float
 ) -> tuple[FloatArray, FloatArray]:
-    n = len(pair)
-    before = np.empty((n, 2))
-    weight = np.empty(n)
+    n, size = values.shape
+    about, found, whole = np.empty(n), np.empty((n, size)), np.empty(n)
     for k in range(n):
         low = t[k] - t[k - 1] if k > 0 and pair[k - 1] == pair[k] else math.inf
         high = t[k + 1] - t[k] if k + 1 < n and pair[k + 1] == pair[k] else math.inf
-        if not both:
-            about, fade = since(low, seconds)
+        if low == math.inf or high == math.inf:
+            about[k] = min(low, high, seconds)
         else:
-            if low == math.inf or high == math.inf:
-                about = min(low, high, seconds)
-            else:
-                about = 0.5 * (min(low, seconds) + min(high, seconds))
-            fade = math.exp(-low / seconds)
-        weight[k] = about
-        before[k, 0], before[k, 1] = about * values[k], about
+            about[k] = 0.5 * (min(low, seconds) + min(high, seconds))
+        fade = math.exp(-low / seconds)
+        whole[k] = about[k]
+        found[k] = about[k] * values[k]
         if fade > 0.0:
-            before[k, 0] += fade * before[k - 1, 0]
-            before[k, 1] += fade * before[k - 1, 1]
-    found, whole = np.empty(n), np.empty(n)
-    after, total = 0.0, 0.0
+            whole[k] += fade * whole[k - 1]
+            found[k] += fade * found[k - 1]
+    after, total = np.zeros(size), 0.0
     for k in range(n - 1, -1, -1):
-        if both and k + 1 < n and pair[k + 1] == pair[k]:
+        if k + 1 < n and pair[k + 1] == pair[k]:
             fade = math.exp(-(t[k + 1] - t[k]) / seconds)
-            after = fade * (after + weight[k + 1] * values[k + 1])
-            total = fade * (total + weight[k + 1])
+            after[:] = fade * (after + about[k + 1] * values[k + 1])
+            total = fade * (total + about[k + 1])
         else:
-            after, total = 0.0, 0.0
-        whole[k] = before[k, 1] + total
-        found[k] = (before[k, 0] + after) / whole[k]
+            after[:] = 0.0
+            total = 0.0
+        whole[k] += total
+        found[k] = (found[k] + after) / whole[k]
     return found, whole
+
+
+@compiled
+def since(gap: float, seconds: float) -> tuple[float, float]:
+    """Return the seconds a frame counts for where the past alone does, and the share of the past that stays.
+
+    ``gap``: seconds from the frame before; infinite for the first
+    """
+    if gap > FORGOTTEN * seconds:
+        return min(_BEGINNING, seconds), 0.0
+    return min(gap, seconds), math.exp(-gap / seconds)
 
 
 @allocating

@@ -6,6 +6,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,12 @@ from graphtrack.bounds import LARGEST_ID
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.io.source import Source
+from graphtrack.table.groups import UNLABELLED
 
 IntArray = NDArray[np.int64]
 
-NOBODY, UNLABELLED = -1, -2
-"""Targets of looks that are at nobody, and of which nothing is said."""
+NOBODY = -1
+"""Target of looks at nobody."""
 
 _FIRST_LINE = 2
 _TARGETS = ("person", "place", "nothing")
@@ -105,12 +107,8 @@ def _read(path: str | Path, needed: Sequence[str]) -> _Rows:
 def read_group_table(path: str | Path) -> Groups:
     """Read what ``graphtrack groups`` wrote, or any table with ``frame``, ``track_id`` and ``group``.
 
-    Without ``kind`` groups are conversations; without ``probability`` or the centre these are NaN.
-
-    Raises
-    ------
-    InputError
-        With line and column: no number, an unknown kind, a probability that is none, somebody twice.
+    Without ``kind`` groups are conversations; without ``probability`` or the centre these are NaN. Raise
+    InputError with line and column: no number, an unknown kind, a probability that is none, somebody twice.
     """
     rows = _read(path, ("frame", "track_id", "group"))
     frame, person, group = (rows.whole(name) for name in ("frame", "track_id", "group"))
@@ -120,21 +118,13 @@ def read_group_table(path: str | Path) -> Groups:
     centre = np.stack([rows.numbers(name, needed=False) for name in ("centre_x", "centre_y")], axis=1)
     t, probability = rows.numbers("t", needed=False), rows.shares("probability", needed=False)
     order = np.lexsort((person, frame))
-    number = np.where(grouped, group, -1)
-    return Groups(
-        frame[order],
-        t[order],
-        person[order],
-        number[order],
-        kind[order],
-        probability[order],
-        centre[order],
-    )
+    columns: list[Any] = [frame, t, person, np.where(grouped, group, -1), kind, probability, centre]
+    return Groups(*(values[order] for values in columns))
 
 
 @dataclass(frozen=True, eq=False)
 class LookLabels:
-    """Whom people look at, as somebody labelled it: (n,) rows of a person in a frame.
+    """Labelled targets of looks: (n,) rows of a person in a frame.
 
     Attributes
     ----------
@@ -160,12 +150,8 @@ class LookLabels:
 def read_looks(path: str | Path) -> LookLabels:
     """Read labelled looks: CSV with ``frame``, ``track_id`` and ``target``, an id or −1 for nobody.
 
-    Rows whose target is empty say nothing.
-
-    Raises
-    ------
-    InputError
-        With line and column: no whole number, somebody who looks at themselves, a person twice in a frame.
+    Rows whose target is empty say nothing. Raise InputError with line and column: no whole number, somebody
+    who looks at themselves, a person twice in a frame.
     """
     rows = _read(path, ("frame", "track_id", "target"))
     frame, person = rows.whole("frame"), rows.whole("track_id")
@@ -182,10 +168,8 @@ def read_looks(path: str | Path) -> LookLabels:
 def read_attention(path: str | Path) -> list[Attention]:
     """Read what ``graphtrack attention`` wrote; targets that the table leaves out have the probability 0.
 
-    Raises
-    ------
-    InputError
-        With line and column: no number, an unknown kind, a target that is no person, a target twice.
+    Raise InputError with line and column: no number, an unknown kind, a target that is no person, a target
+    twice.
     """
     rows = _read(path, ("frame", "t", "track_id", "kind", "target", "probability"))
     frame, person, t = rows.whole("frame"), rows.whole("track_id"), rows.numbers("t")

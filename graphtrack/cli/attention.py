@@ -59,7 +59,7 @@ def attention(
     from graphtrack.behaviour.places import read_places
     from graphtrack.behaviour.tables import read_looks
     from graphtrack.behaviour.warm import make_behaviour_ready
-    from graphtrack.evaluation.looks import score_looks
+    from graphtrack.interaction.scores import score_looks
     from graphtrack.io.groups import write_columns
     from graphtrack.table.as_read import with_names
 

@@ -16,7 +16,7 @@ from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
     from graphtrack.behaviour.parameters import GroupParameters
-    from graphtrack.evaluation.groups import GroupScore
+    from graphtrack.interaction.scores import GroupScore
     from graphtrack.learning.attention import AttentionFit
     from graphtrack.learning.groups import GroupFit
     from graphtrack.table.groups import GroupLabels
@@ -58,7 +58,7 @@ def groups(
     """Find who stands in conversation with whom, and who walks together, in every frame."""
     from graphtrack.behaviour.groups import groups as find
     from graphtrack.behaviour.warm import make_behaviour_ready
-    from graphtrack.evaluation.groups import score_groups
+    from graphtrack.interaction.scores import score_groups
     from graphtrack.io.groups import write_columns
     from graphtrack.table.as_read import with_names
 
@@ -147,7 +147,7 @@ def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) 
     InputError
         For several files.
     """
-    from graphtrack.evaluation.groups import score_groups
+    from graphtrack.interaction.scores import score_groups
     from graphtrack.io.groups import read_group_rows
 
     if len(inputs) != 1 or len(truth) != 1:

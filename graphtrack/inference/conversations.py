@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from graphtrack.behaviour.evidence import OnlineEvidence
 from graphtrack.behaviour.learned import DEFAULT
-from graphtrack.behaviour.online_evidence import OnlineEvidence
 from graphtrack.behaviour.people import People
 from graphtrack.behaviour.smoothing import FORGOTTEN
 from graphtrack.behaviour.told import Numbers, numbers_of, people_at

@@ -8,10 +8,11 @@ import numpy as np
 
 from graphtrack.behaviour.attention import Attention, AttentionParameters, attention
 from graphtrack.behaviour.groups import groups
-from graphtrack.behaviour.tables import UNLABELLED, LookLabels
+from graphtrack.behaviour.tables import LookLabels
 from graphtrack.errors import InputError
-from graphtrack.evaluation.looks import LEAST, LookScore, score_looks, true_shares
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.interaction.scores import LEAST, LookScore, score_looks, true_shares
+from graphtrack.table.groups import UNLABELLED
 from graphtrack.tracks import TrackSet
 
 _STEP = 0.5
@@ -24,7 +25,7 @@ _MOST = 300
 
 @dataclass(frozen=True)
 class AttentionFit:
-    """What was learned, and how well looks are told: in what was learned from, and in what was held out."""
+    """Learned parameters, and their scores on what was learned from and on what was held out."""
 
     parameters: AttentionParameters
     start: AttentionParameters
@@ -94,7 +95,7 @@ def _check(tracks: TrackSet, labels: LookLabels) -> None:
 
 
 def _looks(found: list[Attention], labels: LookLabels, split: float) -> int:
-    """How many looks were labelled: frames of one say the same again."""
+    """Return the number of labelled looks: consecutive frames of one count once."""
     count = 0
     for one in found:
         target = labels.of(one.track_id, one.frame[one.t <= split])

@@ -14,13 +14,13 @@ Blocks = Callable[[FloatArray], FloatArray]
 """x (p,) → a log density for each block of independent data; their sum is climbed."""
 
 REACH = float(np.log(100.0))
-"""How far a parameter may go from where it starts, on its scale."""
+"""Largest distance of a parameter from its start, on its scale."""
 
 PRIOR_STD = 3.0
 """Of a parameter about its start, on its scale: a factor of 20 either way is not held against it."""
 
 ROUGH, FINE = 0.02, 1e-4
-"""What an iteration gains at least, in the logarithm of the density."""
+"""Least gain of an iteration, in the logarithm of the density."""
 
 _DIFFERENCE = 1e-3
 
@@ -69,7 +69,7 @@ def climb(
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """How a log density bends about a place, for each block of independent data and with the prior.
+    """Curvature of a log density, for each block of independent data and with the prior.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Where bodies face by where the others stand, learned from bodies that are known."""
+"""Learning the parameters of groups and of attention from labels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ def fit_facing(
 
     Parameters
     ----------
-    people : with the bodies to learn from
     evidence : of the same people, of whom more or less was known: each counts
     used : (n,) rows to learn from, with a body
     parameters : of which the weights are not read

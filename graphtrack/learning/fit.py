@@ -51,7 +51,7 @@ class Learned:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What was learned.
+    """Learned parameters and how well they predict.
 
     Attributes
     ----------
@@ -207,7 +207,7 @@ class _Evaluations:
         return values
 
     def shown_by_data(self, free: Sequence[Free], start: FloatArray) -> list[bool]:
-        """Which parameters change the log density at all."""
+        """Return which parameters change the log density at all."""
         values, found = self.values_about(self.model, free, "shown"), []
         middle = values(start).sum()
         for unit in np.log(1.5) * np.eye(len(free)):

@@ -102,7 +102,7 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class ForecastFit:
-    """What was learned, and from what.
+    """Learned parameters, and the errors of their forecasts.
 
     Attributes
     ----------
@@ -125,10 +125,7 @@ class ForecastFit:
 def outcomes(of: Recording, parameters: ForecastParameters) -> Outcomes:
     """Forecasts of a recording every `EVERY` seconds, beside what came of them.
 
-    Raises
-    ------
-    InputError
-        If nobody was seen for long enough after a forecast.
+    Raise InputError if nobody was seen for long enough after a forecast.
     """
     random = np.random.default_rng(0)
     parts: list[tuple[Expected, ComplexArray, ComplexArray]] = []
@@ -165,11 +162,6 @@ def _some(of: Outcomes, chosen: np.ndarray[Any, Any]) -> Outcomes:
         **{name: getattr(of.expected, name)[chosen] for name in Expected.__dataclass_fields__}
     )
     return Outcomes(expected, of.error[chosen], of.straight[chosen])
-
-
-def errors(found: Outcomes) -> tuple[float, float]:
-    """Mean error of whole paths and of their ends, over those of the last step's velocity."""
-    return relative_errors(found.error, found.straight)
 
 
 def density(found: Outcomes, parameters: ForecastParameters) -> float:
@@ -227,7 +219,7 @@ def fit_forecast(
     return ForecastFit(
         parameters=best,
         start=before,
-        errors={name: errors(one) for name, one in found.items()},
+        errors={name: relative_errors(one.error, one.straight) for name, one in found.items()},
         density={name: (density(one, before), density(one, best)) for name, one in found.items()},
     )
 
@@ -283,7 +275,7 @@ def _fit_scene_prior(
     start: ForecastParameters,
     progress: Callable[[str], None],
 ) -> ForecastParameters:
-    """How soon a scene is trusted: by the circles in each, where the spread is that of the others."""
+    """Learn how soon a scene's own errors are trusted, by its circles with the spread of the others."""
     if len(found) < 2:
         return start  # one scene says nothing of how scenes differ
     others = {

@@ -1,4 +1,4 @@
-"""A recording as forecasts are learned from it: who was seen, what came of them, and mean errors at once.
+"""Learning the parameters of forecasts from recordings, and the errors of a whole recording at once.
 
 `errors_at_once` says what `Forecaster` would, frame by frame, at a fraction of the time: what a search needs.
 """
@@ -113,10 +113,7 @@ def forecasts(
 def rows_of(of: Recording) -> Rows:
     """A recording's people, filtered.
 
-    Raises
-    ------
-    InputError
-        If nobody was seen for long enough after a forecast.
+    Raise InputError if nobody was seen for long enough after a forecast.
     """
     alone = replace(ForecastParameters(), stop_speed=0.0, companion_weight=0.0)
     parts: list[tuple[NDArray[np.complex128] | FloatArray | NDArray[np.bool_], ...]] = []

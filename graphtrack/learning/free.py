@@ -1,4 +1,4 @@
-"""Which parameters a model has to learn, on scales without limits."""
+"""Fitting the parameters of a model: the free ones, on scales without limits, and the search."""
 
 from __future__ import annotations
 
@@ -66,12 +66,9 @@ class Free:
 
 
 def free_parameters(model: Model, tracks: Sequence[Track]) -> tuple[Free, ...]:
-    """What a model has to learn from such tracks; what is 0 in it is switched off, and stays so.
+    """Return the parameters to be learned from such tracks; those that are 0 are switched off, and stay so.
 
-    Raises
-    ------
-    InputError
-        For a term whose parameters cannot be learned.
+    Raise InputError for a term whose parameters cannot be learned.
     """
     for term in model.terms:
         if not term.states("reads"):

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from graphtrack.behaviour.evidence import pair_evidence, walks, with_bodies
+from graphtrack.behaviour.evidence import SLOW, pair_evidence, walks, with_bodies
 from graphtrack.behaviour.features import pair_features
 from graphtrack.behaviour.groups import groups_of
 from graphtrack.behaviour.learned import DEFAULT
@@ -16,8 +16,8 @@ from graphtrack.behaviour.parameters import ConversationWeights, GroupParameters
 from graphtrack.behaviour.people import IntArray, People, people_of
 from graphtrack.behaviour.smoothing import averaged
 from graphtrack.errors import InputError
-from graphtrack.evaluation.groups import GroupScore, score_groups
 from graphtrack.geometry.angles import BoolArray, FloatArray
+from graphtrack.interaction.scores import GroupScore, score_groups
 from graphtrack.learning.facing import fit_facing
 from graphtrack.learning.walking import fit_walking
 from graphtrack.table.groups import UNLABELLED, GroupLabels
@@ -43,7 +43,7 @@ _HIDDEN: dict[str, Callable[[Track], Track]] = {
 
 @dataclass(frozen=True)
 class GroupFit:
-    """What was learned, and how well it finds groups: in what was learned from, and in what was held out."""
+    """Learned parameters, and their scores on what was learned from and on what was held out."""
 
     parameters: GroupParameters
     start: GroupParameters
@@ -91,7 +91,7 @@ def fit_groups(
         if (name == "heads" and not shown.head.any()) or (name != "places" and not shown.body.any()):
             continue
         pairs = _pairs(shown, label, parameters)
-        used = _thinned(pairs.t, split)
+        used = np.isin(pairs.t, _chosen(pairs.t, split))
         if walked != start and not pairs.together[used].any():  # they all walk
             continue
         weights = _weights(pairs, used)
@@ -118,13 +118,9 @@ def _pairs(people: People, label: IntArray, parameters: GroupParameters) -> _Pai
     left, right, features = pair_features(people, parameters.stride)
     pair = people.person[left] * len(people.ids) + people.person[right]
     t = people.t[people.frame_of[left]]
-    seconds = [parameters.place_seconds, parameters.look_seconds]
-    means = np.column_stack(
-        [
-            averaged(pair, t, features[:, k].copy(), seconds[k in (1, 4)], both_sides=True)
-            for k in range(features.shape[1])
-        ]
-    )
+    means, _ = averaged(pair, t, features, parameters.place_seconds)
+    slow, _ = averaged(pair, t, features, parameters.look_seconds)
+    means = np.where(SLOW, slow, means)
     walk = walks(people, parameters)
     use = (label[left] != UNLABELLED) & (np.maximum(walk[left], walk[right]) < 0.5)
     together = (label[left] == label[right]) & (label[left] >= 0)
@@ -140,11 +136,6 @@ def _faced(tracks: TrackSet, people: People, parameters: GroupParameters, used: 
     evidence = [pair_evidence(one, parameters) for one in known]
     companions, others = fit_facing(people, evidence, standing, parameters)
     return replace(parameters, companions=companions, others=others)
-
-
-def _thinned(t: FloatArray, split: float) -> BoolArray:
-    """Which pairs are learned from."""
-    return np.isin(t, _chosen(t, split))
 
 
 def _chosen(t: FloatArray, split: float) -> list[float]:
@@ -193,7 +184,7 @@ def _caution(
     people: People, label: IntArray, pairs: _Pairs, parameters: GroupParameters, name: str, split: float
 ) -> float:
     """The caution with the best F1 in parts of the time, each found by weights from the other parts."""
-    used = _thinned(pairs.t, split)
+    used = np.isin(pairs.t, _chosen(pairs.t, split))
     t = people.t[people.frame_of]
     learned_t = t[(label != UNLABELLED) & (t <= split)]
     edges = np.linspace(learned_t.min(), learned_t.max() + 1e-6, _BLOCKS + 1)

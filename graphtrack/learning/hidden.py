@@ -1,4 +1,4 @@
-"""Foretelling what was hidden: the log density of observations that the smoother was not told.
+"""Objectives of learning: held-out predictive log-likelihood, evidence, likelihood of the truth.
 
 Couplings are products that are not normalised, so that an evidence of them is not known; how well they
 foretell observations is.

@@ -1,4 +1,4 @@
-"""What has been evaluated so far, in a file: learning that was interrupted replays it and goes on."""
+"""Journal of evaluations: learning that was interrupted replays it and goes on."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ class EvaluationJournal:
     Parameters
     ----------
     path : the file; None: nothing is kept
-    fingerprint : of data and settings
     """
 
     def __init__(self, path: Path | None, fingerprint: str) -> None:
@@ -47,7 +46,7 @@ class EvaluationJournal:
         return len(self._known)
 
     def get(self, stage: str, x: FloatArray) -> FloatArray | None:
-        """What was found at a place (p,); None if it was not evaluated."""
+        """Return the values at a place (p,); None if it was not evaluated."""
         found = self._known.get((stage, tuple(x.tolist())))
         return None if found is None else np.array(found)
 

@@ -1,4 +1,4 @@
-"""What learning makes great: the likelihood of the truth, the evidence, or that of hidden observations."""
+"""Objectives of learning: the likelihood of the truth, the evidence, or that of held-out observations."""
 
 from __future__ import annotations
 
@@ -32,8 +32,6 @@ class Objective:
 
     Parameters
     ----------
-    tracks : what is learned from
-    model : a chain
     criterion : "truth", its likelihood under the smoother's covariances, frame by frame; "evidence", of all
         that was observed; "prediction", the density of observations that were hidden, a part at a time
     """

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association import duplicates, facing, learning
 from graphtrack.association.chains import Chains, link_by, unlinked
-from graphtrack.association.detections import Detections
+from graphtrack.association.duplicates import learn_duplicates
+from graphtrack.association.facing import learn_orientation, observed_angles
+from graphtrack.association.learning import first_guess, gaps_of, learn_scene, scene_log_density
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.rows import detections_of
 from graphtrack.association.tracks import rows_of
@@ -20,6 +21,7 @@ from graphtrack.errors import InputError
 from graphtrack.model import Model
 from graphtrack.scene import SceneParameters
 from graphtrack.simulation.detector import FALSE
+from graphtrack.table.detections import Detections
 from graphtrack.table.rows import Rows, check_rows
 
 if TYPE_CHECKING:
@@ -67,7 +69,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class SceneFit:
-    """What was learned of a scene.
+    """Learned parameters of a scene.
 
     Attributes
     ----------
@@ -143,7 +145,7 @@ def fit_scene(
     recording, given = _recording(rows, labelled)
     used, judging = _split(recording, hold_out)
     training = recording.taken(used)
-    start = replace(learning.first_guess(training), **model.scene)
+    start = replace(first_guess(training), **model.scene)
     if labelled:
         explained = _Explained.of(training, given[used])
         found = _climbed(explained, start)
@@ -191,7 +193,7 @@ class _Explained:
     def chains(self, scene: SceneParameters) -> Chains:
         """The tracks, linked; not filtered yet."""
         seen = self.detections
-        angles = facing.observed(seen.channels, len(seen))
+        angles = observed_angles(seen.channels, len(seen))
         chains = unlinked(seen.t, seen.step, np.ascontiguousarray(seen.position), angles)
         chains.gain[:] = 0.0
         chains.variance[:] = np.where(np.isnan(self.std), scene.position_std, self.std) ** 2
@@ -201,7 +203,7 @@ class _Explained:
     def density(self, scene: SceneParameters) -> float:
         """Log density a detection."""
         seconds = self.detections.step_seconds
-        found = learning.log_density(self.chains(scene), self.identity, scene, seconds)
+        found = scene_log_density(self.chains(scene), self.identity, scene, seconds)
         return found / len(self.detections)
 
     def part(self, after: _Explained, start: SceneParameters, found: SceneParameters) -> Part:
@@ -241,9 +243,9 @@ def _climbed(explained: _Explained, start: SceneParameters) -> SceneParameters:
     scene, chains = start, explained.chains(start)
     seconds, identity = explained.detections.step_seconds, explained.identity
     for _ in range(ROUNDS):
-        scene = duplicates.learned(chains.frame, chains.position, identity, scene)
-        scene = facing.learned(chains, scene, seconds)
-        scene = learning.learned(chains, identity, scene, explained.std, seconds)
+        scene = learn_duplicates(chains.frame, chains.position, identity, scene)
+        scene = learn_orientation(chains, scene, seconds)
+        scene = learn_scene(chains, identity, scene, explained.std, seconds)
     return scene
 
 
@@ -255,7 +257,7 @@ def _told(
     seen = np.isfinite(chains.facing).sum(axis=0)
     absent = {
         "position_std": "all detections say their own" * bool(np.isfinite(explained.std).all()),
-        "occlusion_seconds": "no gap in any track" * (not learning.gaps_of(chains, explained.identity).any()),
+        "occlusion_seconds": "no gap in any track" * (not gaps_of(chains, explained.identity).any()),
     }
     if labelled and (explained.identity >= 0).all():
         none = "no row without an identity or with the label 'false'"

@@ -58,7 +58,6 @@ class Solver:
 
     Parameters
     ----------
-    tracks : to be solved
     model : whose solution, after a search for the best basin, is where all start
     """
 

@@ -1,4 +1,4 @@
-"""How those who walk together walk, from labelled groups."""
+"""Distances and velocities of those who walk together, from labelled groups."""
 
 from __future__ import annotations
 

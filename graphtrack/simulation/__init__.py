@@ -1,4 +1,4 @@
-"""Made-up people, and what makes real ones harder to see."""
+"""Simulated people, detectors, and degraded observations."""
 
 WALKING_PACE = 1.3
 """m/s, the median speed of pedestrians."""

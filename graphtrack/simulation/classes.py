@@ -19,16 +19,12 @@ if TYPE_CHECKING:
 def confusion_matrix(n_classes: int, *, flipped: float = 0.2, at_random: float = 0.1) -> FloatArray:
     """Probability (n, n) of each answer (column) to each true class (row).
 
+    Raise InputError for an odd number of classes, or shares that are none.
+
     Parameters
     ----------
-    n_classes : an even number
     flipped : share of the answers that take front for back
     at_random : share that is any class
-
-    Raises
-    ------
-    InputError
-        For an odd number of classes, or shares that are none.
     """
     if n_classes < 2 or n_classes % 2:
         raise InputError(f"{n_classes} classes", "an even number of them")
@@ -50,19 +46,13 @@ def add_class_likelihoods(
 
     In each frame in which an orientation is known, its class (the nearest centre, 360·k/n degrees) is
     answered as the confusion matrix has it, and the likelihoods are those of that answer: calibrated, and as
-    far as one answer tells. The orientations become the truth unless there is one.
+    far as one answer tells. The orientations become the truth unless there is one. Raise InputError for a
+    matrix of another shape, or one whose rows are no distributions.
 
     Parameters
     ----------
-    tracks : in any form that `graphtrack.solve` takes
     body : (8, 8) confusion of the body's classes, rows true classes; None: `confusion_matrix`
     head : (12, 12) of the head's
-    rng : source of the answers
-
-    Raises
-    ------
-    InputError
-        For a matrix of another shape, or one whose rows are no distributions.
     """
     confusions = {
         "body": confusion_matrix(BODY_CLASSES) if body is None else _checked("body", body, BODY_CLASSES),

@@ -24,7 +24,7 @@ NUMERALS = ("i", "ii", "iii", "iv", "v", "vi", "vii")
 
 @dataclass(frozen=True)
 class CorpusParameters:
-    """What the corpus is made of. Starred numbers are Baxter et al.'s, the others are choices.
+    """Parameters of the corpus. Starred numbers are Baxter et al.'s, the others are choices.
 
     Attributes
     ----------
@@ -118,17 +118,13 @@ class Corpus:
     ) -> Corpus:
         """The same people, detected at a share ``rate`` of the steps, chosen evenly; the first one always.
 
+        Raise InputError if the rate is out of range.
+
         Parameters
         ----------
         rate : in (0, 1]
-        rng : source of the choice
         head : "with position": who is not detected shows no head either; "always": the head is seen all the
             time
-
-        Raises
-        ------
-        InputError
-            If the rate is out of range.
         """
         if not 0.0 < rate <= 1.0:
             raise InputError(f"rate = {rate!r}", "a share in (0, 1]")
@@ -192,10 +188,7 @@ def simulate_behaviour(
 ) -> Corpus:
     """The tracks of one behaviour, 0 (straight) … 6 (the sharpest turns), all detected.
 
-    Raises
-    ------
-    InputError
-        If there is no such behaviour.
+    Raise InputError if there is no such behaviour.
     """
     if behaviour not in range(len(NUMERALS)):
         raise InputError(f"behaviour {behaviour!r}", f"an integer from 0 to {len(NUMERALS) - 1}")

@@ -1,4 +1,4 @@
-"""Courses of an angle that diffuses under von Mises pulls, sampled exactly over a whole chain.
+"""Body and head angles sampled from the graph's own density: chains that diffuse under von Mises pulls.
 
 The density is Π exp(κ_k·cos(θ_k − θ_{k−1}))·Π exp(Re(conj(z_k)·e^{iθ_k})), as the factor graph has it:
 nothing is normalised step by step. Messages run back from the last frame on a grid around the circle; then

@@ -1,4 +1,4 @@
-"""Made-up people who cross a place, alone or in pairs, and stop now and then: scenes to tune trackers on."""
+"""Simulated people who cross a place, alone or in pairs, and stop now and then: to tune trackers on."""
 
 from __future__ import annotations
 
@@ -59,18 +59,11 @@ def crowd(
     """People who walk from one edge of a place to another, exactly known.
 
     The velocity is an Ornstein–Uhlenbeck process about that towards the goal. Who enters together keeps side
-    by side, each with a sway of their own.
+    by side, each with a sway of their own. Raise InputError for a scene in which nobody is seen.
 
     Parameters
     ----------
-    rng : source of all that is random
-    place : what it is like there
     seconds, fps : length of the scene, and frames a second
-
-    Raises
-    ------
-    InputError
-        For a scene in which nobody is seen.
     """
     tracks: list[Track] = []
     count = rng.poisson(place.arrivals * seconds)

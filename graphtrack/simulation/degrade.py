@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 WITHHELD = ("position", "position_std", "pixel", "body", "body_kappa", "body_likelihood")
 """What `occlude` withholds: everything but the head, which shows longest above what stands in the way."""
 
+OBSERVED = (*WITHHELD, "head", "head_kappa", "head_likelihood")
+"""Channels that are missing of somebody who is not detected at all."""
+
 TURN_SECONDS = 1.0
 """Time over which a turn is measured, by default: from the motion of the first half to that of the second."""
 
@@ -121,11 +124,11 @@ def occlude(
     """Withhold position and body, not the head, for a while around everybody's sharpest turn.
 
     The sharpest turn is where the direction of the true motion (of the observed, where no truth is known)
-    changes most over ``turn_seconds``, among the times at which the person moves.
+    changes most over ``turn_seconds``, among the times at which the person moves. Raise InputError for a
+    length or a time of turning that is not positive, or a negative margin.
 
     Parameters
     ----------
-    tracks : observations
     seconds : length of the window, > 0
     margin : seconds of the track that must remain on both sides of the window, with a position in each
     turn_seconds : time over which a turn is measured, > 0; where the truth itself is rough, long enough for
@@ -135,11 +138,6 @@ def occlude(
     -------
     Occlusion
         Tracks that are too short, or in which nobody moves, are left out with their reason.
-
-    Raises
-    ------
-    InputError
-        For a length or a time of turning that is not positive, or a negative margin.
     """
     if not (np.isfinite(seconds) and seconds > 0.0):
         raise InputError(f"seconds = {seconds!r}", "a positive number")

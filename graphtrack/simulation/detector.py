@@ -1,4 +1,4 @@
-"""What a detector of people makes of a recording whose truth is known: noise, misses, false detections."""
+"""Simulated detector: noise, misses, occlusions and false detections of a recording with known truth."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.detections import with_those_between
 from graphtrack.bounds import LARGEST_ID, check_positive
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import BoolArray, FloatArray, wrap
 from graphtrack.io.given import tracks_of
-from graphtrack.simulation.degrade import add_noise, motion, withhold
+from graphtrack.simulation.degrade import OBSERVED, add_noise, motion, withhold
+from graphtrack.table.detections import with_those_between
 from graphtrack.tracks import Track, TrackSet, to_columns
 
 if TYPE_CHECKING:
@@ -23,19 +23,6 @@ if TYPE_CHECKING:
 
 FALSE = "false"
 """Label of a false detection, where identities are kept."""
-
-SEEN = (
-    "position",
-    "position_std",
-    "pixel",
-    "body",
-    "body_kappa",
-    "body_likelihood",
-    "head",
-    "head_kappa",
-    "head_likelihood",
-)
-"""What is not observed of somebody who is not detected."""
 
 _OBSERVED_COLUMNS = ("frame", "t", "x", "y", "body_deg", "head_deg")
 """Columns of a detection without an identity: nothing of the truth, nor of how noisy it was made."""
@@ -45,7 +32,7 @@ ClutterCount = Literal["poisson", "fixed"]
 
 @dataclass(frozen=True)
 class Detector:
-    """What a detector gets wrong.
+    """Errors of a detector.
 
     Attributes
     ----------
@@ -81,7 +68,7 @@ class Detector:
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """What a detector made of a recording.
+    """Detections of a recording.
 
     Attributes
     ----------
@@ -95,24 +82,19 @@ class Detected:
 
     @property
     def false(self) -> int:
-        """How many detections are false."""
+        """Number of false detections."""
         return sum(track.label == FALSE for track in self.observed)
 
     @property
     def detections(self) -> int:
-        """How many detections there are, false ones among them."""
+        """Number of detections, false ones included."""
         return sum(int(np.isfinite(track.position).all(axis=1).sum()) for track in self.observed)
 
     def anonymous(self, rng: np.random.Generator) -> dict[str, NDArray[Any]]:
         """The detections without identities: columns of the native table, a row for each.
 
         By frames, and within a frame in random order. Place, time and what was seen of body and head stay;
-        nothing of the truth does.
-
-        Raises
-        ------
-        InputError
-            If nobody was detected.
+        nothing of the truth does. Raise InputError if nobody was detected.
         """
         columns = to_columns(self.observed)
         rows = np.flatnonzero(np.isfinite(columns["x"]))
@@ -138,20 +120,13 @@ def detect(
 
     False detections lie anywhere in the box around all true positions of the recording, each as probably as
     any other, in every frame from the first to the last. An occlusion lies anywhere within its person's
-    track, whose first and last frames it spares.
+    track, whose first and last frames it spares. Raise InputError for amounts that are none, and if nobody is
+    anywhere.
 
     Parameters
     ----------
     tracks : what is known, in any form that `graphtrack.solve` takes
-    detector : what is missed, hidden and false
     every : seconds between the frames, see `sampled`; None: the recording's own frames
-    position_std, body_kappa, head_kappa : the noise, as in `add_noise`
-    rng : source of all that is random
-
-    Raises
-    ------
-    InputError
-        For amounts that are none, and if nobody is anywhere.
     """
     exact = tracks_of(tracks)
     if every is not None:
@@ -170,17 +145,12 @@ def sampled(tracks: TrackSet, every: float) -> TrackSet:
 
     Between two rows of a person everything goes straight on: positions on a line, angles the shorter way
     round. Rows without a position are passed over. Places, orientations and the truth of both are sampled,
-    nothing else. Who is not there at any of the times is left out, which the notes say.
+    nothing else. Who is not there at any of the times is left out, which the notes say. Raise InputError for
+    a time that is not positive, and if nobody is there at any of them.
 
     Parameters
     ----------
-    tracks : with times, s
     every : seconds from a frame to the next
-
-    Raises
-    ------
-    InputError
-        For a time that is not positive, and if nobody is there at any of them.
     """
     check_positive("every", every, 1e6)
     times = [track.t for track in tracks]
@@ -258,7 +228,7 @@ def _unseen(track: Track, missed: float, hidden: Mapping[int, BoolArray], rng: n
     window = rng.random(len(track)) < missed
     if track.track_id in hidden:
         window |= hidden[track.track_id]
-    return withhold(track, window, SEEN)
+    return withhold(track, window, OBSERVED)
 
 
 def _false_detections(
@@ -295,7 +265,7 @@ def _false_detections(
 
 
 def summary_of(found: Detected) -> str:
-    """How many people were there, and how many detections and false ones came out, in words."""
+    """Return the numbers of people, detections and false ones, in words."""
     return (
         f"{counted(len(found.truth), 'track')}, {found.truth.n_frames} person-frames; "
         f"{counted(found.detections, 'detection')}, {found.false} of them false"

@@ -1,4 +1,4 @@
-"""Glances: heads that turn aside for a moment and come back, at any time and whatever the body does."""
+"""Tracks sampled from the model itself, with their truth, and glances that it knows nothing of."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _HOLD, _RISE = (0.5, 2.0), (0.3, 0.6)
 
 
 def sample_glances(t: FloatArray, n_tracks: int, per_minute: float, rng: np.random.Generator) -> FloatArray:
-    """How far (n_tracks, n) heads are turned aside, in radians, at the times ``t`` (n,) seconds.
+    """Sample how far (n_tracks, n) heads turn aside, radians, at the times ``t`` (n,) seconds.
 
     A minute has so many glances on average, at random times, to either side alike. Ramps are half cosines.
     """

@@ -78,7 +78,7 @@ class Start(NamedTuple):
 def first_velocity(
     n_tracks: int, motion: MotionParameters, rng: np.random.Generator, pace: float | None
 ) -> Start:
-    """How people begin: by the model's prior or, with a median ``pace`` in m/s, as they go on."""
+    """Sample first velocities: by the model's prior or, with a median ``pace`` in m/s, as people go on."""
     if pace is None:
         return Start(motion.initial_speed_std * rng.standard_normal((n_tracks, 2)), None)
     own = pace * np.exp(PACE_SPREAD * rng.standard_normal(n_tracks))

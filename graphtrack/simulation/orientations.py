@@ -47,7 +47,7 @@ class Modes(NamedTuple):
 
     @property
     def ahead(self) -> FloatArray:
-        """How far (n_tracks, n) heads point where the motion goes, from 0 to 1: so far they steer it.
+        """Cosine (n_tracks, n) of heads to the motion, from 0 to 1: so far they steer it.
 
         A glance does not.
         """
@@ -180,7 +180,7 @@ def _loosened(t: FloatArray, kappa: FloatArray, lead: float, diffusion: float) -
 
 
 def _steering(t: FloatArray, velocity: FloatArray, rate: FloatArray, density: float) -> np.ndarray:
-    """What the velocities tell of the heads that steered them (n_tracks, n − 1), as pulls."""
+    """Return the pulls of velocities on the heads that steered them, (n_tracks, n − 1)."""
     before = velocity[:, :-1]
     step = steered_step(np.broadcast_to(np.diff(t), rate.shape), rate)
     gain = 1.0 - step.keep

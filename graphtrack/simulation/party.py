@@ -60,12 +60,8 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
     """Sample a party.
 
     Conversations stand on a grid `_APART` metres wide; who leaves one walks to another. Members spread about
-    the o-space, and face it more or less; each looks at a fellow member, or away.
-
-    Raises
-    ------
-    InputError
-        For fewer than one person or two steps.
+    the o-space, and face it more or less; each looks at a fellow member, or away. Raise InputError for fewer
+    than one person or two steps.
     """
     if people < 1 or steps < 2:
         raise InputError(f"{people} people, {steps} steps", "a person and two steps at least")
@@ -123,7 +119,7 @@ def party(rng: np.random.Generator, *, people: int = 12, steps: int = 200, fps: 
 
 
 def _drawn(one: int, position: FloatArray, fellows: IntArray, anybody: bool, rng: np.random.Generator) -> int:
-    """Whom somebody looks at next: a fellow member, or anybody in sight, the rather the nearer."""
+    """Draw whom somebody looks at next: a fellow member, or anybody in sight, the rather the nearer."""
     if not anybody:
         return int(rng.choice(fellows))
     away = position - position[one]
@@ -139,7 +135,7 @@ def _drawn(one: int, position: FloatArray, fellows: IntArray, anybody: bool, rng
 def _seats(
     member: IntArray, places: int, rng: np.random.Generator, before: FloatArray | None = None
 ) -> FloatArray:
-    """Where in its circle each member stands, (people, 2): radius and angle."""
+    """Return the seat of each member in its circle, (people, 2): radius and angle."""
     seat = np.zeros((len(member), 2)) if before is None else before.copy()
     for group in range(places):
         inside = np.flatnonzero(member == group)

@@ -145,7 +145,6 @@ def sample_states(
 
     Parameters
     ----------
-    pace : as `sample_velocity` has it
     seen : (n_tracks, n) frames in which a position is seen; None: all
 
     Returns

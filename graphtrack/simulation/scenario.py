@@ -9,7 +9,7 @@ import numpy as np
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit, wrap
-from graphtrack.simulation.degrade import WITHHELD, add_noise, withhold
+from graphtrack.simulation.degrade import OBSERVED, add_noise, withhold
 from graphtrack.tracks import Track, TrackSet
 
 SHORTEST = 12.0
@@ -20,13 +20,9 @@ _BODY_LAG, _HEAD_LEAD, _HEAD_LAG = 0.25, 0.55, 0.15
 """Seconds: the shoulders follow the course late; the head looks ahead and follows its aim quickly."""
 
 
-_HIDDEN = (*WITHHELD, "head", "head_kappa", "head_likelihood")
-"""Whoever is behind something shows nothing, the head neither."""
-
-
 @dataclass(frozen=True)
 class _Part:
-    """What one person does: speed in m/s, course and gaze (head against course) in radians, of time in s.
+    """Script of one person: speed in m/s, course and gaze (head against course) in radians, of time in s.
 
     ``anchor`` is where the person is at ``anchor_time``.
     """
@@ -53,7 +49,8 @@ def scenario(
     """Six people: two cross, one stops and starts again, one turns, one looks aside, one is hidden.
 
     Speeds and courses are smooth and integrated to paths. The shoulders follow the course with a lag, the
-    head leads a turn. Paths sway a little, and differently for every ``rng``.
+    head leads a turn. Paths sway a little, and differently for every ``rng``. Raise InputError for a number
+    outside its range.
 
     Parameters
     ----------
@@ -69,11 +66,6 @@ def scenario(
     -------
     TrackSet
         Observations, the truth, and labels that say what each person does.
-
-    Raises
-    ------
-    InputError
-        For a number outside its range.
     """
     if not (np.isfinite(fps) and fps > 0.0):
         raise InputError(f"fps = {fps!r}", "a positive number of frames a second")
@@ -87,7 +79,7 @@ def scenario(
     return noisy.with_tracks(
         track
         if part.hidden is None
-        else withhold(track, (track.t >= part.hidden[0]) & (track.t < part.hidden[1]), _HIDDEN)
+        else withhold(track, (track.t >= part.hidden[0]) & (track.t < part.hidden[1]), OBSERVED)
         for track, part in zip(noisy, parts, strict=True)
     )
 

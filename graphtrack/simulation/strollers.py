@@ -8,13 +8,13 @@ sway Murray et al. (1964); glances and stops are choices.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 
-from graphtrack.bounds import check_numbers
+from graphtrack.bounds import check_numbers, number
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray, unit, wrap
 from graphtrack.simulation.degrade import add_noise
@@ -25,10 +25,6 @@ _GRID = 0.02
 
 _FARTHEST = np.radians(120.0)
 """Of a turn on the spot: the other way round would be as likely beyond."""
-
-
-def _number(default: float, low: float, high: float, unit: str = "") -> Any:
-    return field(default=default, metadata={"range": (low, high), "unit": unit})
 
 
 @dataclass(frozen=True)
@@ -48,20 +44,20 @@ class StrollerParameters:
     sidesteps_per_minute : mean number of stretches that are walked sideways or backwards
     """
 
-    speed: float = _number(1.3, 0.1, 3.0, "m/s")
-    speed_std: float = _number(0.2, 0.0, 1.0, "m/s")
-    fastest_turn: float = _number(1.8, 0.0, 10.0, "rad/s")
-    turns_per_minute: float = _number(10.0, 0.0, 60.0)
-    stops_per_minute: float = _number(4.5, 0.0, 60.0)
-    stop_low: float = _number(2.0, 0.0, 60.0, "s")
-    stop_high: float = _number(6.0, 0.0, 60.0, "s")
-    glances_per_minute: float = _number(4.0, 0.0, 60.0)
-    glance_low: float = _number(1.0, 0.1, 60.0, "s")
-    glance_high: float = _number(3.0, 0.1, 60.0, "s")
-    glance_std: float = _number(float(np.radians(45.0)), 0.0, np.pi, "rad")
-    head_lead: float = _number(0.25, 0.0, 2.0, "s")
-    body_lag: float = _number(0.15, 0.0, 2.0, "s")
-    sidesteps_per_minute: float = _number(0.0, 0.0, 60.0)
+    speed: float = number(1.3, 0.1, 3.0, "m/s")
+    speed_std: float = number(0.2, 0.0, 1.0, "m/s")
+    fastest_turn: float = number(1.8, 0.0, 10.0, "rad/s")
+    turns_per_minute: float = number(10.0, 0.0, 60.0)
+    stops_per_minute: float = number(4.5, 0.0, 60.0)
+    stop_low: float = number(2.0, 0.0, 60.0, "s")
+    stop_high: float = number(6.0, 0.0, 60.0, "s")
+    glances_per_minute: float = number(4.0, 0.0, 60.0)
+    glance_low: float = number(1.0, 0.1, 60.0, "s")
+    glance_high: float = number(3.0, 0.1, 60.0, "s")
+    glance_std: float = number(float(np.radians(45.0)), 0.0, np.pi, "rad")
+    head_lead: float = number(0.25, 0.0, 2.0, "s")
+    body_lag: float = number(0.15, 0.0, 2.0, "s")
+    sidesteps_per_minute: float = number(0.0, 0.0, 60.0)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -82,20 +78,16 @@ def strollers(
 ) -> TrackSet:
     """Pedestrians with their truth, observed with noise.
 
+    Raise InputError for a number outside its range.
+
     Parameters
     ----------
     rng : source of the people and of the noise
-    parameters : their habits
     people, seconds, fps : number of tracks, their length and frames a second
     position_std : metres, 1-σ of each axis
     body_std, head_std : radians, 1-σ of the observed angles (κ = 1/σ²); None: not observed
     turned : share of observed angles that are turned by 180°
     declared : whether the tracks state the noise of their angles; else the model's defaults stand
-
-    Raises
-    ------
-    InputError
-        For a number outside its range.
     """
     if people < 1 or not (np.isfinite(seconds * fps) and seconds > 0.0 and fps > 0.0):
         raise InputError(f"{people} people, {seconds!r} s at {fps!r} Hz", "positive numbers")

@@ -32,9 +32,7 @@ def sample_coupled_velocity(
     `sample_orientations` draws them given all velocities. Couplings do not slow people down here, as their
     density would: only in its direction is the motion theirs.
 
-    Parameters
-    ----------
-    rate : λ in 1/s (n_tracks, n − 1) with which the head steers each step
+    ``rate``: λ in 1/s (n_tracks, n − 1) with which the head steers each step
     """
     motion, turning, coupling = parameters.motion, parameters.orientation, parameters.coupling
     n_tracks, n = modes.body.offset.shape

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,22 +12,16 @@ from crossing_people import idf1, street
 
 import graphtrack as gt
 from graphtrack.association.chains import Scene
-from graphtrack.association.detections import Detections
 from graphtrack.association.kernels import GATE, missed
 from graphtrack.association.moves import match
 from graphtrack.association.offline import associate_detections, repair_detections
 from graphtrack.scene import SceneParameters
+from graphtrack.table.detections import Detections
 
 
 def table_of(detections: Detections) -> pd.DataFrame:
     x, y = detections.position.T
     return pd.DataFrame({"frame": detections.frame, "t": detections.t, "x": x, "y": y})
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_exact_positions_are_told_apart_without_a_mistake(seed: int) -> None:
-    detections, whose = street(np.random.default_rng(seed), noise=1e-3)
-    assert idf1(associate_detections(detections).identity, whose) > 0.995
 
 
 def test_noise_misses_and_false_detections_leave_most_identities() -> None:
@@ -170,12 +163,6 @@ def test_mot_detections_have_minus_one_throughout_or_nowhere(tmp_path: Path) -> 
     path.write_text("\n".join([*lines, "30,4,200,50,20,40,0.9,-1,-1,-1"]), encoding="utf-8")
     with pytest.raises(gt.InputError, match="29 of 30 are detections without identity"):
         gt.read(path, metres_per_pixel=0.02, fps=10.0)
-
-
-@pytest.mark.parametrize("wrong", [{"clutter_density": 0.0}, {"look_ahead": 0}, {"death_rate": float("nan")}])
-def test_scenes_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
-    with pytest.raises(gt.InputError, match=next(iter(wrong))):
-        SceneParameters(**wrong)
 
 
 @pytest.mark.slow

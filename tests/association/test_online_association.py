@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from command import run as run_command
-from crossing_people import crowd, idf1, street
+from crossing_people import idf1, street
 
 import graphtrack as gt
-from graphtrack.association.detections import Detections
 from graphtrack.association.online import Decision, OnlineAssociation
 from graphtrack.scene import SceneParameters
+from graphtrack.table.detections import Detections
 
 SCENE = SceneParameters(clutter_density=2e-3, birth_density=3e-3, death_rate=0.1)
 
@@ -98,14 +97,6 @@ def test_empty_frames_and_changing_rates_are_fine_and_bad_ones_change_nothing() 
     assert tracker.update(t + 0.4, [(1.2 * (t + 0.4), 0.0)])[0].observed
 
 
-def test_nobody_for_long_is_fine_and_so_is_a_beginning_with_nobody() -> None:
-    tracker = gt.OnlineTracker("position", scene=SCENE)
-    for k in range(40):
-        people = tracker.update(0.4 * k, [(0.4 * k, 0.0)] if 5 < k < 12 or k > 35 else [])
-        assert len(people) == 1 if 9 < k < 12 else len(people) <= 1
-    assert people[0].observed
-
-
 def test_estimates_are_those_of_a_smoother_that_knew_who_is_who() -> None:
     """Revised identities included: what is taken back leaves no trace."""
     detections, _ = street(np.random.default_rng(5), people=6, frames=40, noise=0.05)
@@ -158,17 +149,6 @@ def test_what_is_forgotten_bounds_the_memory() -> None:
     assert max(sizes[100:]) <= max(sizes[:100]) + 4
 
 
-@pytest.mark.slow
-def test_the_state_does_not_grow_over_twenty_thousand_frames() -> None:
-    association, sizes = OnlineAssociation(), []
-    for k, seen in enumerate(crowd(np.random.default_rng(8), people=5, frames=20_000)):
-        association.update(0.04 * k, seen)
-        if k % 250 == 249:
-            sizes.append(len(json.dumps(association.state())))
-    # What is remembered is full by frame 1,000.
-    assert max(sizes[40:]) < 1.1 * max(sizes[4:40])
-
-
 def test_a_file_of_detections_is_tracked_on_the_command_line(tmp_path) -> None:
     detections, _ = street(np.random.default_rng(7), people=8, frames=40)
     x, y = detections.position.T
@@ -194,13 +174,6 @@ def test_recorded_detections_are_not_associated_with_the_future(tmp_path) -> Non
     assert len(gt.smooth(source, "position")) == 1
     with pytest.raises(gt.InputError, match="rows without identities"):
         gt.track_online(source, "position")
-
-
-def test_who_goes_on_is_not_lost_where_decisions_stay_open_for_longer_than_a_gap() -> None:
-    association = OnlineAssociation(replace(SCENE, longest_gap=3.0), lag=20.0)
-    said = [association.update(float(k), np.array([[0.7 * k, 0.1 * k]])).identity for k in range(30)]
-    assert set(np.concatenate(said).tolist()) <= {-1, 1}
-    assert said[-1].tolist() == [1]
 
 
 def test_a_few_seconds_of_walking_straight_do_not_say_that_nobody_turns() -> None:

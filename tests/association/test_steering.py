@@ -52,14 +52,6 @@ def test_somebody_turns_towards_the_angle_never_past_it_and_alike_on_both_sides(
     assert left[4] * left[6] > left[5] ** 2
 
 
-def test_a_turned_world_is_the_same_world() -> None:
-    for way in (0.7, 2.0, -3.0):
-        here, there = steered(walking(0.0), 0.6), steered(walking(way), 0.6 + way)
-        turned = complex(here[2], here[3]) * complex(math.cos(way), math.sin(way))
-        np.testing.assert_allclose(there[2:4], [turned.real, turned.imag])
-        np.testing.assert_allclose(there[4:7], here[4:7])
-
-
 @pytest.mark.parametrize(
     ("angle", "outliers", "speed"), [(math.nan, 0.02, 1.2), (0.5, 1.0, 1.2), (0.5, 0.02, 0.0)]
 )

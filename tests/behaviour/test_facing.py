@@ -50,18 +50,6 @@ def test_those_on_a_circle_face_its_centre() -> None:
     assert (np.linalg.norm(found, axis=1) <= 1.0).all()
 
 
-def test_nobody_near_tells_nothing() -> None:
-    apart = TrackSet((*circle(1), *(replace(track, track_id=9) for track in circle(1, (30.0, 0.0)))))
-    assert (faced(people_of(hidden(apart))) == 0.0).all()
-
-
-def test_the_scene_may_be_turned_and_moved() -> None:
-    people = people_of(hidden(circle(4)))
-    turn = np.array([[np.cos(1.0), -np.sin(1.0)], [np.sin(1.0), np.cos(1.0)]])
-    elsewhere = replace(people, position=people.position @ turn.T + (50.0, -3.0))
-    np.testing.assert_allclose(faced(elsewhere), faced(people) @ turn.T, atol=0.01)
-
-
 def labels_of(made: Party) -> GroupLabels:
     ids = [track.track_id for track in made.tracks]
     steps = []

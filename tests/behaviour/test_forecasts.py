@@ -5,7 +5,7 @@ import pytest
 
 import graphtrack as gt
 from graphtrack.behaviour.forecast.forecaster import Forecaster, times_ahead
-from graphtrack.behaviour.forecast.near import kernel_means, kernel_sums
+from graphtrack.behaviour.forecast.near import kernel_sums
 from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.behaviour.forecast.spread import offsets, radius
 from graphtrack.behaviour.forecast.table import is_forecast, read_forecasts
@@ -73,13 +73,6 @@ def test_turning_and_moving_the_world_turns_and_moves_the_forecasts():
     np.testing.assert_allclose(after["xy_cov"], turned[0, 1], rtol=1e-2, atol=1e-3)
 
 
-def test_whom_one_names_first_does_not_matter():
-    scene = wanderers(6, np.random.default_rng(3), apart=3.0)
-    other = scene.with_tracks(reversed(scene.tracks))
-    for name, values in gt.forecast(scene).columns.items():
-        np.testing.assert_allclose(gt.forecast(other).columns[name], values, atol=1e-5)
-
-
 def test_circles_hold_what_they_say_of_people_who_wander():
     scene = wanderers(120, np.random.default_rng(4))
     table = gt.forecast(scene, history=3.2)
@@ -100,15 +93,6 @@ def test_a_circle_has_its_share_of_the_samples(level, ratio):
     drawn = offsets(1, along, across, direction, parameters, np.random.default_rng(5))
     size = radius(level, along[:1], across[:1], parameters)
     assert np.mean(np.abs(drawn[:, 0]) <= size) == pytest.approx(level, abs=0.01)
-
-
-def test_circles_of_a_gaussian_are_those_of_a_rayleigh_distribution():
-    one = np.ones(1)
-    parameters = ForecastParameters(tail_share=0.0)
-    for level in (0.5, 0.9):
-        assert radius(level, one, one, parameters)[0] == pytest.approx(
-            np.sqrt(-2 * np.log(1 - level)), rel=1e-3
-        )
 
 
 def test_samples_are_paths_about_the_mean():
@@ -168,20 +152,6 @@ def test_people_are_expected_to_turn_where_others_turned():
     assert error[-1] < 0.5 * error[0]
 
 
-def test_who_stands_is_expected_to_stand():
-    rng = np.random.default_rng(8)
-    scene = gt.TrackSet((track(1, rng.normal(0, 0.02, (20, 2))),))
-    table = gt.forecast(scene, history=3.2).to_table()
-    assert np.hypot(table["x"], table["y"]).max() < 0.5
-
-
-def test_forecasts_widen_with_time_and_hold_more_in_the_larger_circle():
-    table = gt.forecast(wanderers(10, np.random.default_rng(9))).columns
-    assert (table["radius_90"] > table["radius_50"]).all()
-    size = table["radius_50"].reshape(-1, 12)
-    assert (np.diff(size, axis=1) > 0).mean() > 0.95
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -212,11 +182,6 @@ def test_who_was_not_seen_for_long_enough_is_left_out_and_counted():
     assert gt.forecast(long).columns["frame"].min() == 1
 
 
-def test_forecasts_are_made_as_often_as_is_asked_for():
-    times = np.unique(gt.forecast(wanderers(5, np.random.default_rng(11)), every=2.0).columns["t"])
-    assert (np.diff(times) >= 2.0 - 1e-6).all()
-
-
 def test_a_thousand_people_at_once_are_forecast_within_bounds():
     rng = np.random.default_rng(12)
     where, speed = rng.uniform(0, 100, (1000, 2)), rng.normal(0, 1, (1000, 2))
@@ -227,15 +192,6 @@ def test_a_thousand_people_at_once_are_forecast_within_bounds():
     assert told.position.shape == (1000, 5, 2) and np.isfinite(told.radius_90).all()
     error = np.linalg.norm(told.position[:, 0] - (where + STEP * 12 * speed), axis=1)
     assert np.median(error) < 0.1
-
-
-def test_people_who_left_are_forgotten():
-    forecaster = Forecaster()
-    for k in range(400):
-        forecaster.update(STEP * k, [k, k + 1], [(0.0, 0.1 * k), (3.0, 0.1 * k)])
-    assert len(forecaster._of) < 50 and len(forecaster._id) < 100
-    with pytest.raises(InputError, match="track 0"):
-        forecaster.forecast([0.4], [0])
 
 
 def test_frames_that_cannot_be_used_change_nothing():
@@ -361,16 +317,3 @@ def test_sums_over_what_is_near_are_those_of_all_weights():
     found = kernel_sums(here, there, values, count)
     np.testing.assert_allclose(found, expected, atol=1e-5)
     np.testing.assert_array_equal(kernel_sums(here[:, 3:4].copy(), there, values, count)[0], found[3])
-
-
-def test_velocities_of_companions_are_averaged_with_one_s_own():
-    rng = np.random.default_rng(6)
-    position, velocity = rng.normal(0, 2, (40, 2)), rng.normal(0, 0.3, (40, 2))
-    others = np.arange(0, 40, 2)
-    apart, unlike = (
-        np.linalg.norm(one[:, None] - one[others], axis=2) for one in (position / 1.5, velocity / 0.2)
-    )
-    weight = 3.0 * np.exp(-0.5 * (apart**2 + unlike**2))
-    weight[others, np.arange(len(others))] = 0.0
-    expected = (velocity + weight @ velocity[others]) / (1.0 + weight.sum(axis=1))[:, None]
-    np.testing.assert_allclose(kernel_means(position, velocity, others, 1.5, 0.2, 3.0), expected, atol=1e-8)

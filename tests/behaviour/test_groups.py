@@ -12,10 +12,9 @@ from command import run as run_program
 
 import graphtrack as gt
 from graphtrack.behaviour.partition import partition
-from graphtrack.behaviour.smoothing import averaged
 from graphtrack.errors import InputError, InputWarning
-from graphtrack.evaluation.groups import matches, score_groups
 from graphtrack.geometry.angles import direction, wrap
+from graphtrack.interaction.scores import matches, score_groups
 from graphtrack.io.groups import read_groups
 from graphtrack.tracks import Track, TrackSet
 
@@ -101,12 +100,6 @@ def test_conversations_are_found_and_who_is_alone_stays_so() -> None:
     assert np.isnan(found.centre[~grouped]).all()
 
 
-def test_those_who_walk_side_by_side_are_together() -> None:
-    found = gt.groups(walkers())
-    assert all(groups == {frozenset({1, 2})} for groups in partitions_of(found).values())
-    assert set(found.to_table()["kind"][found.group >= 0]) == {"walking"}
-
-
 @pytest.mark.parametrize("tracks", [party(), walkers()], ids=["party", "walkers"])
 def test_order_motion_and_direction_of_time_are_without_effect(tracks: TrackSet) -> None:
     expected = partitions_of(gt.groups(tracks))
@@ -139,15 +132,6 @@ def test_the_frame_rate_is_without_effect() -> None:
     slow, fast = party(10, 1.0), party(200, 0.05)
     found = [set().union(*partitions_of(gt.groups(tracks)).values()) for tracks in (slow, fast)]
     assert found[0] == found[1]
-
-
-def test_online_the_future_counts_for_nothing() -> None:
-    tracks = party()
-    part = tracks.map(lambda track: track[:12])
-    whole, begun = gt.groups(tracks, online=True), gt.groups(part, online=True)
-    early = whole.frame < 12
-    np.testing.assert_allclose(whole.probability[early], begun.probability, atol=1e-12)
-    assert (whole.group[early] == begun.group).all()
 
 
 def test_a_group_keeps_its_number_while_most_of_its_members_stay() -> None:
@@ -191,13 +175,6 @@ def test_a_partition_is_nearly_the_best_of_all() -> None:
         assert found <= best + 1e-9
         shares.append(found / best)
     assert np.mean(shares) > 0.98
-
-
-def test_averages_of_a_constant_are_it() -> None:
-    rng = np.random.default_rng(0)
-    pair, t = rng.integers(0, 3, 50), np.arange(50) * 0.3
-    for both in (True, False):
-        np.testing.assert_allclose(averaged(pair, t, np.full(50, 2.5), 4.0, both_sides=both), 2.5)
 
 
 def test_scores_of_the_truth_are_one_and_of_nothing_zero() -> None:

@@ -12,9 +12,9 @@ from command import run as run_program
 import graphtrack as gt
 from graphtrack.behaviour.attention import AttentionParameters, attention
 from graphtrack.behaviour.files import load_attention, save_parameters
-from graphtrack.behaviour.tables import NOBODY, UNLABELLED, LookLabels, read_looks
+from graphtrack.behaviour.tables import NOBODY, LookLabels, read_looks
 from graphtrack.errors import InputError
-from graphtrack.evaluation.looks import calibration_error, score_looks
+from graphtrack.interaction.scores import score_looks
 from graphtrack.learning.attention import fit_attention
 from graphtrack.simulation.party import Party, party
 
@@ -41,13 +41,6 @@ def test_what_is_learned_is_calibrated_in_a_scene_that_was_not_learned_from() ->
     assert after.calibration_error < min(0.09, 0.5 * before.calibration_error)
 
 
-def test_calibration_errors_are_none_of_what_holds_and_all_of_what_never_does() -> None:
-    rng = np.random.default_rng(0)
-    p = rng.random(200_000)
-    assert calibration_error(p, rng.random(len(p)) < p) < 0.01
-    assert calibration_error(np.ones(5), np.zeros(5, dtype=bool)) == 1.0
-
-
 def test_labels_that_are_sure_of_the_truth_score_best() -> None:
     made = party(np.random.default_rng(3), people=5, steps=30)
     labels = labels_of(made)
@@ -60,13 +53,6 @@ def test_labels_that_are_sure_of_the_truth_score_best() -> None:
     assert (score.right, score.log_score, score.calibration_error) == (1.0, 0.0, 0.0)
     half = score_looks(sure, labels, (7.0, np.inf))
     assert 0 < half.frames < score.frames
-
-
-def test_rows_without_a_target_say_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "looks.csv"
-    path.write_text("frame,track_id,target\n3,1,2\n1,1,-1\n2,1,\n")
-    labels = read_looks(path)
-    assert labels.of(1, np.array([0, 1, 2, 3])).tolist() == [UNLABELLED, NOBODY, UNLABELLED, 2]
 
 
 @pytest.mark.parametrize(

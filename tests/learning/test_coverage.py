@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-import numpy as np
 import pytest
 from scipy import stats
 from simulated import BRISK, EVEN_SLOW, TRUE, inside, unknown
 
 from graphtrack.learning import fit
-from graphtrack.learning.free import free_parameters, with_values
-from graphtrack.learning.objective import Criterion, Objective
+from graphtrack.learning.objective import Criterion
 from graphtrack.model import Model, Parameters
 
 SIMULATIONS = 40
@@ -62,24 +60,3 @@ def test_intervals_hold_what_they_say_in_40_simulations(
     # Parameters of one simulation are nearly independent of each other.
     low, high = stats.binom.ppf([0.001, 0.999], len(every), 0.95)
     assert low <= sum(every) <= high, f"{sum(every)} of {len(every)}"
-
-
-@pytest.mark.slow
-def test_the_criterion_is_jagged_in_those_parameters_alone() -> None:
-    """An interval is the width of a parabola, so everywhere near the truth the criterion must bend downwards.
-
-    Where the speed of a frame crosses the threshold, the curvature of its cost jumps, and with it the density
-    of the truth. Of the first speed, 40 people tell less than changes where one of them falls into another
-    basin.
-    """
-    model, jagged = Model("joint", BRISK), set()
-    for seed in range(3):
-        people = list(unknown("joint", 2000 + seed, 40, 16, truth=True))
-        objective = Objective(people, model, None, "truth")
-        for one in free_parameters(model, people):
-            here = one.to_scale(one.get(model))
-            at = here + 0.1 * np.arange(-4, 5)
-            values = [objective(with_values(model, [one], np.array([x]))).sum() for x in at.tolist()]
-            if np.diff(values, 2).max() > 0.0:
-                jagged.add(one.name)
-    assert jagged == JAGGED

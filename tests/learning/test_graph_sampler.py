@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from graph_sampler import COUPLED, coupling_cost, draw, filtered, sample_graph, with_head_kappa
+from graph_sampler import COUPLED, coupling_cost, draw, filtered, with_head_kappa
 
-from graphtrack.geometry.angles import difference, direction
+from graphtrack.geometry.angles import difference
 from graphtrack.model import MotionParameters, OrientationParameters, Parameters
 
 TRUE = Parameters(MotionParameters(0.4, 1.2, 1.0), OrientationParameters(0.3, 0.4), COUPLED)
@@ -40,12 +40,3 @@ def test_without_couplings_it_is_the_plain_model() -> None:
         *(np.array([one[1][0] for one in courses])[:, side] for side in (slice(1, None), slice(-1)))
     )
     assert np.var(turns) == pytest.approx(0.3 * 0.1, rel=0.1)
-
-
-def test_couplings_make_people_face_where_they_go() -> None:
-    rng = np.random.default_rng(2)
-    people = sample_graph(TRUE, n_tracks=50, n_steps=12, rng=rng, particles=300)
-    velocity = np.array([np.diff(one.true_position, axis=0) / 0.1 for one in people])
-    body = np.array([one.true_body for one in people])[:, 1:]
-    apart = np.abs(difference(body, direction(velocity)))[np.linalg.norm(velocity, axis=2) > 1.0]
-    assert np.degrees(np.median(apart)) < 20.0

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from scipy import integrate, stats
-from simulated import BRISK, TRUE, WITHOUT_TRUTH, unknown
+from simulated import BRISK, TRUE, unknown
 from walks import walk
 
 from graphtrack.baselines.kalman import smooth_states
@@ -139,19 +139,6 @@ def test_solutions_with_modes_are_those_of_the_engine() -> None:
         np.testing.assert_allclose(solved.states[frames, :2], result.track.position, atol=1e-4)
         np.testing.assert_allclose(wrap(solved.states[frames, 4] - result.track.body), 0.0, atol=1e-3)
         np.testing.assert_allclose(solved.result.modes[frames, 0], result.track.aligned_p, atol=1e-3)
-
-
-@pytest.mark.parametrize("criterion", ["truth", "prediction"])
-def test_modes_tell_of_people_of_both_kinds(criterion: str) -> None:
-    tracks = people_of_both_kinds(8, 60, 1)
-    if criterion == "prediction":
-        tracks = tracks.map(lambda track: replace(track, **WITHOUT_TRUTH))
-    scores = {
-        preset: Objective(list(tracks), Model(preset), None, criterion)(Model(preset)).sum()  # type: ignore[arg-type]
-        for preset in ("full", "joint", "separate")
-    }
-    assert scores["full"] > scores["joint"]
-    assert scores["full"] > scores["separate"]
 
 
 def test_every_parameter_of_the_modes_is_learned_within_its_range() -> None:

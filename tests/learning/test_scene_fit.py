@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import graphtrack as gt
-from graphtrack.association import learning
+from graphtrack.association.learning import scene_log_density
 from graphtrack.io.reading import rows_of_file
 from graphtrack.learning import SceneFit, fit_scene
 from graphtrack.learning.scene import _Explained as Explained
@@ -63,15 +63,6 @@ def test_what_detections_were_made_with_comes_out(
     assert learned["occlusion_probability"] < 0.02 and learned["duplicate_rate"] < 0.01
 
 
-@pytest.mark.parametrize("how", ["labelled", "alone"])
-def test_what_was_held_out_is_more_probable_for_it(how: str, request: pytest.FixtureRequest) -> None:
-    found: SceneFit = request.getfixturevalue(how)
-    for part in found.parts.values():
-        assert part.after > part.before
-        assert 10 < part.people < 50 and 0 < part.false < part.detections
-    assert found.parts["held out"].seconds == pytest.approx(0.25 * SECONDS, abs=1.0)
-
-
 def test_a_model_has_what_was_learned_and_nothing_else(alone: SceneFit) -> None:
     shown = {one.name: one.value for one in alone.learned if not one.note}
     assert dict(alone.model.scene) == shown and alone.model.preset == "full"
@@ -91,7 +82,7 @@ def test_rates_and_noise_are_the_most_probable_ones_of_labelled_tracks(
     seconds = explained.detections.step_seconds
 
     def density(scene: gt.SceneParameters) -> float:
-        return learning.log_density(explained.chains(scene), explained.identity, scene, seconds)
+        return scene_log_density(explained.chains(scene), explained.identity, scene, seconds)
 
     for name in ("clutter_density", "birth_density", "death_rate", "position_std", "acceleration_density"):
         for factor in (0.7, 1.4):
@@ -105,15 +96,6 @@ def test_false_detections_are_known_by_their_label_or_by_having_no_identity(
     table.loc[table["label"] == FALSE, "track_id"] = -1
     found = fit_scene(table.drop(columns="label"))
     assert values(found) == values(labelled)
-
-
-def test_tracks_without_false_rows_say_nothing_of_them(seen: Detected) -> None:
-    people = seen.observed.with_tracks([track for track in seen.observed if track.label != FALSE])
-    found = fit_scene(people, gt.Model("joint", scene={"longest_gap": 3.0, "duplicate_rate": 0.1}))
-    assert "clutter_density" not in found.model.scene
-    assert found.model.scene["longest_gap"] == 3.0 and found.model.scene["duplicate_rate"] == 0.1
-    assert found.model.preset == "joint"
-    assert "false" in next(one.note for one in found.learned if one.name == "clutter_density")
 
 
 def test_what_cannot_be_learned_from_is_an_error(seen: Detected) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import circular_mean, difference, direction
-from graphtrack.simulation.corpus import CorpusParameters, courses, simulate_behaviour, simulate_corpus
+from graphtrack.simulation.corpus import CorpusParameters, simulate_behaviour, simulate_corpus
 
 SMALL = CorpusParameters(tracks=40)
 
@@ -62,15 +62,6 @@ def test_a_manoeuvre_comes_back_to_its_line(behaviour: int) -> None:
     assert (np.abs(off).max() > 0.5) == (behaviour > 0)
 
 
-def test_behaviours_grow_sharper() -> None:
-    rng = np.random.default_rng(0)
-    sharpest = [np.abs(np.diff(courses(b, SMALL, rng), axis=1)).max() for b in range(7)]
-    assert sharpest[0] == 0.0
-    assert np.all(np.diff(sharpest) > 0.0)
-    turned = [np.ptp(courses(b, SMALL, rng), axis=1).max() for b in range(1, 7)]
-    assert np.all(np.diff(turned) > 0.0)
-
-
 @pytest.mark.parametrize("rate", [1.0, 0.8, 0.6])
 def test_detection_rates(rate: float) -> None:
     corpus = simulate_behaviour(2, replace(SMALL, tracks=200), rng=np.random.default_rng(0))
@@ -98,12 +89,6 @@ def test_tracks_are_the_arrays_in_seconds() -> None:
     everyone = [simulate_behaviour(b, replace(SMALL, tracks=5), rng=np.random.default_rng(0)) for b in (0, 6)]
     ids = [track.track_id for part in everyone for track in part.tracks()]
     assert len(set(ids)) == 10
-
-
-def test_a_seed_decides_everything() -> None:
-    first, again = (simulate_behaviour(5, SMALL, rng=np.random.default_rng(3)) for _ in range(2))
-    np.testing.assert_array_equal(first.position, again.position)
-    np.testing.assert_array_equal(first.head, again.head)
 
 
 @pytest.mark.parametrize(

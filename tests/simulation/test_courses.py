@@ -29,18 +29,18 @@ def test_three_angles_have_the_moments_of_the_chain(reach: float) -> None:
     t, diffusion = np.array([0.0, 0.5, 2.0]), 0.4
     pull = reach * np.exp(1j * np.array([0.3, 1.5, -2.0])) * np.array([0.5, 0.0, 1.0])
     probability = by_quadrature(t, diffusion, pull)
-    courses = sample_course(t, diffusion, np.tile(pull, (DRAWS, 1)), np.random.default_rng(1))
+    drawn = sample_course(t, diffusion, np.tile(pull, (DRAWS, 1)), np.random.default_rng(1))
     angle = 2.0 * np.pi * np.arange(72) / 72
     for order in (1, 2):
         waves = np.exp(1j * order * angle)
         for k in range(3):
             others = tuple(axis for axis in range(3) if axis != k)
             expected = np.sum(probability.sum(axis=others) * waves)
-            assert abs(np.mean(np.exp(1j * order * courses[:, k])) - expected) < 5.0 / np.sqrt(DRAWS)
+            assert abs(np.mean(np.exp(1j * order * drawn[:, k])) - expected) < 5.0 / np.sqrt(DRAWS)
         for a, b in ((0, 1), (1, 2), (0, 2)):
             both = probability.sum(axis=3 - a - b)
             expected = np.einsum("ab,a,b->", both, waves, waves.conj())
-            found = np.mean(np.exp(1j * order * (courses[:, a] - courses[:, b])))
+            found = np.mean(np.exp(1j * order * (drawn[:, a] - drawn[:, b])))
             assert abs(found - expected) < 5.0 / np.sqrt(DRAWS)
 
 
@@ -50,10 +50,8 @@ def test_what_pulls_steadily_holds_an_angle_as_far_at_every_rate(fps: float, dif
     # In continuous time the deviation is a ground state's: its variance is ½·√(diffusion/pull a second).
     rate, seconds = 40.0, 20.0
     t = np.arange(int(seconds * fps)) / fps
-    courses = sample_course(
-        t, diffusion, np.full((40, len(t)), rate / fps, complex), np.random.default_rng(2)
-    )
-    middle = courses[:, (t > 5.0) & (t < 15.0)]
+    drawn = sample_course(t, diffusion, np.full((40, len(t)), rate / fps, complex), np.random.default_rng(2))
+    middle = drawn[:, (t > 5.0) & (t < 15.0)]
     expected = 0.5 * np.sqrt(diffusion / rate)
     # 40 courses of 10 s, in which the deviation is forgotten at the rate √(diffusion·pull).
     independent = 40 * 10.0 * np.sqrt(diffusion * rate)
@@ -63,18 +61,18 @@ def test_what_pulls_steadily_holds_an_angle_as_far_at_every_rate(fps: float, dif
 
 def test_without_pulls_an_angle_diffuses_from_anywhere() -> None:
     t = np.array([0.0, 0.1, 0.6])
-    courses = sample_course(t, 0.2, np.zeros((DRAWS, 3), complex), np.random.default_rng(3))
-    assert abs(np.mean(np.exp(1j * courses[:, 0]))) < 5.0 / np.sqrt(DRAWS)
-    turned = difference(courses[:, 1:], courses[:, :-1])
+    drawn = sample_course(t, 0.2, np.zeros((DRAWS, 3), complex), np.random.default_rng(3))
+    assert abs(np.mean(np.exp(1j * drawn[:, 0]))) < 5.0 / np.sqrt(DRAWS)
+    turned = difference(drawn[:, 1:], drawn[:, :-1])
     np.testing.assert_allclose(np.mean(turned**2, axis=0), 0.2 * np.array([0.1, 0.5]), rtol=0.1)
-    assert np.all(np.abs(courses) <= np.pi)
+    assert np.all(np.abs(drawn) <= np.pi)
 
 
 def test_a_narrow_pull_is_resolved() -> None:
     t = np.array([0.0, 1.0])
     pull = np.full((DRAWS // 10, 2), 1e4 * np.exp(0.7j))
-    courses = sample_course(t, 0.5, pull, np.random.default_rng(4))
-    np.testing.assert_allclose(np.mean((courses - 0.7) ** 2, axis=0), 1e-4, rtol=0.1)
+    drawn = sample_course(t, 0.5, pull, np.random.default_rng(4))
+    np.testing.assert_allclose(np.mean((drawn - 0.7) ** 2, axis=0), 1e-4, rtol=0.1)
 
 
 def test_many_tracks_are_drawn_in_parts_as_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

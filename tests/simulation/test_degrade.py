@@ -10,7 +10,7 @@ from scipy import stats
 
 from graphtrack import InputError, Track, TrackSet
 from graphtrack.geometry.angles import difference, mean_resultant_length, unit
-from graphtrack.simulation.degrade import add_noise, occlude, turning
+from graphtrack.simulation.degrade import add_noise, occlude
 
 
 def walker(
@@ -74,14 +74,6 @@ def test_channels_without_noise_stay_and_missing_stays_missing() -> None:
     assert noisy.pixel is None, "the pixels would win over the noisy positions"
 
 
-def test_a_channel_of_which_only_the_truth_is_known_is_observed() -> None:
-    track = corner(5.0)
-    track = replace(track, body=None, true_body=track.body, position=np.full((len(track), 2), np.nan))
-    track = replace(track, true_position=corner(5.0).position)
-    noisy = add_noise(TrackSet((track,)), position_std=0.1, body_kappa=3.0, rng=np.random.default_rng(4))[1]
-    assert np.isfinite(noisy.position).all() and np.isfinite(noisy.body).all()
-
-
 @pytest.mark.parametrize("bad", [{"position_std": -1.0}, {"body_kappa": -0.1}, {"head_kappa": float("inf")}])
 def test_impossible_noise_is_refused(bad: dict[str, float]) -> None:
     with pytest.raises(InputError, match=next(iter(bad))):
@@ -127,22 +119,6 @@ def test_a_rough_truth_does_not_hide_the_turn() -> None:
     assert share() < 0.8
     with pytest.raises(InputError, match="turn_seconds"):
         occlude(TrackSet(tuple(rough)), 3.0, turn_seconds=0.0)
-
-
-def test_turning_on_the_spot_is_no_turn() -> None:
-    t = np.arange(0.0, 15.0, 0.1)
-    speed = np.where((t > 8.0) & (t < 12.0), 0.01, 1.2)
-    course = np.radians(40.0) * np.clip((t - 3.5) / 0.6, 0.0, 1.0) + 2.0 * np.clip(t - 9.5, 0.0, 1.0)
-    track = walker(course, speed)
-    assert np.isnan(turning(track)[(t > 8.6) & (t < 11.4)]).all()
-    assert abs(t[occlude(TrackSet((track,)), 1.0).windows[1]].mean() - 3.8) < 0.2
-
-
-def test_the_truth_decides_where_the_turn_is() -> None:
-    track = corner(8.0)
-    observed = track.position + np.random.default_rng(5).normal(0.0, 0.5, track.position.shape)
-    track = replace(track, position=observed, true_position=track.position)
-    assert abs(track.t[occlude(TrackSet((track,)), 2.0).windows[1]].mean() - 8.0) < 0.2
 
 
 def test_tracks_without_room_are_left_out_with_their_reason() -> None:

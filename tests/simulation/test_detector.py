@@ -9,7 +9,8 @@ from scipy import stats
 
 import graphtrack as gt
 from graphtrack import InputError, Track, TrackSet
-from graphtrack.simulation.detector import FALSE, SEEN, Detector, detect, sampled
+from graphtrack.simulation.degrade import OBSERVED
+from graphtrack.simulation.detector import FALSE, Detector, detect, sampled
 
 ALL_FAULTS = Detector(missed=0.15, occluded_share=0.5, occluded_seconds=2.0, clutter=1.0)
 
@@ -49,7 +50,7 @@ def test_as_many_are_missed_as_is_said_and_then_nothing_is_observed() -> None:
     low, high = stats.binom.interval(1.0 - 1e-4, len(seen), 0.7)
     assert low <= seen.sum() <= high
     for track, truth in zip(found.observed, found.truth, strict=True):
-        for name in SEEN:
+        for name in OBSERVED:
             values = getattr(track, name)
             if values is not None:
                 missing = np.isnan(values.reshape(len(track), -1)).all(axis=1)
@@ -70,12 +71,6 @@ def test_half_of_the_people_are_hidden_once_for_so_long_within_their_tracks() ->
             assert gone[0] > 0 and gone[-1] < len(track) - 1
             starts.append((gone[0] - 1) / (len(track) - 12))
     assert stats.kstest(starts, "uniform").pvalue > 1e-4
-
-
-def test_who_is_there_for_less_than_an_occlusion_is_not_hidden() -> None:
-    brief = TrackSet(tuple(track[:9] for track in crowd()))
-    observed = detect(brief, Detector(occluded_share=1.0), rng=np.random.default_rng(2)).observed
-    assert all(is_seen(track).all() for track in observed)
 
 
 def test_false_detections_are_uniform_over_the_place_and_poisson_over_frames() -> None:
@@ -140,12 +135,6 @@ def test_sampling_goes_straight_on_between_rows_and_the_shorter_way_round() -> N
     assert track.label == "one" and "1 track between them left out" in found.summary.notes[-1]
 
 
-def test_sampling_at_the_frames_of_the_recording_gives_its_rows() -> None:
-    exact = crowd()
-    for before, after in zip(exact, sampled(exact, 0.2), strict=True):
-        np.testing.assert_allclose(after.position, before.position, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     "bad",
     [
@@ -183,24 +172,6 @@ def test_the_command_writes_detections_and_the_truth_that_judges_them(tmp_path, 
     assert (tmp_path / "anonymous.csv").read_text().splitlines()[0] == "frame,t,x,y,head_deg"
     read = gt.read("anonymous.csv")
     assert any(note.startswith("associated ") for note in read.summary.notes)
-
-
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ("--missed 2", "missed = 2"),
-        ("--clutter 0.5 --clutter-count fixed", "clutter = 0.5"),
-        ("--every 0", "every = 0"),
-        ("--anonymous -o out.txt", "ends with one of"),
-        ("--missed 0.1 --truth-output exact.csv", "--truth-output"),
-        ("--anonymous --missed 1", "nobody who was detected"),
-    ],
-)
-def test_wrong_options_are_one_error(more, said, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    gt.write(crowd(3), "exact.csv")
-    done = run("add-noise", "exact.csv", "-o", "out.csv", *more.split(), program="graphtrack")
-    assert done.returncode == 2 and said in done.stderr and not (tmp_path / "out.csv").exists()
 
 
 @pytest.mark.parametrize(

@@ -89,15 +89,6 @@ def test_observations_have_the_stated_noise() -> None:
         assert all(np.all(getattr(track, f"{name}_kappa") == kappa) for track in tracks)
 
 
-def test_the_seed_decides_everything() -> None:
-    def numbers(seed: int) -> np.ndarray:
-        tracks = simulate("joint", n_tracks=2, n_steps=20, rng=np.random.default_rng(seed), missing=0.2)
-        return np.concatenate([np.column_stack([t.position, t.body, t.head, t.true_head]) for t in tracks])
-
-    np.testing.assert_array_equal(numbers(5), numbers(5))
-    assert not np.array_equal(numbers(5), numbers(6), equal_nan=True)
-
-
 def test_presets_have_the_channels_of_their_model() -> None:
     rng = np.random.default_rng(7)
     assert all(track.body is None and track.true_head is None for track in simulate("position", rng=rng))
@@ -136,20 +127,6 @@ def test_missing_observations_come_at_their_rate_and_never_first() -> None:
 def test_bad_numbers_are_named(bad: dict[str, object]) -> None:
     with pytest.raises(InputError, match=next(iter(bad))):
         simulate(**{"model": "joint", "rng": np.random.default_rng(0), **bad})  # type: ignore[arg-type]
-
-
-def test_scenario_people_move_as_people_do() -> None:
-    for seed in (0, 1):
-        tracks = scenario(np.random.default_rng(seed), fps=20.0)
-        assert len({track.label for track in tracks}) == len(tracks) == 6
-        for track in tracks:
-            assert track.t[-1] == pytest.approx(30.0 - 0.05)
-            velocity = np.diff(track.true_position, axis=0) * 20.0
-            acceleration = np.diff(velocity, axis=0) * 20.0
-            assert np.linalg.norm(velocity, axis=1).max() < 1.7
-            assert np.linalg.norm(acceleration, axis=1).max() < 2.5
-            for angle, fastest in ((track.true_body, 120.0), (track.true_head, 180.0)):
-                assert np.degrees(np.abs(difference(angle[1:], angle[:-1]))).max() * 20.0 < fastest
 
 
 def test_scenario_does_what_the_labels_say() -> None:

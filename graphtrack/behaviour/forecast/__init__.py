@@ -1,1 +1,1 @@
-"""Where people will be: forecasts with the uncertainty that holds (docs/forecast.md)."""
+"""Forecasts of positions with calibrated covariance (docs/forecast.md)."""

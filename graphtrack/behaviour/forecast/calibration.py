@@ -1,4 +1,4 @@
-"""Whether circles hold what they say, in this scene, so far: what came of forecasts corrects the next ones.
+"""Calibration of forecasts by the scene's own errors so far (conformal prediction with a prior).
 
 Of every forecast whose outcome was seen the error over the expected spread is counted, by time ahead, beside
 what would be expected of `ForecastParameters.scene_prior` forecasts. The quantiles of both together stretch
@@ -22,9 +22,7 @@ _EDGES = np.linspace(np.log(0.01), np.log(50.0), 121)
 class Calibration:
     """Counts of a scene's errors.
 
-    Parameters
-    ----------
-    parameters : what is expected of them, and how firmly
+    ``parameters``: what is expected of them, and how firmly
     """
 
     def __init__(self, parameters: ForecastParameters) -> None:
@@ -38,7 +36,7 @@ class Calibration:
         self._factors: FloatArray | None = None
 
     def state(self) -> FloatArray:
-        """What is known; see `restore`."""
+        """Return the counts; see `restore`."""
         return self._counts.copy()
 
     def restore(self, state: FloatArray) -> None:

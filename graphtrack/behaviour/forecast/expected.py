@@ -68,7 +68,7 @@ def spreads(
 
 
 def lead(angle: FloatArray, sure: FloatArray, parameters: ForecastParameters) -> FloatArray:
-    """How far (n,) the motion will turn to the head, radians.
+    """Return the angle (n,) by which the motion will turn to the head, radians.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""`Forecaster`: people are seen, frame by frame, and where they will be is told from that alone."""
+"""`Forecaster`: predict people's positions online, from the frames seen so far."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _OF_A_PLACE = (
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Where n people will be.
+    """Predicted positions of n people.
 
     Attributes
     ----------
@@ -65,10 +65,7 @@ class Forecast:
 def times_ahead(horizon: float, step: float) -> FloatArray:
     """Every ``step`` seconds up to ``horizon``.
 
-    Raises
-    ------
-    InputError
-        If there is none, or too many.
+    Raise InputError if there is none, or too many.
     """
     if not (math.isfinite(horizon) and 0.0 < horizon <= LONGEST_HORIZON):
         raise InputError(f"horizon = {horizon:g}", f"seconds above 0, {LONGEST_HORIZON:g} at most")
@@ -222,7 +219,7 @@ class Forecaster:
         samples: int = 0,
         random: np.random.Generator | None = None,
     ) -> Forecast:
-        """Where people will be.
+        """Predict positions.
 
         Parameters
         ----------

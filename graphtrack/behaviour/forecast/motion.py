@@ -4,7 +4,7 @@ For each person a Kalman filter (white-noise acceleration, the model's term `Mot
 `BELIEFS`; how well it predicted the next position says which holds (a static multiple model: Magill, IEEE TAC
 10(4), 1965). Annotators' splines and detectors' jitter differ by two orders of magnitude, and a filter that
 is wrong about them either lags or shakes. Points of the plane are complex numbers: both axes share their
-gains.
+gains. (The filter of data association takes one belief and jumps, one detection at a time, compiled.)
 """
 
 from __future__ import annotations
@@ -93,11 +93,8 @@ class MotionFilters:
     def update(self, at: NDArray[np.int64], dt: FloatArray, position: ComplexArray, std: FloatArray) -> None:
         """See the people of the places ``at`` again, after ``dt`` seconds (n,)."""
         step = dt[:, None]
-        noise, density = BELIEFS[:, 0] ** 2 + (std**2)[:, None], BELIEFS[:, 1]
-        own, cross, speed = np.moveaxis(self._variance[at], 2, 0)
-        own = own + 2.0 * step * cross + step**2 * speed + density * step**3 / 3.0
-        cross = cross + step * speed + density * step**2 / 2.0
-        speed = speed + density * step
+        noise = BELIEFS[:, 0] ** 2 + (std**2)[:, None]
+        own, cross, speed = self._predicted(at, step)
         velocity = self._velocity[at]
         predicted = self._position[at] + step * velocity
         error = position[:, None] - predicted
@@ -105,7 +102,6 @@ class MotionFilters:
         distance = np.abs(error) ** 2 / expected
         # Who jumped, or was mistaken for somebody, is seen anew: under no belief is that noise.
         lost = distance.min(axis=1) > _FARTHEST
-        at_first = BELIEFS[:, 0] ** 2 + (std**2)[:, None]
         gain, gain_speed = own / expected, cross / expected
         mean = predicted + gain * error
         velocity = velocity + gain_speed * error
@@ -117,15 +113,24 @@ class MotionFilters:
         mean[lost] = position[lost, None]
         velocity[lost] = 0.5 * self._velocity[at[lost]]
         variance[lost] = np.stack(
-            [at_first[lost], np.zeros_like(at_first[lost]), np.full_like(at_first[lost], _SPEED_VARIANCE)],
+            [noise[lost], np.zeros_like(noise[lost]), np.full_like(noise[lost], _SPEED_VARIANCE)],
             axis=2,
         )
         evidence[lost] = self._evidence[at[lost]]
         self._position[at], self._velocity[at] = mean, velocity
         self._variance[at], self._evidence[at] = variance, evidence
 
+    def _predicted(
+        self, at: NDArray[np.int64], step: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the variances (n, K) of positions, between them and velocities, and of velocities, later."""
+        own, cross, speed = np.moveaxis(self._variance[at], 2, 0)
+        density = BELIEFS[:, 1]
+        own = own + 2.0 * step * cross + step**2 * speed + density * step**3 / 3.0
+        return own, cross + step * speed + density * step**2 / 2.0, speed + density * step
+
     def learn(self, at: NDArray[np.int64], share: float) -> None:
-        """What people of the places ``at`` are like is what others of the scene will be, a little."""
+        """Shift the scene's prior over beliefs towards those of the people of the places ``at``."""
         self._habit += share * self._weights(at).sum(axis=0)
 
     def _weights(self, at: NDArray[np.int64]) -> FloatArray:
@@ -139,10 +144,7 @@ class MotionFilters:
         weights, step = self._weights(at), ahead[:, None]
         velocities = self._velocity[at]
         positions = self._position[at] + step * velocities
-        own, cross, speed = np.moveaxis(self._variance[at], 2, 0)
-        density = BELIEFS[:, 1]
-        own = own + 2.0 * step * cross + step**2 * speed + density * step**3 / 3.0
-        cross, speed = cross + step * speed + density * step**2 / 2.0, speed + density * step
+        own, cross, speed = self._predicted(at, step)
         position, velocity = (weights * positions).sum(axis=1), (weights * velocities).sum(axis=1)
         off, drift = positions - position[:, None], velocities - velocity[:, None]
         between = (

@@ -1,4 +1,4 @@
-"""Sums over what is near, weighed by Gaussian kernels, compiled: without threads that wait for each other."""
+"""Gaussian kernel sums, compiled, and the paths of a scene that they are taken over."""
 
 from __future__ import annotations
 

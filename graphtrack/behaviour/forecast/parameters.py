@@ -1,4 +1,4 @@
-"""What is learned of how people go on, with units and ranges; `ForecastParameters`."""
+"""Parameters of forecasts, with units and ranges, and their file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TABLE = "forecast"
 
 @dataclass(frozen=True)
 class ForecastParameters:
-    """How people go on; the defaults are learned (docs/forecast.md says on what).
+    """Parameters of forecasts; the defaults are learned (docs/forecast.md says on what).
 
     Attributes
     ----------
@@ -72,10 +72,7 @@ class ForecastParameters:
     def load(cls, path: str | Path) -> ForecastParameters:
         """Read a parameter file; what it does not have is as by default.
 
-        Raises
-        ------
-        InputError
-            With the file and the key that cannot be used.
+        Raise InputError with the file and the key that cannot be used.
         """
         expected = f"a file of graphtrack fit --forecast, with a table [{TABLE}]"
         content = read_toml(path, expected)

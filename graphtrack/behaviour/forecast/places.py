@@ -1,4 +1,4 @@
-"""What people did who were in the same place before, going the same way: a scene's paths, learned as it goes.
+"""Paths of a scene, learned online: deviations of earlier people of the same place and velocity.
 
 Every so often a person's position and velocity become an anchor, which is filled with where the person went
 instead of straight on, as that is seen. A forecast is corrected by the anchors near it (a kernel regression:
@@ -35,7 +35,7 @@ _LONGEST_GAP = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What was seen near n people, at each of `LAGS`.
+    """Deviations of earlier people near n people, at each of `LAGS`.
 
     Attributes
     ----------
@@ -54,7 +54,6 @@ class Places:
 
     Parameters
     ----------
-    parameters : how near is near
     judge : is told of errors over the expected spread, beside the numbers of their `LAGS`
     """
 
@@ -180,7 +179,7 @@ class Places:
         self._judge(lag[judged], error[judged])
 
     def near(self, position: ComplexArray, velocity: ComplexArray) -> Seen:
-        """What was seen near people of those positions and velocities (n,)."""
+        """Return the deviations of earlier people near those positions and velocities (n,)."""
         here = self._scaled(position, velocity)
         sums = kernel_sums(here, self._where, self._outcome, len(self))
         real, imaginary, square, weight = np.split(sums, 4, axis=1)

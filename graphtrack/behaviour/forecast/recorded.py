@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ _MOST_ROWS = 20_000_000
 
 @dataclass(frozen=True, eq=False)
 class SeenFrame:
-    """Who was seen at a time.
+    """People seen at a time.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Forecasts:
 
 
 def frames_of(tracks: TrackSet | list[Track]) -> Iterator[SeenFrame]:
-    """Who was seen, time by time; rows without a position are left out."""
+    """Return the people seen, time by time; rows without a position are left out."""
     parts: list[tuple[FloatArray, ...]] = []
     for track in tracks:
         seen = np.isfinite(track.position).all(axis=1)
@@ -124,7 +124,7 @@ def forecast(
     parameters: ForecastParameters | str | Path | None = None,
     seed: int = 0,
 ) -> Forecasts:
-    """Where people will be, and how sure that is, at each time from what was seen until then.
+    """Forecast everybody at each time from the frames until then.
 
     Parameters
     ----------
@@ -177,25 +177,27 @@ def forecast(
 
 def columns_of(made: list[tuple[int, Forecast]]) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
     """The table of forecasts and the frames at which they were made."""
-    sizes = [(len(one.track_id), len(one.ahead)) for _, one in made]
+    parts = [_columns(frame, one) for frame, one in made]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
-    def each(values: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        return np.concatenate([one.reshape(-1) for one in values])
 
-    found: dict[str, NDArray[np.float64] | NDArray[np.int64]] = {
-        "track_id": np.concatenate([np.repeat(one.track_id, len(one.ahead)) for _, one in made]),
-        "frame": np.concatenate([np.full(n * a, k) for (k, _), (n, a) in zip(made, sizes, strict=True)]),
-        "t": np.concatenate([np.full(n * a, one.t) for (_, one), (n, a) in zip(made, sizes, strict=True)]),
-        "ahead": np.concatenate([np.tile(one.ahead, len(one.track_id)) for _, one in made]),
-        "x": each([one.position[..., 0] for _, one in made]),
-        "y": each([one.position[..., 1] for _, one in made]),
-        "x_std": each([np.sqrt(one.covariance[..., 0, 0]) for _, one in made]),
-        "y_std": each([np.sqrt(one.covariance[..., 1, 1]) for _, one in made]),
-        "xy_cov": each([one.covariance[..., 0, 1] for _, one in made]),
-        "radius_50": each([one.radius_50 for _, one in made]),
-        "radius_90": each([one.radius_90 for _, one in made]),
+def _columns(frame: int, made: Forecast) -> dict[str, NDArray[Any]]:
+    people, times = made.position.shape[:2]
+    values = {
+        "x": made.position[..., 0],
+        "y": made.position[..., 1],
+        "x_std": np.sqrt(made.covariance[..., 0, 0]),
+        "y_std": np.sqrt(made.covariance[..., 1, 1]),
+        "xy_cov": made.covariance[..., 0, 1],
+        "radius_50": made.radius_50,
+        "radius_90": made.radius_90,
     }
-    for k in range(made[0][1].samples.shape[1]):
-        for i, axis in enumerate("xy"):
-            found[f"sample_{k}_{axis}"] = each([one.samples[:, k, :, i] for _, one in made])
-    return found
+    for k in range(made.samples.shape[1]):
+        values |= {f"sample_{k}_x": made.samples[:, k, :, 0], f"sample_{k}_y": made.samples[:, k, :, 1]}
+    return {
+        "track_id": np.repeat(made.track_id, times),
+        "frame": np.full(people * times, frame),
+        "t": np.full(people * times, made.t),
+        "ahead": np.tile(made.ahead, people),
+        **{name: one.reshape(-1) for name, one in values.items()},
+    }

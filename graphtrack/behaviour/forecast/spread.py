@@ -1,4 +1,4 @@
-"""How far from the mean people end up: an elliptical Gaussian and a wider one of the same shape."""
+"""Spread of forecasts: a mixture of an elliptical Gaussian and a wider one of the same shape."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from graphtrack.behaviour.forecast.parameters import ForecastParameters
 from graphtrack.geometry.angles import FloatArray
 
 LEVELS = (0.5, 0.9)
-"""What the circles of a forecast hold."""
+"""Probabilities of the circles of a forecast."""
 
 _RATIOS = np.linspace(0.05, 1.0, 20)
 """Shorter over longer axis, for which radii are tabulated."""

@@ -20,12 +20,9 @@ _PARQUET = b"PAR1"
 
 
 def is_forecast(path: Path) -> bool:
-    """Whether a file is a table of forecasts.
+    """Return whether a file is a table of forecasts.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read at all.
+    Raise InputError if it cannot be read at all.
     """
     return set(_TELLING) <= set(_names(Source.open(path)))
 
@@ -33,10 +30,7 @@ def is_forecast(path: Path) -> bool:
 def read_forecasts(path: Path) -> dict[str, FloatArray]:
     """The columns (rows,) of a table of forecasts.
 
-    Raises
-    ------
-    InputError
-        With the line and the column that cannot be used.
+    Raise InputError with the line and the column that cannot be used.
     """
     import pandas as pd
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.detections import Detections
-from graphtrack.association.facing import observed
+from graphtrack.association.facing import observed_angles
 from graphtrack.association.offline import associate_detections
 from graphtrack.association.online import OnlineAssociation
 from graphtrack.evaluation.reproduce.experiment import (
@@ -27,6 +26,7 @@ from graphtrack.evaluation.reproduce.experiment import (
 from graphtrack.evaluation.reproduce.honesty import BODY_KAPPA, HEAD_KAPPA
 from graphtrack.geometry.angles import wrap
 from graphtrack.simulation.degrade import add_noise
+from graphtrack.table.detections import Detections
 from graphtrack.tracks import Track, TrackSet
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def offline(seen: Detections) -> IntArray:
 def online(seen: Detections) -> IntArray:
     """Whose each detection is, as it is said at once; below 1: nobody's yet."""
     association, identity = OnlineAssociation({}, 2.0), np.zeros(len(seen), np.int64)
-    facing = observed(seen.channels, len(seen))
+    facing = observed_angles(seen.channels, len(seen))
     for frame in np.unique(seen.frame):
         rows = np.flatnonzero(seen.frame == frame)
         nothing = np.full(len(rows), np.nan)

@@ -13,7 +13,6 @@ from graphtrack.behaviour.groups import Groups, groups
 from graphtrack.behaviour.learned import DEFAULT
 from graphtrack.behaviour.parameters import GroupParameters
 from graphtrack.errors import InputWarning
-from graphtrack.evaluation.groups import score_groups
 from graphtrack.evaluation.reproduce.experiment import (
     SALSA,
     Cell,
@@ -26,6 +25,7 @@ from graphtrack.evaluation.reproduce.experiment import (
 )
 from graphtrack.geometry.angles import FloatArray, direction, wrap
 from graphtrack.inference.offline import smooth
+from graphtrack.interaction.scores import score_groups
 from graphtrack.io.groups import read_groups
 from graphtrack.model import Model
 from graphtrack.simulation.crowd import Place, crowd

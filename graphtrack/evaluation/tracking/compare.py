@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from graphtrack.association.detections import Detections
 from graphtrack.association.rows import with_every_frame
 from graphtrack.errors import InputError
 from graphtrack.evaluation.tracking.detections import estimated_detections, true_detections
@@ -20,6 +19,7 @@ from graphtrack.evaluation.tracking.scores import SequenceScore, Threshold
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.reading import boxes_of_file, rows_of_file
 from graphtrack.model import Model
+from graphtrack.table.detections import Detections
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import ReadSummary, TrackSet
 

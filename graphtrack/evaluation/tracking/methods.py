@@ -10,7 +10,6 @@ from typing import Protocol
 
 import numpy as np
 
-from graphtrack.association.detections import Detections
 from graphtrack.association.recorded import track_rows
 from graphtrack.association.rows import associated
 from graphtrack.association.tracker import OnlineTracker
@@ -20,6 +19,7 @@ from graphtrack.evaluation.tracking.peers import TUNED, PeerName, PeerParameters
 from graphtrack.inference.offline import solve
 from graphtrack.inference.solution import Solution
 from graphtrack.model import Model
+from graphtrack.table.detections import Detections
 from graphtrack.table.rows import Rows
 from graphtrack.tracks import TrackSet
 

@@ -13,10 +13,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from graphtrack.association.detections import Detections, with_those_between
 from graphtrack.bounds import check_numbers, number
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
+from graphtrack.table.detections import Detections, with_those_between
 from graphtrack.tracks import Track, TrackSet
 
 PeerName = Literal["bytetrack", "ocsort"]

@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from graphtrack.association.detections import Detections
 from graphtrack.baselines.hungarian import HungarianParameters, track_detections
 from graphtrack.errors import InputError
 from graphtrack.evaluation.tracking.detections import estimated_detections, true_detections
@@ -23,6 +22,7 @@ from graphtrack.evaluation.tracking.peers import TUNED, PeerParameters, load, tr
 from graphtrack.evaluation.tracking.scores import SequenceScore
 from graphtrack.simulation.crowd import Place, crowd
 from graphtrack.simulation.detector import Detector, detect
+from graphtrack.table.detections import Detections
 from graphtrack.tracks import TrackSet
 
 Parameters = TypeVar("Parameters")

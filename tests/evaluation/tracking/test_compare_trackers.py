@@ -14,7 +14,6 @@ from command import Done, run
 
 import graphtrack as gt
 from graphtrack import InputError, Track, TrackSet
-from graphtrack.association.detections import Detections
 from graphtrack.baselines.hungarian import HungarianParameters
 from graphtrack.evaluation.tracking.compare import compare_trackers, read_detections
 from graphtrack.evaluation.tracking.methods import Hungarian, registry
@@ -31,6 +30,7 @@ from graphtrack.evaluation.tracking.tuning import Scene, judged, made_up_scenes,
 from graphtrack.io.options import ReadOptions
 from graphtrack.simulation.crowd import Place, crowd
 from graphtrack.simulation.detector import Detector, detect
+from graphtrack.table.detections import Detections
 
 OWN = ("associate", "online", "hungarian")
 NONE = np.empty(0, np.int64)

@@ -1,0 +1,1 @@
+"""People in relation to each other: conversational groups and visual attention."""
