@@ -108,7 +108,7 @@ def evaluate(
 
 
 def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -> None:
-    from perception.evaluation.measures import PoseScores
+    from perception.evaluation.measures import PoseScores, class_rates
     from perception.evaluation.measures import evaluate as judge
     from perception.models import HEAD_POSE, load_classifier
     from perception.synthetic import make_heads, make_pedestrians
@@ -133,7 +133,7 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -
         rows.append({"classifier": name, "images": what, **result.figures()})
     show(f"Errors and calibration on {count} rendered images each", rows)
     network = scores["deep_belief"]
-    hits, false_alarms = network.rates
+    hits, false_alarms = class_rates(network.confusion)
     show(
         "deep_belief, heads of 16-32 pixels: confusion in percent and rates (Baxter et al. 2014, Fig. 3)",
         [

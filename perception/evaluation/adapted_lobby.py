@@ -31,7 +31,7 @@ from perception.report.people import estimated
 
 
 @dataclass(frozen=True, eq=False)
-class Sequence:
+class LobbySequence:
     """A sequence of the lobby.
 
     Attributes
@@ -46,7 +46,7 @@ class Sequence:
     gaze: dict[tuple[int, int], float]
 
 
-def sequences_of(folder: Path) -> list[Sequence]:
+def sequences_of(folder: Path) -> list[LobbySequence]:
     """The lobby's sequences of a CAVIAR folder, as far as their frames are there.
 
     Raises
@@ -62,7 +62,7 @@ def sequences_of(folder: Path) -> list[Sequence]:
     return [_sequence(path, folder / "frames" / path.stem) for path in paths]
 
 
-def _sequence(path: Path, folder: Path) -> Sequence:
+def _sequence(path: Path, folder: Path) -> LobbySequence:
     camera, frames = lobby_camera(), FrameSource.open(folder)
     there = set(frames.numbers())
     people = [item for item in read_boxes(path) if item.frame in there]
@@ -74,7 +74,7 @@ def _sequence(path: Path, folder: Path) -> Sequence:
         for frame, value in zip(track.frame.tolist(), angle.tolist(), strict=True):
             if np.isfinite(value):
                 gaze[frame, track.track_id] = value
-    return Sequence(path.stem, Recording(frames, people, FPS), gaze)
+    return LobbySequence(path.stem, Recording(frames, people, FPS), gaze)
 
 
 def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
@@ -82,7 +82,7 @@ def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int]
     return nullcontext(lambda done: None)
 
 
-def adapted_table(sequences: list[Sequence], seed: int, progress: Progress) -> Table:
+def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress) -> Table:
     """Errors in each sequence by what the others taught."""
     package = PackageModels(
         load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
@@ -92,13 +92,13 @@ def adapted_table(sequences: list[Sequence], seed: int, progress: Progress) -> T
         others = [other.recording for other in sequences if other is not one]
         rng = np.random.default_rng(seed)
         found = adapted(others, lobby_camera(), package, rng, _silent, lambda reason: None)
-        rows.append(_judged(found.models, package, one, found.people))
+        rows.append(_sequence_errors(found.models, package, one, found.people))
         progress(1)
     return Table.of("CAVIAR's lobby, adapted on the other sequences: mean error in degrees (chance 90)", rows)
 
 
-def _judged(
-    models: CameraModels, package: PackageModels, sequence: Sequence, taught_by: int
+def _sequence_errors(
+    models: CameraModels, package: PackageModels, sequence: LobbySequence, taught_by: int
 ) -> dict[str, Cell]:
     camera, recording = lobby_camera(), sequence.recording
     people = recording.people

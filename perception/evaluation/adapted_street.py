@@ -114,7 +114,7 @@ def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence
                 {
                     "method": method,
                     "outliers": "as packaged" if news is None else f"{news:.2f}, learned",
-                    **_judged(found, reference),
+                    **_method_errors(found, reference),
                     "IDF1": known.idf1,
                     "MOTA": known.mota,
                 }
@@ -146,7 +146,7 @@ def _travel(truth: TrackSet) -> Reference:
     }
 
 
-def _judged(found: TrackSet, reference: Reference) -> dict[str, Cell]:
+def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
     of_frame: dict[int, list[tuple[Track, int]]] = {}
     for track in found:
         for k, frame in enumerate(track.frame.tolist()):

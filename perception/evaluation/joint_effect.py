@@ -160,7 +160,7 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
     return found
 
 
-def scores(
+def joint_scores(
     data: str, people: Iterable[ObservedPerson], progress: Callable[[int], object] = lambda count: None
 ) -> Scores:
     """Mean errors in degrees of each person by each method of `METHODS`, and of the single frames."""
@@ -203,7 +203,7 @@ def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, str | 
     A row for the most likely class of each frame, with heads chosen from the past alone and along the whole
     track; then one for each method of `METHODS` with each of its presets.
     """
-    found = scores("clips", [person for clip in clips for person in people_of(clip, models)])
+    found = joint_scores("clips", [person for clip in clips for person in people_of(clip, models)])
     rows: list[dict[str, str | float]] = []
     for preset, name in dict.fromkeys(key[:2] for key in found.errors):
         per_frame = preset == "observation"

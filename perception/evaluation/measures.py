@@ -40,20 +40,6 @@ class PoseScores:
     reliability: Reliability
     confusion: NDArray[np.int64]
 
-    @property
-    def expected_calibration_error(self) -> float:
-        """Of the pan classes."""
-        return self.reliability.expected_calibration_error
-
-    @property
-    def rates(self) -> tuple[FloatArray, FloatArray]:
-        """True and false positive rates (n_pan,) of each pan class (Baxter et al. 2014, Fig. 3); NaN for
-        classes unseen."""
-        of_class, said = self.confusion.sum(axis=1), self.confusion.sum(axis=0)
-        hits = np.diag(self.confusion)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return hits / of_class, (said - hits) / (of_class.sum() - of_class)
-
     def figures(self) -> dict[str, float]:
         """The numbers by name, for a model card."""
         return {
@@ -61,8 +47,16 @@ class PoseScores:
             "median_error_deg": self.median_error,
             "accuracy": self.accuracy,
             "accuracy_within_one_class": self.within_one,
-            "expected_calibration_error": self.expected_calibration_error,
+            "expected_calibration_error": self.reliability.expected_calibration_error,
         }
+
+
+def class_rates(confusion: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Return the true and false positive rates (k,) of each class; NaN for classes unseen."""
+    of_class, said, hits = confusion.sum(axis=1), confusion.sum(axis=0), np.diag(confusion)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        false = (said - hits) / (of_class.sum() - of_class)
+        return hits / of_class, np.where(of_class > 0, false, np.nan)
 
 
 def evaluate(classifier: Classifier, images: Sequence[Image], pan: ArrayLike) -> PoseScores:
@@ -113,21 +107,30 @@ def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, n
         fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.16), borderaxespad=0.0, frameon=False
     )
     for (name, found), axes in zip(scores.items(), squares, strict=True):
-        _confusion(axes, found, degrees[name], name)
+        order = np.argsort(degrees[name])
+        ticks = [f"{degree:.0f}" for degree in degrees[name][order]]
+        title = f"{name.replace('_', ' ')}: {100 * found.accuracy:.0f} % right"
+        draw_confusion(axes, found.confusion[np.ix_(order, order)], ticks, title, numbers=len(ticks) <= 8)
     return figure
 
 
-def _confusion(axes: Axes, found: PoseScores, degrees: np.ndarray, name: str) -> None:
-    share = found.confusion / np.maximum(found.confusion.sum(axis=1, keepdims=True), 1)
-    order = np.argsort(degrees)
-    share = share[np.ix_(order, order)]
-    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0)
-    ticks = [f"{degrees[k]:.0f}" for k in order]
-    axes.set_xticks(range(len(ticks)), ticks, rotation=90, fontsize=7)
-    axes.set_yticks(range(len(ticks)), ticks, fontsize=7)
-    for (row, column), value in np.ndenumerate(share):
-        if value >= 0.005 and len(ticks) <= 8:
-            colour = "white" if value > 0.5 else "black"
-            axes.text(column, row, f"{100 * value:.0f}", ha="center", va="center", fontsize=7, color=colour)
-    axes.set(xlabel="most likely, degrees", ylabel="true, degrees")
-    axes.set_title(f"{name.replace('_', ' ')}: {100 * found.accuracy:.0f} % right", fontsize=10)
+def draw_confusion(
+    axes: Axes, confusion: NDArray[np.number], names: Sequence[str], title: str, *, numbers: bool = True
+) -> None:
+    """Draw a confusion matrix (n, n), rows the true classes, in per cent of the true class.
+
+    Parameters
+    ----------
+    names : of the classes, degrees
+    numbers : whether cells show their per cent
+    """
+    percent = 100.0 * confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1e-9)
+    axes.imshow(percent, cmap="Blues", vmin=0.0, vmax=100.0)
+    axes.set_xticks(range(len(names)), names, fontsize=7, rotation=90)
+    axes.set_yticks(range(len(names)), names, fontsize=7)
+    for (row, column), value in np.ndenumerate(percent):
+        if numbers and value >= 0.5:
+            colour = "white" if value > 50.0 else "black"
+            axes.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color=colour)
+    axes.set(xlabel="most likely (°)", ylabel="true (°)")
+    axes.set_title(title, fontsize=9)

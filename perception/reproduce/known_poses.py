@@ -55,7 +55,7 @@ class Answers:
     said_tilt: NDArray[np.int64]
 
 
-def people(settings: Settings) -> dict[str, TrackSet]:
+def captured_people(settings: Settings) -> dict[str, TrackSet]:
     """People by source, with noise on their positions; ten frames a second."""
     count = 2 if settings.quick else 12
     mocap = settings.recording(*MOCAP)

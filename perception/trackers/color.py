@@ -80,20 +80,12 @@ class ColourTracker:
     ) -> None:
         self.parameters = parameters if particles is None else replace(parameters, particles=particles)
         self.exemplars = exemplars
-        self.pan_classes: PoseClasses | None = None
-        if exemplars is not None:
-            self.pan_classes = exemplars.classes.pans
+        self.pan_classes: PoseClasses | None = None if exemplars is None else exemplars.classes.pans
         self._rng = generator(seed)
         self._shape: tuple[int, int] = (0, 0)
 
     def start(self, image: Image, box: Box | None) -> BoxEstimate:
-        """Begin with the target's box.
-
-        Raises
-        ------
-        InputError
-            If there is no box, or it cannot be used.
-        """
+        """Begin with the target's box; see `Tracker.start`."""
         p = self.parameters
         first = first_state(image, box)
         self._shape = image.shape[0], image.shape[1]
@@ -103,13 +95,7 @@ class ColourTracker:
         return self._look(image)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
-        """Go on to the next frame.
-
-        Raises
-        ------
-        InputError
-            If the frame's size is not that of the first.
-        """
+        """Go on to the next frame; see `Tracker.step`."""
         check_frame(image, self._shape)
         p = self.parameters
         cloud, _ = resampled(self._cloud, p.resample_below, self._rng)
@@ -122,8 +108,7 @@ class ColourTracker:
         similarity = bhattacharyya(p.colours.of_boxes(pixels, self._cloud.boxes), self._model)
         with np.errstate(divide="ignore"):
             log_weights = np.log(self._cloud.weights) - p.sharpness * (1.0 - similarity)
-        weights = np.empty_like(log_weights)
-        normalise(log_weights, weights)
+        normalise(log_weights, weights := np.empty_like(log_weights))
         self._cloud = replace(self._cloud, weights=weights)
         box, spread = self._cloud.mean()
         here = p.colours.of_boxes(pixels, np.array([box]))

@@ -25,7 +25,8 @@ from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedS
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.registry import TRACKERS, make_tracker, parameters_of
 from perception.trackers.sigma_pi.network import TERM_NAMES
-from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTracker
+from perception.trackers.sigma_pi.parameters import SigmaPiParameters
+from perception.trackers.sigma_pi.tracker import SigmaPiTracker
 
 FACING = load_head_exemplars().within(np.pi / 2.0)
 STILL = BoxDynamics(centre_std=0.0, size_std=0.0)

@@ -18,9 +18,10 @@ from perception.images.pixels import Image
 from perception.reproduce.sigma_pi_runs import Tally, recordings
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
 from perception.trackers.dynamics import BoxDynamics
-from perception.trackers.sigma_pi.cues import ColourCue, CueParameters, ShapeCue
+from perception.trackers.sigma_pi.cues import ColourCue, ShapeCue
 from perception.trackers.sigma_pi.network import CUES, TERM_NAMES, adapted, output, products
-from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTracker
+from perception.trackers.sigma_pi.parameters import CueParameters, SigmaPiParameters
+from perception.trackers.sigma_pi.tracker import SigmaPiTracker
 from perception.trackers.tracker import Box, BoxEstimate, Proposal
 
 SIZE = (200, 150)
@@ -241,9 +242,8 @@ def test_missing_and_mismatch_are_counted_as_in_the_papers_table() -> None:
     tally.add(inside, None)
     tally.add(lost, None)
     tally.add(outside, label, counts=False)
-    score = tally.score
-    assert (score.frames, score.missing, score.mismatch, score.empty, score.alarms) == (8, 1, 2, 2, 1)
-    assert score.success == 5 / 8 and len(tally.estimates) == 11
+    assert (tally.frames, tally.missing, tally.mismatch, tally.empty, tally.alarms) == (8, 1, 2, 2, 1)
+    assert tally.success == 5 / 8 and len(tally.estimates) == 11
 
 
 def test_people_of_a_recording_are_cut_where_frames_are_left_out(tmp_path: Path) -> None:

@@ -163,13 +163,7 @@ class MixedStateTracker:
         self._colours: FloatArray | None = None
 
     def start(self, image: Image, box: Box | None) -> BoxEstimate:
-        """Begin with the head's box.
-
-        Raises
-        ------
-        InputError
-            If there is no box, or it cannot be used.
-        """
+        """Begin with the head's box; see `Tracker.start`."""
         first = first_state(image, box)
         self._shape = image.shape[0], image.shape[1]
         self._colours = None
@@ -186,13 +180,7 @@ class MixedStateTracker:
         return self._look(image, 1.0)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
-        """Go on to the next frame.
-
-        Raises
-        ------
-        InputError
-            If the frame's size is not that of the first.
-        """
+        """Go on to the next frame; see `Tracker.step`."""
         check_frame(image, self._shape)
         p = self.parameters
         cloud, ancestors = resampled(self._cloud, p.resample_below, self._rng)
