@@ -239,9 +239,9 @@ class _Run:
         from perception.models import HEAD_POSE, load_classifier, load_head_localiser
         from perception.observe import pipeline
         from perception.observe.detections import to_detections
+        from perception.observe.estimates import who_is_who, who_is_who_of
         from perception.observe.identified import to_identified
         from perception.observe.journal import FrameJournal
-        from perception.report.people import who_is_who, who_is_who_of
 
         place, taught = self.folder.file("observations"), self.folder.file("models")
         identified = self.people[0].identified
@@ -290,7 +290,7 @@ class _Run:
         """Stage 5: where everybody is, how they move and point."""
         from graphtrack.io import write
         from perception.adaptation.models import CameraModels
-        from perception.report.people import FILTERS, estimated
+        from perception.observe.estimates import FILTERS, estimated
 
         def work(key: str) -> list[str]:
             assert self.camera is not None

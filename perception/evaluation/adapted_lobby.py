@@ -25,9 +25,9 @@ from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
 from perception.images.frames import FrameSource
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+from perception.observe.estimates import estimated
 from perception.observe.pipeline import Models, observe_frame, to_tracks
 from perception.observe.seen import SeenPerson
-from perception.report.people import estimated
 
 
 @dataclass(frozen=True, eq=False)

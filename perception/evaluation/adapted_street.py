@@ -29,9 +29,9 @@ from perception.detection.boxes import PersonBox, read_boxes
 from perception.images.frames import FrameSource
 from perception.images.pixels import Image
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+from perception.observe.estimates import METHODS, estimated, who_is_who
 from perception.observe.pipeline import to_tracks
 from perception.observe.seen import SeenPerson
-from perception.report.people import METHODS, estimated, who_is_who
 
 PARTS = 2
 """Into which people are divided."""

@@ -27,7 +27,8 @@ from perception.cli import report as command
 from perception.detection.boxes import PersonBox, write_boxes
 from perception.images.drawing.tracked import draw_tracked
 from perception.observe import pipeline
-from perception.report.people import METHODS, ShownPerson, estimated, shown_by_frame, who_is_who
+from perception.observe.estimates import METHODS, estimated, who_is_who
+from perception.report.people import ShownPerson, shown_by_frame
 from perception.report.showing import what_they_do
 from perception.synthetic.pasted_street import FPS, PastedStreet, pasted_street
 
