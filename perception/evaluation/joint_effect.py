@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -89,20 +90,16 @@ def _in_image(person: ObservedPerson, model: Model, seed: int) -> Track:
     return particle_filter(person.image, model, camera=person.camera, options=options, seed=seed).track
 
 
-def _chain(person: ObservedPerson, model: Model, seed: int) -> Track:
-    return track_online(person.causal, model, engine="chain", lag=LAG, camera=person.camera)
+def _online(engine: Literal["chain", "isam2"]) -> Estimate:
+    """The graph online, with heads chosen from the past alone."""
+    return lambda person, model, seed: track_online(
+        person.causal, model, engine=engine, lag=LAG, camera=person.camera
+    )
 
 
-def _isam2(person: ObservedPerson, model: Model, seed: int) -> Track:
-    return track_online(person.causal, model, engine="isam2", lag=LAG, camera=person.camera)
-
-
-def _smoother(person: ObservedPerson, model: Model, seed: int) -> Track:
-    return smooth_track(person.causal, model, person.camera).track
-
-
-def _whole(person: ObservedPerson, model: Model, seed: int) -> Track:
-    return smooth_track(person.whole, model, person.camera).track
+def _offline(track: Literal["causal", "whole"]) -> Estimate:
+    """The smoother, with heads chosen from the past alone or along the whole track."""
+    return lambda person, model, seed: smooth_track(getattr(person, track), model, person.camera).track
 
 
 _SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter does not know the modes of ``full``
@@ -110,10 +107,10 @@ _SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter does not know the mo
 METHODS: Mapping[str, Method] = {
     "particle": Method("online", _particle, _SEPARATE_AND_JOINT, seeds=3),
     "particle, eq. 12–14": Method("online", _in_image, _SEPARATE_AND_JOINT, seeds=3),
-    "graph, chain": Method("online", _chain),
-    "graph, isam2": Method("online", _isam2),
-    "smoother": Method("offline", _smoother),
-    "smoother, heads of the whole track": Method("offline", _whole),
+    "graph, chain": Method("online", _online("chain")),
+    "graph, isam2": Method("online", _online("isam2")),
+    "smoother": Method("offline", _offline("causal")),
+    "smoother, heads of the whole track": Method("offline", _offline("whole")),
 }
 """Online methods and the first smoother have the same observations; the last one's heads know the future."""
 

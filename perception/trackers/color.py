@@ -14,7 +14,7 @@ from perception.images.pixels import Image, enlarged, grey
 from perception.pose.classes import PoseClasses
 from perception.pose.features.gabor import SIDE
 from perception.trackers.colours import BoxColours, bhattacharyya
-from perception.trackers.dynamics import BoxDynamics, moved, resampled
+from perception.trackers.dynamics import BoxDynamics, predict, resampled
 from perception.trackers.mixed_state.exemplars import HeadExemplars
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes_of, check_frame, first_state
@@ -99,7 +99,7 @@ class ColourTracker:
         check_frame(image, self._shape)
         p = self.parameters
         cloud, _ = resampled(self._cloud, p.resample_below, self._rng)
-        self._cloud = moved(cloud, self._reference, p.dynamics, self._shape, self._rng, proposal)
+        self._cloud = predict(cloud, self._reference, p.dynamics, self._rng, proposal, self._shape)
         return self._look(image)
 
     def _look(self, image: Image) -> BoxEstimate:

@@ -17,7 +17,7 @@ from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
 from perception.pose.features.gabor import SIDE
 from perception.trackers.colours import BoxColours, bhattacharyya
-from perception.trackers.dynamics import BoxDynamics, moved, resampled
+from perception.trackers.dynamics import BoxDynamics, predict, resampled
 from perception.trackers.mixed_state.exemplars import HeadExemplars
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import (
@@ -185,7 +185,7 @@ class MixedStateTracker:
         p = self.parameters
         cloud, ancestors = resampled(self._cloud, p.resample_below, self._rng)
         self._label, self._belief = self._label[ancestors], self._belief[ancestors]
-        self._cloud = moved(cloud, self._reference, p.dynamics, self._shape, self._rng, proposal)
+        self._cloud = predict(cloud, self._reference, p.dynamics, self._rng, proposal, self._shape)
         if p.labels == "sampled":
             drawn = self._rng.random((p.particles, 1))
             last = self.exemplars.labels - 1
