@@ -322,7 +322,8 @@ def _decoded(
 
 def _render(frames: FrameSource, observed: SeenTracks, path: Path, fps: float) -> None:
     """Decode the frames once more, now that all tracks are known, and draw what was seen in them."""
-    from perception.images.drawing import draw_people, people_by_frame, pictures
+    from perception.images.drawing.output import pictures
+    from perception.images.drawing.people import draw_people, people_by_frame
 
     people, camera = people_by_frame(observed), observed.tracks.camera
     assert camera is not None

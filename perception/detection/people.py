@@ -13,8 +13,7 @@ from scipy.special import expit
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.detection.blocks import CELL, FOOT, TALL, WindowFilter, foot_boxes, gradient_blocks, resized
-from perception.images.pixels import Image
-from perception.pose.heads import non_maximum_suppression
+from perception.images.pixels import Image, non_maximum_suppression
 
 _ROWS = 720
 _STEP = 1.08

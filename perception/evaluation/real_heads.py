@@ -18,10 +18,10 @@ from graphtrack.io.readers.towncentre import FPS, read_boxes
 from graphtrack.io.source import Source
 from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH
 from perception.images.frames import Frame, FrameSource
-from perception.models import load_head_exemplars
 from perception.reproduce.head_runs import mean_pan, tracking_error
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.dynamics import BoxDynamics
+from perception.trackers.mixed_state.exemplars import load_head_exemplars
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import BoxEstimate, Proposal, Tracker
 

@@ -25,7 +25,7 @@ from perception.observe.journal import FrameJournal
 from perception.observe.seen import SeenFrame, SeenPerson
 from perception.observe.turned import image_likelihood, world_likelihood
 from perception.pose.classes import PoseClasses
-from perception.pose.classifier import Classifier
+from perception.pose.classifier import FeatureClassifier
 from perception.pose.features.appearance import LENGTH, Projection, describe, light_of
 from perception.pose.head_path import select_along_track, select_so_far
 from perception.pose.heads import HeadCandidates, HeadLocaliser
@@ -48,8 +48,8 @@ class Models:
     """
 
     head_localiser: HeadLocaliser
-    body_pose: Classifier
-    head_pose: Classifier
+    body_pose: FeatureClassifier
+    head_pose: FeatureClassifier
     appearance: bool = False
     of_camera: CameraModels | None = None
     of_keypoints: KeypointPose | None = None

@@ -5,8 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,29 +25,6 @@ from perception.storage import ModelCard, Stored
 
 _HELD_OUT = 0.2
 _BATCH = 256
-
-
-class Classifier(Protocol):
-    """What the pipeline needs of a pose classifier."""
-
-    classes: PoseClasses
-    card: ModelCard
-
-    def fit(self, images: Sequence[Image], labels: ArrayLike) -> Self:
-        """Learn from images and the indices (n,) of their classes."""
-        ...
-
-    def log_likelihood(self, image: Image) -> FloatArray:
-        """Log likelihood (n_classes,) of one image, up to a constant."""
-        ...
-
-    def log_likelihoods(self, images: Sequence[Image]) -> FloatArray:
-        """The same for many images at once, (n, n_classes)."""
-        ...
-
-    def save(self, path: str | Path) -> None:
-        """Write a model file."""
-        ...
 
 
 class FeatureClassifier(Stored):

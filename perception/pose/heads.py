@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from perception.images.pixels import Image, enlarged, grey, intersection_over_union
+from perception.images.pixels import (
+    Image,
+    enlarged,
+    grey,
+    intersection_over_union,
+    non_maximum_suppression,
+)
 from perception.pose.features.blocks import block_histograms, corner_sums, integral_histogram
 from perception.pose.head_detector import BoostedBlocks, Weak
 from perception.storage import ModelCard, Stored
@@ -224,17 +230,6 @@ def candidate_windows(width: int, lowest: float = _LOWEST) -> FloatArray:
     windows = np.concatenate(found)
     windows.setflags(write=False)
     return windows
-
-
-def non_maximum_suppression(boxes: FloatArray, scores: FloatArray, overlap: float) -> list[int]:
-    """Indices of boxes (n, 4) from the best on, without those that overlap a better one by more."""
-    left = np.argsort(-scores, kind="stable")
-    kept = []
-    while len(left):
-        best = int(left[0])
-        kept.append(best)
-        left = left[intersection_over_union(boxes[left], boxes[best]) <= overlap]
-    return kept
 
 
 def _prepared(image: Image) -> tuple[NDArray[np.float32], tuple[float, float]]:

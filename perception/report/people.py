@@ -21,6 +21,7 @@ from graphtrack.table.columns import to_columns
 from graphtrack.tracks import Track, TrackSet
 from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
+from perception.images.drawing.tracked import ShownPerson
 
 METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
 """The graph's smoother; Chen et al.'s joint particle filter, smoothed (``ffbs``) or online (``particle``);
@@ -117,31 +118,6 @@ def estimated(
     if not good:
         raise InputError("no track that can be estimated", "people who are seen for a while")
     return placed.with_tracks(good), [f"estimates by `{method}`: {chosen.information}", *said]
-
-
-@dataclass(frozen=True, eq=False)
-class ShownPerson:
-    """An estimated person in one frame.
-
-    Attributes
-    ----------
-    track_id : whose colour it has
-    box : (4,) left, top, width, height in pixels
-    seen : whether somebody was seen there; else the box is where it should be
-    position : (2,) metres
-    body, body_std, head, head_std : radians; NaN where not known
-    path : (n, 2) pixels, on the ground, of the last seconds
-    """
-
-    track_id: int
-    box: FloatArray
-    seen: bool
-    position: FloatArray
-    body: float
-    body_std: float
-    head: float
-    head_std: float
-    path: FloatArray
 
 
 class ShownPeople(Mapping[int, list[ShownPerson]]):

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from graphtrack.errors import InputError
-from perception.evaluation.measures import evaluate
 from perception.images.pixels import intersection_over_union
 from perception.models import CLASSIFIERS, NAMES, model_path
 from perception.pose.body import BodyPose
@@ -19,6 +18,7 @@ from perception.pose.features.skin import SkinColours
 from perception.pose.head_pose import DeepBelief, Exemplars, Templates
 from perception.pose.heads import HeadLocaliser
 from perception.pose.keypoints.model import KeypointPose
+from perception.pose.scores import evaluate
 from perception.synthetic import (
     HeadSet,
     HeadVariation,

@@ -11,7 +11,6 @@ from scipy.special import softmax
 
 from graphtrack.errors import InputError
 from perception.images.pixels import enlarged, grey_stack
-from perception.models import load_head_exemplars
 from perception.pose.features.gabor import gabor_features
 from perception.reproduce.head_figure import failures
 from perception.reproduce.head_runs import METHODS, Run, followed, scored, tracking_error
@@ -20,7 +19,7 @@ from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_c
 from perception.synthetic.heads import HeadVariation, make_heads
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.dynamics import BoxDynamics
-from perception.trackers.mixed_state.exemplars import LOOKING_UP
+from perception.trackers.mixed_state.exemplars import LOOKING_UP, load_head_exemplars
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.registry import TRACKERS, make_tracker, parameters_of

@@ -15,11 +15,11 @@ from graphtrack.evaluation.reproduce import Settings
 from graphtrack.geometry.angles import class_centres, difference
 from graphtrack.model import Model
 from perception.evaluation.joint_effect import LEAST_FRAMES, METHODS, ObservedPerson, joint_effect, people_of
-from perception.evaluation.measures import PoseScores
 from perception.images.drawing.cues import Cues, draw_cues
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models
 from perception.pose.calibration import Reliability
+from perception.pose.scores import PoseScores
 from perception.reproduce.chen_pixels import EXPERIMENT
 from perception.synthetic.clips import Clip, walking_clip
 

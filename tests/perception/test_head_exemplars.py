@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 
 from graphtrack.errors import InputError
 from perception.images.pixels import enlarged
-from perception.models import load_head_exemplars, model_path
 from perception.pose.classes import PoseClasses
 from perception.pose.head_pose.exemplars import filter_log_densities
-from perception.trackers.mixed_state.exemplars import HeadExemplars
+from perception.trackers.mixed_state.exemplars import HeadExemplars, load_head_exemplars, model_path
 from perception.trackers.patches import cut, equalised
 from perception.training.head_exemplars import train_head_exemplars
 

@@ -9,7 +9,6 @@ import pytest
 
 from graphtrack.errors import InputError
 from perception.images.pixels import enlarged
-from perception.models import load_head_exemplars
 from perception.pose.features.gabor import gabor_features
 from perception.reproduce.head_runs import followed, tracking_error
 from perception.reproduce.side_by_side import run_all
@@ -17,6 +16,7 @@ from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_c
 from perception.trackers.color import ColourTracker
 from perception.trackers.colours import BoxColours, bhattacharyya
 from perception.trackers.dynamics import BoxDynamics, predict
+from perception.trackers.mixed_state.exemplars import load_head_exemplars
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import Cloud, Proposal, Tracker, boxes_of, states_of

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
 from perception.pose.features.blocks import block_histograms, corner_sums, integral_histogram
 from perception.pose.features.gabor import gabor_features
@@ -17,6 +16,7 @@ from perception.pose.features.skin import RGB_BINS, SkinColours
 from perception.pose.head_pose import Exemplars, Templates
 from perception.pose.heads import HeadLocaliser
 from perception.synthetic import make_pedestrians
+from perception.trackers.mixed_state.exemplars import load_head_exemplars
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.sigma_pi.network import output
 from perception.trackers.sigma_pi.parameters import SigmaPiParameters

@@ -25,9 +25,9 @@ from perception.adaptation.learning import AdaptationParameters, learn
 from perception.adaptation.models import CameraModels
 from perception.cli import report as command
 from perception.detection.boxes import PersonBox, write_boxes
-from perception.images.drawing.tracked import draw_tracked
+from perception.images.drawing.tracked import ShownPerson, draw_tracked
 from perception.observe import pipeline
-from perception.report.people import METHODS, ShownPerson, estimated, shown_by_frame, who_is_who
+from perception.report.people import METHODS, estimated, shown_by_frame, who_is_who
 from perception.report.showing import what_they_do
 from perception.synthetic.pasted_street import FPS, PastedStreet, pasted_street
 

@@ -19,8 +19,7 @@ from perception.detection.networks.found import FoundPeople
 from perception.detection.networks.layouts import Layout, layout_of
 from perception.detection.networks.letterbox import Letterbox
 from perception.detection.networks.onnx_file import OnnxFile, Shape
-from perception.images.pixels import Image
-from perception.pose.heads import non_maximum_suppression
+from perception.images.pixels import Image, non_maximum_suppression
 
 _MOST = 1000
 """Finds, best first, among which those of the same person are looked for."""

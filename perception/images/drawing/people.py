@@ -17,8 +17,8 @@ from perception.observe.pipeline import SeenTracks, head_in_image
 from perception.pose.classes import PoseClasses
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
-_BODY_RADIUS, _HEAD_RADIUS = 0.8, 0.55
-"""Metres on the ground."""
+_RADII = 0.8, 0.55
+"""Metres on the ground, of the arrows of body and head."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +94,5 @@ def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera
 
 
 def _planes(person: DrawnPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
-    """The ground at a person's feet, and the same moved to the middle of the head."""
-    feet = camera.ground_to_image(person.position)
     head = person.head_box[:2] + person.head_box[2:] / 2.0
-
-    def on_ground(offset: FloatArray) -> FloatArray:
-        return camera.ground_to_image(person.position + _BODY_RADIUS * offset) * factor
-
-    def at_head(offset: FloatArray) -> FloatArray:
-        moved = camera.ground_to_image(person.position + _HEAD_RADIUS * offset)
-        return np.asarray((moved - feet + head) * factor, float)
-
-    return on_ground, at_head
+    return marks.planes(camera, person.position, head, _RADII, lambda pixel: pixel * factor)
