@@ -128,8 +128,7 @@ def observe(
     from graphtrack.io.reading import check_table_name, write_table
     from perception.adaptation.models import CameraModels
     from perception.cli.observe_stream import observe_stream
-    from perception.detection.boxes import read_boxes, write_boxes
-    from perception.detection.networks.found import FoundPeople
+    from perception.detection.boxes import Detections, read_boxes, write_boxes
     from perception.images.drawing.output import is_video
     from perception.images.frames import FrameSource
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser, load_keypoint_pose
@@ -225,8 +224,8 @@ def observe(
     points = FrameJournal(
         points_so_far,
         key_of(frames.stamp(), networks.asked),
-        FoundPeople.to_record,
-        FoundPeople.from_record,
+        Detections.to_record,
+        Detections.from_record,
     )
     people = given if given is not None or pointed else search.people(refuse)
     if networks.has_keypoints:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +12,7 @@ from scipy.special import expit
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.detection.blocks import CELL, FOOT, TALL, WindowFilter, foot_boxes, gradient_blocks, resized
+from perception.detection.boxes import Detections
 from perception.images.pixels import Image, non_maximum_suppression
 
 _ROWS = 720
@@ -41,30 +41,6 @@ class DetectorParameters:
     overlap: float = 0.4
 
 
-@dataclass(frozen=True, eq=False)
-class Detections:
-    """What was detected in a frame.
-
-    Attributes
-    ----------
-    boxes : (n, 4) left, top, width, height in pixels
-    scores : (n,) how probably each is a person
-    """
-
-    boxes: FloatArray
-    scores: FloatArray
-
-    def to_record(self) -> dict[str, Any]:
-        """As JSON knows it."""
-        return {name: getattr(self, name).tolist() for name in ("boxes", "scores")}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> Detections:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        scores = np.array(values["scores"], float).reshape(-1)
-        return cls(np.array(values["boxes"], float).reshape(len(scores), 4), scores)
-
-
 class PeopleDetector:
     """OpenCV's default people detector; its weights come with the library."""
 
@@ -74,8 +50,8 @@ class PeopleDetector:
         self.parameters = parameters
         self._filter = WindowFilter.of_opencv()
 
-    def detect(self, image: Image) -> tuple[FloatArray, FloatArray]:
-        """Boxes (n, 4), left, top, width, height in pixels, and probabilities (n,), best first."""
+    def detect(self, image: Image) -> Detections:
+        """Return people with the probabilities of them, best first."""
         p = self.parameters
         found, heights, scores = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
         for scale in self._scales(image):
@@ -86,7 +62,7 @@ class PeopleDetector:
             scores.append(values[kept].astype(float))
         boxes, score = foot_boxes(np.vstack(found), np.concatenate(heights)), np.concatenate(scores)
         best = non_maximum_suppression(boxes, score, p.overlap)
-        return boxes[best], np.asarray(expit(_SLOPE * score[best]), float)
+        return Detections(boxes[best], np.asarray(expit(_SLOPE * score[best]), float))
 
     def _scales(self, image: Image) -> list[float]:
         """Factors of the image, from the largest to the last at which a window fits in it."""

@@ -10,9 +10,8 @@ import numpy as np
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.table.columns import to_columns
 from graphtrack.tracks import TrackSet
-from perception.detection.boxes import PersonBox, detected
+from perception.detection.boxes import Detections, Detector, PersonBox
 from perception.detection.ground_detector import GroundDetector
-from perception.detection.networks.found import Detector, FoundPeople
 from perception.detection.people import PeopleDetector
 from perception.detection.pointed import boxes_of, with_keypoints
 from perception.images.frames import Frame
@@ -32,7 +31,7 @@ from perception.pose.head_path import HeadPath
 Finder = Callable[[int, Image], list[PersonBox]]
 """The boxes of the people of a frame, by its number and image."""
 
-Look = Callable[[int, Image], FoundPeople]
+Look = Callable[[int, Image], Detections]
 """The people of a frame with their keypoints, likewise."""
 
 
@@ -124,6 +123,6 @@ def detected_boxes(camera: GroundCamera | None, detector: Detector | None = None
         if detector is None:
             assert camera is not None
             detector = GroundDetector.of_frame(camera, image)
-        return detected({frame: detector.detect(image)})
+        return boxes_of({frame: detector.detect(image)})
 
     return find
