@@ -16,15 +16,15 @@ from perception.detection.people import PeopleDetector
 from perception.detection.pointed import boxes_of, with_keypoints
 from perception.images.frames import Frame
 from perception.images.pixels import Image
+from perception.observe.detections import scaled_camera
 from perception.observe.pipeline import (
     Models,
     in_heights,
     is_on_ground,
     observe_frame,
-    scaled_camera,
     to_track,
 )
-from perception.observe.seen import SeenPerson
+from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.features.appearance import Projection
 from perception.pose.head_path import HeadPath
 
@@ -36,7 +36,7 @@ Look = Callable[[int, Image], Detections]
 
 
 class LiveObserver:
-    """Says of each frame at once what `to_tracks` with ``causal`` says of it in the end.
+    """Rows of each frame at once, as causal `perception.observe.identified.to_tracks` makes them in the end.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class LiveObserver:
         """
         seen = observe_frame(image, frame, boxes, self.models, refuse)
         if self.camera is None and seen:
-            self.camera = scaled_camera(seen)
+            self.camera = scaled_camera({frame: SeenFrame(seen, [])}, causal=True)
         return [
             row
             for item in sorted(seen, key=lambda item: item.track_id)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,9 @@ from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 from perception.images.drawing import marks
 from perception.images.drawing.marks import Place
 from perception.images.pixels import Image
-from perception.observe.pipeline import SeenTracks, head_in_image
+from perception.observe.identified import SeenTracks
+from perception.observe.pipeline import head_in_image
+from perception.observe.seen import SeenFrame
 from perception.pose.classes import PoseClasses
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
@@ -41,22 +43,29 @@ class DrawnPerson:
     head: FloatArray
 
 
-def people_by_frame(observed: SeenTracks) -> dict[int, list[DrawnPerson]]:
-    """What to draw in each frame."""
+def people_by_frame(observed: SeenTracks, frames: Mapping[int, SeenFrame]) -> dict[int, list[DrawnPerson]]:
+    """Return the people to draw in each frame, of tracks and the frames that they were made of."""
+    row_of = {
+        (track.track_id, frame): (track, row)
+        for track in observed.tracks
+        for row, frame in enumerate(track.frame.tolist())
+    }
     found: dict[int, list[DrawnPerson]] = {}
-    for track in observed.tracks:
-        assert track.body_likelihood is not None and track.head_likelihood is not None
-        items, heads = observed.seen[track.track_id], observed.heads[track.track_id].tolist()
-        for row, (item, head) in enumerate(zip(items, heads, strict=True)):
+    for number in sorted(frames):
+        for item in sorted(frames[number].people, key=lambda item: item.track_id):
+            if (item.track_id, number) not in row_of:
+                continue
+            track, row = row_of[item.track_id, number]
+            assert track.body_likelihood is not None and track.head_likelihood is not None
             person = DrawnPerson(
                 track.track_id,
                 np.array(item.box),
-                head_in_image(item, head),
+                head_in_image(item, int(observed.heads[track.track_id][row])),
                 track.position[row],
                 track.body_likelihood[row],
                 track.head_likelihood[row],
             )
-            found.setdefault(item.frame, []).append(person)
+            found.setdefault(number, []).append(person)
     return found
 
 
