@@ -23,7 +23,7 @@ from perception.pose.features.appearance import Projection
 from perception.pose.head_path import select_along_track, select_so_far
 from perception.pose.heads import HeadCandidates
 
-_AT_ONCE = 64
+_ROWS_AT_ONCE = 64
 """Rows of a track that are made together."""
 
 
@@ -105,7 +105,7 @@ def to_tracks(
 
     for item in _on_ground(frames, camera):
         pending[item.track_id].append(item)
-        if len(pending[item.track_id]) == _AT_ONCE:
+        if len(pending[item.track_id]) == _ROWS_AT_ONCE:
             make(item.track_id)
     for track_id in heads:
         make(track_id)

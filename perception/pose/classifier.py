@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +43,9 @@ class FeatureClassifier(Stored):
     calibrated : whether the fit chooses temperature and share; the papers' likelihoods have neither
     """
 
+    options: ClassVar[tuple[str, ...]] = ()
+    """Arguments of the constructor, and attributes, that a file keeps."""
+
     def __init__(self, classes: PoseClasses, *, seed: int = 0, calibrated: bool = True) -> None:
         self.classes, self.seed, self.calibrated = classes, seed, calibrated
         self.temperature, self.neighbour_share = 1.0, 0.0
@@ -65,8 +68,8 @@ class FeatureClassifier(Stored):
         """Take over what `arrays` gave."""
 
     def settings(self) -> dict[str, Any]:
-        """Arguments of the constructor besides classes and seed, for the file."""
-        return {}
+        """Return the arguments of the constructor besides classes and seed, for the file."""
+        return {name: getattr(self, name) for name in self.options}
 
     def fit(self, images: Sequence[Image], labels: ArrayLike) -> Self:
         """Learn from images (h, w, 3) or (h, w) uint8 and class indices (n,).

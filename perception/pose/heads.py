@@ -182,14 +182,8 @@ class HeadLocaliser(Stored):
 
     def parameters(self) -> dict[str, Any]:
         """Arguments of the constructor, threshold and weight of the place."""
-        settings: dict[str, Any] = {
-            "weak": self.weak,
-            "rounds": self.rounds,
-            "seed": self.seed,
-            "plain": self.plain,
-            "around": self.around,
-            "normalised": self.normalised,
-        }
+        names = ("weak", "rounds", "seed", "plain", "around", "normalised")
+        settings = {name: getattr(self, name) for name in names}
         return {"settings": settings, "threshold": self.threshold, "place_weight": self._place_weight}
 
     def arrays(self) -> dict[str, NDArray[Any]]:

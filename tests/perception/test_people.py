@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from graphtrack.errors import InputError
 from perception.detection.blocks import (
     CELL,
     ORIENTATIONS,
@@ -17,7 +16,7 @@ from perception.detection.blocks import (
     resized,
 )
 from perception.detection.boxes import Detections, read_boxes, write_boxes
-from perception.detection.people import DetectorParameters, PeopleDetector
+from perception.detection.people import PeopleDetector
 from perception.detection.pointed import boxes_of
 from perception.synthetic import PedestrianVariation, make_pedestrians
 
@@ -81,7 +80,7 @@ def test_a_person_is_found_at_any_size(height: int) -> None:
         person = cv2.resize(picture, (round(tall * picture.shape[1] / picture.shape[0]), tall))
         image = np.full((720, 640, 3), 120, np.uint8)
         image[100 : 100 + tall, 200 : 200 + person.shape[1]] = person
-        found = PeopleDetector(DetectorParameters(threshold=-0.5)).detect(image)
+        found = PeopleDetector(threshold=-0.5).detect(image)
         boxes, scores = found.boxes, found.scores
         assert (np.diff(scores) <= 0).all() and ((scores > 0) & (scores < 1)).all()
         if not len(boxes):
@@ -98,8 +97,6 @@ def test_an_empty_or_tiny_frame_has_no_people() -> None:
     for shape in ((288, 384, 3), (20, 20, 3)):
         found = detector.detect(np.full(shape, 90, np.uint8))
         assert found.boxes.shape == (0, 4) and found.scores.shape == (0,)
-    with pytest.raises(InputError):
-        PeopleDetector(DetectorParameters(enlarge=0.0))
 
 
 def test_detections_are_written_without_identities(tmp_path: object) -> None:
