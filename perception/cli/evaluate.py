@@ -108,9 +108,10 @@ def evaluate(
 
 
 def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -> None:
-    from perception.evaluation.measures import PoseScores, class_rates
-    from perception.evaluation.measures import evaluate as judge
+    from perception.evaluation.measures import class_rates
     from perception.models import HEAD_POSE, load_classifier
+    from perception.pose.scores import PoseScores
+    from perception.pose.scores import evaluate as judge
     from perception.synthetic import make_heads, make_pedestrians
     from perception.training.models import FAR, FOUND_AS_WALKING
 

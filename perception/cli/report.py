@@ -239,8 +239,8 @@ class _Run:
         from perception.models import HEAD_POSE, load_classifier, load_head_localiser
         from perception.observe import pipeline
         from perception.observe.detections import to_detections
-        from perception.observe.estimates import who_is_who, who_is_who_of
-        from perception.observe.identified import to_identified
+        from perception.observe.estimates import associated, numbered
+        from perception.observe.identified import to_tracks
         from perception.observe.journal import FrameJournal
 
         place, taught = self.folder.file("observations"), self.folder.file("models")
@@ -267,13 +267,13 @@ class _Run:
                     pipeline.observe(decoded, self.people, models, journal, refuse=refused.setdefault)
                 classes, camera = models.head_classes, self.camera
                 if identified:
-                    observed = to_identified(journal.frames, classes, camera, self.rate)
+                    observed = to_tracks(journal.frames, classes, camera, self.rate).tracks
                     beyond = observed.summary.refused
-                    tracks = who_is_who(observed, self.people, identified=True)
+                    tracks = numbered(observed, self.people)
                 else:
                     found = to_detections(journal.frames, classes, camera, self.rate)
                     beyond = found.refused
-                    tracks = who_is_who_of(found.columns, found.number, self.people)
+                    tracks = associated(found.columns, found.number, self.people)
             except InputError:  # the same command would end in the same way
                 journal.close(remove=True)
                 raise

@@ -26,8 +26,9 @@ from perception.ground.upright import LeaningView
 from perception.images.frames import FrameSource
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 from perception.observe.estimates import estimated
-from perception.observe.pipeline import Models, observe_frame, to_tracks
-from perception.observe.seen import SeenPerson
+from perception.observe.identified import to_tracks
+from perception.observe.pipeline import Models, observe_frame
+from perception.observe.seen import SeenPerson, by_frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +148,7 @@ def _sequence_errors(
 def _smoothed(seen: list[SeenPerson], models: CameraModels, rate: float) -> dict[tuple[int, int], float]:
     """The body as the graph has it, which knows how people move besides, radians in the image frame."""
     camera = lobby_camera()
-    tracks = to_tracks(seen, CLASSES.pans, camera, rate).tracks
+    tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, rate).tracks
     found: dict[tuple[int, int], float] = {}
     for track in estimated(tracks, camera, "smoother", lambda count: None, models.graph)[0]:
         if track.body is None:

@@ -18,14 +18,16 @@ from graphtrack.inference import track_online
 from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
 from graphtrack.tracks import Track, TrackSet
+from perception.observe.identified import to_tracks
 from perception.observe.pipeline import (
     Models,
-    SeenPerson,
+    by_track,
     head_in_image,
+    is_on_ground,
     observe_frame,
     to_track,
-    to_tracks,
 )
+from perception.observe.seen import SeenPerson, by_frame
 from perception.synthetic.clips import Clip
 
 LAG = 2.0
@@ -127,7 +129,7 @@ def seen_in_clip(clip: Clip, models: Models) -> list[SeenPerson]:
 def observed(clip: Clip, models: Models, *, causal: bool = False) -> TrackSet:
     """The observations of a clip, as `perception observe` writes them."""
     seen = seen_in_clip(clip, models)
-    return to_tracks(seen, models.head_pose.classes, clip.camera, clip.fps, causal=causal).tracks
+    return to_tracks(by_frame(seen), models.head_pose.classes, clip.camera, clip.fps, causal=causal).tracks
 
 
 def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
@@ -135,14 +137,15 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
     seen, classes = seen_in_clip(clip, models), models.head_pose.classes
     if not seen:
         return []
-    causal = to_tracks(seen, classes, clip.camera, clip.fps, causal=True)
-    whole = to_tracks(seen, classes, clip.camera, clip.fps).tracks
+    causal = to_tracks(by_frame(seen), classes, clip.camera, clip.fps, causal=True)
+    whole = to_tracks(by_frame(seen), classes, clip.camera, clip.fps).tracks
     found = []
     for track in causal.tracks:
         if len(track) < LEAST_FRAMES:
             continue
         key, truth = track.track_id, clip.truth[track.track_id]
-        items, heads = causal.seen[key], causal.heads[key]
+        heads = causal.heads[key]
+        items = [item for item in by_track(seen)[key] if is_on_ground(item, clip.camera)]
         found.append(
             ObservedPerson(
                 track,

@@ -76,7 +76,9 @@ def split_scores(
     return SplitScores(confusion, float(np.degrees(np.concatenate(errors).mean())), np.array(rates))
 
 
-def hidden_both_ways(model: DeepBelief, images: Sequence[Image]) -> tuple[FloatArray, FloatArray]:
+def hidden_both_ways(
+    model: DeepBelief, images: Sequence[Image]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """The last hidden layer (n, d) of heads, and of their reflections."""
     mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in images]
     return model.hidden(model.features(images)), model.hidden(model.features(mirrored))

@@ -1,18 +1,15 @@
-"""How good pose classifiers are, in numbers and as a figure."""
+"""The reliability and the confusion of pose classifiers, as a figure."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, difference
-from perception.images.pixels import Image
-from perception.pose.calibration import Reliability, reliability
-from perception.pose.classifier import Classifier
+from graphtrack.geometry.angles import FloatArray
+from perception.pose.scores import PoseScores
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,63 +18,12 @@ if TYPE_CHECKING:
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
-@dataclass(frozen=True, eq=False)
-class PoseScores:
-    """Errors of a classifier on labelled images.
-
-    Attributes
-    ----------
-    mean_error, median_error : degrees, of the centre of the most likely pan class
-    accuracy : share of the most likely pan classes that are right; ``within_one`` counts neighbours too
-    reliability : confidence against accuracy of the pan classes
-    confusion : (n_pan, n_pan) images by true (row) and most likely (column) pan class
-    """
-
-    mean_error: float
-    median_error: float
-    accuracy: float
-    within_one: float
-    reliability: Reliability
-    confusion: NDArray[np.int64]
-
-    def figures(self) -> dict[str, float]:
-        """The numbers by name, for a model card."""
-        return {
-            "mean_error_deg": self.mean_error,
-            "median_error_deg": self.median_error,
-            "accuracy": self.accuracy,
-            "accuracy_within_one_class": self.within_one,
-            "expected_calibration_error": self.reliability.expected_calibration_error,
-        }
-
-
 def class_rates(confusion: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """Return the true and false positive rates (k,) of each class; NaN for classes unseen."""
     of_class, said, hits = confusion.sum(axis=1), confusion.sum(axis=0), np.diag(confusion)
     with np.errstate(invalid="ignore", divide="ignore"):
         false = (said - hits) / (of_class.sum() - of_class)
         return hits / of_class, np.where(of_class > 0, false, np.nan)
-
-
-def evaluate(classifier: Classifier, images: Sequence[Image], pan: ArrayLike) -> PoseScores:
-    """Judge a classifier on images whose pan (n,) in radians is known."""
-    classes, pan = classifier.classes, np.asarray(pan, float)
-    found = classifier.log_likelihoods(images)
-    of_pan = classes.pan_log_likelihood(found)
-    error = np.degrees(np.abs(difference(classes.most_likely_pan(found), pan)))
-    labels = classes.pans.index(pan)
-    likely = of_pan.argmax(axis=1)
-    confusion = np.zeros((classes.n_pan, classes.n_pan), np.int64)
-    np.add.at(confusion, (labels, likely), 1)
-    apart = np.abs(difference(classes.pan[likely], classes.pan[labels]))
-    return PoseScores(
-        float(error.mean()),
-        float(np.median(error)),
-        float(np.mean(likely == labels)),
-        float(np.mean(apart < 1.5 * classes.step)),
-        reliability(of_pan, labels),
-        confusion,
-    )
 
 
 def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, np.ndarray]) -> Figure:

@@ -15,11 +15,11 @@ from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.io.readers.towncentre import FPS
 from perception.images.frames import Frame, FrameSource
-from perception.models import load_head_exemplars
 from perception.reproduce.head_runs import tracking_error
 from perception.reproduce.street_heads import STEP, WALKING, head_boxes, labelled_runs
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.dynamics import BoxDynamics
+from perception.trackers.mixed_state.exemplars import load_head_exemplars
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import BoxEstimate, Proposal, Tracker
 

@@ -16,7 +16,6 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.inference.offline import engine_of, solve_tracks
 from graphtrack.inference.solution import Solution
 from graphtrack.model import Model
-from graphtrack.table.columns import to_columns
 from graphtrack.tracks import Track, TrackSet
 from perception.detection.boxes import PersonBox
 
@@ -30,50 +29,38 @@ BOX = "box"
 """The input of a track that says which box each row was seen in; NaN in rows of nothing."""
 
 
-def who_is_who(tracks: TrackSet, boxes: Sequence[PersonBox], *, identified: bool) -> TrackSet:
-    """Tracks of people, each row of which knows the number of its box.
+def numbered(tracks: TrackSet, boxes: Sequence[PersonBox]) -> TrackSet:
+    """Add the number of each row's box, as an input, to tracks of boxes with identities."""
+    number = {(item.track_id, item.frame): k for k, item in enumerate(boxes)}
 
-    Parameters
-    ----------
-    tracks : as `perception.observe.pipeline.to_tracks` makes them; without identities one for each box
-    boxes : that were looked at
-    identified : whether the boxes say who is in them; else that is found out
+    def with_boxes(track: Track) -> Track:
+        of_rows = [number[track.track_id, frame] for frame in track.frame.tolist()]
+        return replace(track, inputs={**track.inputs, BOX: np.array(of_rows, float)})
 
-    Raises
-    ------
-    InputError
-        If everything was taken for false.
-    """
-    if identified:
-        number = {(item.track_id, item.frame): k for k, item in enumerate(boxes)}
-        return tracks.map(lambda track: _numbered(track, number))
-    columns = to_columns(tracks)
-    ids = columns["track_id"]
-    columns["track_id"] = np.full(len(ids), -1)
-    return who_is_who_of({name: values for name, values in columns.items() if name != "label"}, ids, boxes)
+    return tracks.map(with_boxes)
 
 
-def who_is_who_of(
+def associated(
     columns: Mapping[str, NDArray[Any]], number: NDArray[np.int64], boxes: Sequence[PersonBox]
 ) -> TrackSet:
-    """The same of a table of detections.
+    """Associate detections to tracks; each row has the number of its box as an input.
 
     Parameters
     ----------
     columns : as `perception.observe.detections.to_detections` makes them
     number : (n,) of each row's box
     boxes : that were looked at
+
+    Raises
+    ------
+    InputError
+        If no track is left.
     """
     of_box = {item.track_id: k for k, item in enumerate(boxes)}
     found = associate({**columns, f"input_{BOX}": np.array([of_box[k] for k in number.tolist()], float)})
     if not len(found):
         raise InputError("detections that are all taken for false", "people who are seen for a while")
     return found
-
-
-def _numbered(track: Track, number: Mapping[tuple[int, int], int]) -> Track:
-    of_rows = [number[track.track_id, frame] for frame in track.frame.tolist()]
-    return replace(track, inputs={**track.inputs, BOX: np.array(of_rows, float)})
 
 
 def estimated(

@@ -13,32 +13,8 @@ from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks import Track, TrackSet
 from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
+from perception.images.drawing.tracked import ShownPerson
 from perception.observe.estimates import BOX
-
-
-@dataclass(frozen=True, eq=False)
-class ShownPerson:
-    """An estimated person in one frame.
-
-    Attributes
-    ----------
-    track_id : whose colour it has
-    box : (4,) left, top, width, height in pixels
-    seen : whether somebody was seen there; else the box is where it should be
-    position : (2,) metres
-    body, body_std, head, head_std : radians; NaN where not known
-    path : (n, 2) pixels, on the ground, of the last seconds
-    """
-
-    track_id: int
-    box: FloatArray
-    seen: bool
-    position: FloatArray
-    body: float
-    body_std: float
-    head: float
-    head_std: float
-    path: FloatArray
 
 
 class ShownPeople(Mapping[int, list[ShownPerson]]):
@@ -128,7 +104,7 @@ def shown_by_frame(
 
     Parameters
     ----------
-    estimates, observations : matched by ``track_id``; the observations are as `who_is_who` has them
+    estimates, observations : matched by ``track_id``; the latter from `numbered` or `associated`
     boxes : that were looked at
     trail : seconds of the path
     """

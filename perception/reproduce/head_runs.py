@@ -14,12 +14,11 @@ from perception.follow.following import follow
 from perception.follow.guidance import GraphGuide
 from perception.follow.world import PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Frame
-from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
 from perception.reproduce.graph_on_top import GraphOnTop, Truth, graph_on_top, survives
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import ColourParameters, ColourTracker
-from perception.trackers.mixed_state.exemplars import HeadExemplars
+from perception.trackers.mixed_state.exemplars import HeadExemplars, load_head_exemplars
 from perception.trackers.mixed_state.tracker import ColourMemory, MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import Box, BoxEstimate, Tracker
 

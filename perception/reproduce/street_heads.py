@@ -169,7 +169,9 @@ def taught_pans(
     model: DeepBelief, people: Sequence[StreetPerson], teachers: Sequence[StreetPerson]
 ) -> list[FloatArray]:
     """The same with a last layer that learned from the direction of travel of others, and reflections."""
-    classes, inputs, labels = model.classes, [], []
+    classes = model.classes
+    inputs: list[NDArray[np.floating]] = []
+    labels: list[NDArray[np.int64]] = []
     for person in teachers:
         walks = np.flatnonzero(np.isfinite(person.travel))
         if len(walks):

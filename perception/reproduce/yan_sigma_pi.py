@@ -213,7 +213,8 @@ def _beside(runs: Runs) -> Table:
     of_persons = [record for record in records if record["kind"] in PAPER]
     mean: dict[str, Cell] = {"kind": "mean of the persons"}
     for column in list(records[0])[1:]:
-        values = [float(record[column]) for record in of_persons if isinstance(record[column], int | float)]
+        cells = [record[column] for record in of_persons]
+        values = [float(cell) for cell in cells if isinstance(cell, int | float)]
         mean[column] = float(np.mean(values)) if values else None
     whole, unseen, astray = (sum(values[k] for values in PAPER.values()) for k in range(3))
     mean |= {

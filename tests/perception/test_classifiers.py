@@ -12,7 +12,6 @@ import pytest
 from selection import others_slow
 
 from graphtrack.errors import InputError
-from perception.evaluation.measures import evaluate
 from perception.evaluation.recognition import recognition_table
 from perception.models import load_classifier
 from perception.pose.calibration import (
@@ -26,6 +25,7 @@ from perception.pose.classifier import FeatureClassifier, split
 from perception.pose.features.skin import SkinColours
 from perception.pose.head_pose import DeepBelief, Exemplars, Templates
 from perception.pose.head_pose.exemplars import CENTRE_STEP, DEVIATION_STEP
+from perception.pose.scores import evaluate
 from perception.storage import ModelCard, load_model, save_model
 from perception.synthetic import HeadSet, HeadVariation, make_heads
 

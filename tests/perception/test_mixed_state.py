@@ -14,7 +14,7 @@ from scipy.special import softmax
 
 from graphtrack.errors import InputError
 from perception.images.pixels import enlarged, grey_stack
-from perception.models import load_head_exemplars, model_path
+from perception.models import model_path
 from perception.pose.classes import PoseClasses
 from perception.pose.features.gabor import gabor_features
 from perception.pose.head_pose.exemplars import filter_log_densities
@@ -24,7 +24,7 @@ from perception.reproduce.still_heads import CONFUSION, PANS
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.synthetic.heads import HeadVariation, make_heads
 from perception.trackers.dynamics import BoxDynamics
-from perception.trackers.mixed_state.exemplars import LOOKING_UP, HeadExemplars
+from perception.trackers.mixed_state.exemplars import LOOKING_UP, HeadExemplars, load_head_exemplars
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.training.head_exemplars import train_head_exemplars

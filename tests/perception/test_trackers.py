@@ -10,13 +10,13 @@ import pytest
 
 from graphtrack.errors import InputError
 from perception.images.pixels import enlarged
-from perception.models import load_head_exemplars
 from perception.reproduce.head_runs import followed, tracking_error
 from perception.reproduce.side_by_side import run_all
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.colours import BoxColours, bhattacharyya
 from perception.trackers.dynamics import BoxDynamics, predict
+from perception.trackers.mixed_state.exemplars import load_head_exemplars
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.registry import TRACKERS, make_tracker, parameters_of
 from perception.trackers.tracker import Cloud, Proposal, Tracker, boxes_of, states_of

@@ -13,12 +13,11 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.particles import generator
 from perception.images.pixels import Image, enlarged, grey
-from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
 from perception.pose.features.gabor import SIDE
 from perception.trackers.colours import BoxColours, bhattacharyya
 from perception.trackers.dynamics import BoxDynamics, predict, resampled
-from perception.trackers.mixed_state.exemplars import HeadExemplars
+from perception.trackers.mixed_state.exemplars import HeadExemplars, load_head_exemplars
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import (
     Box,
