@@ -71,13 +71,13 @@ def seen_keypoints(
     errors: NetworkErrors = NetworkErrors(),
 ) -> FloatArray:
     """COCO's points (17, 3) of somebody, as a pose network would give them; limbs are not there."""
-    pixels, visibility, height = _projected(person, camera, furniture)
+    pixels, visibility, height = _seen_person(person, camera, furniture)
     points = np.zeros((N_POINTS, 3))
     points[list(USED)] = perceived(pixels[None], visibility[None], height, rng, errors)[0]
     return points
 
 
-def _projected(
+def _seen_person(
     person: Person, camera: Camera, furniture: tuple[Furniture, ...]
 ) -> tuple[FloatArray, FloatArray, float]:
     """Pixels (9, 2) of the joints, their visibility (9,), and the person's height in pixels."""
@@ -123,5 +123,5 @@ def _one(
         place = (0.8, posture.position[1] + rng.uniform(-0.6, 0.6))
         furniture = (Furniture(place, (0.3, 0.9, rng.uniform(0.3, 1.3))),)
     toward = direction(np.array(camera.position[:2]) - np.array(posture.position))
-    seen = _projected(Person(look, posture), camera, furniture)
+    seen = _seen_person(Person(look, posture), camera, furniture)
     return *seen, float(wrap(body - toward)), float(wrap(head - toward))
