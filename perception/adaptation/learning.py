@@ -36,7 +36,7 @@ from perception.adaptation.teaching import (
 )
 from perception.adaptation.tracks import OUTLIERS, class_outlier_probability
 from perception.images.pixels import Image, crop
-from perception.pose.classifier import Classifier
+from perception.pose.classifier import FeatureClassifier
 from perception.pose.head_path import select_along_track
 from perception.pose.heads import HeadLocaliser
 from perception.storage import ModelCard
@@ -78,8 +78,8 @@ class PackageModels:
     """The models that a camera begins with: where heads are, and whom to be better than."""
 
     head_localiser: HeadLocaliser
-    body_pose: Classifier
-    head_pose: Classifier
+    body_pose: FeatureClassifier
+    head_pose: FeatureClassifier
 
 
 @dataclass(frozen=True, eq=False)

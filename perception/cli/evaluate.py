@@ -108,9 +108,10 @@ def evaluate(
 
 
 def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -> None:
-    from perception.evaluation.measures import PoseScores
-    from perception.evaluation.measures import evaluate as judge
+    from perception.evaluation.measures import class_rates
     from perception.models import HEAD_POSE, load_classifier
+    from perception.pose.scores import PoseScores
+    from perception.pose.scores import evaluate as judge
     from perception.synthetic import make_heads, make_pedestrians
     from perception.training.models import FAR, FOUND_AS_WALKING
 
@@ -133,7 +134,7 @@ def _pose(count: int, rng: np.random.Generator, plot: Path | None, show: Show) -
         rows.append({"classifier": name, "images": what, **result.figures()})
     show(f"Errors and calibration on {count} rendered images each", rows)
     network = scores["deep_belief"]
-    hits, false_alarms = network.rates
+    hits, false_alarms = class_rates(network.confusion)
     show(
         "deep_belief, heads of 16-32 pixels: confusion in percent and rates (Baxter et al. 2014, Fig. 3)",
         [

@@ -131,7 +131,8 @@ def follow(
     """Follow one person or head through a video, and write its boxes as observations for graphtrack."""
     from graphtrack.errors import InputError
     from perception.follow import following
-    from perception.images.drawing import draw, pictures
+    from perception.images.drawing.estimates import draw
+    from perception.images.drawing.output import pictures
     from perception.images.frames import FrameSource
     from perception.trackers.registry import OF_HEADS, make_tracker, parameters_of
 

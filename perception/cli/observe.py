@@ -48,7 +48,8 @@ from perception.cli.teaching import check_adapt, forget, stamp_of_camera, teach
 
 if TYPE_CHECKING:
     from perception.images.frames import Frame, FrameSource
-    from perception.observe.pipeline import SeenTracks
+    from perception.observe.identified import SeenTracks
+    from perception.observe.seen import SeenFrame
 
 
 def observe(
@@ -128,14 +129,13 @@ def observe(
     from graphtrack.io.reading import check_table_name, write_table
     from perception.adaptation.models import CameraModels
     from perception.cli.observe_stream import observe_stream
-    from perception.detection.boxes import read_boxes, write_boxes
-    from perception.detection.networks.found import FoundPeople
+    from perception.detection.boxes import Detections, read_boxes, write_boxes
     from perception.images.drawing.output import is_video
     from perception.images.frames import FrameSource
     from perception.models import HEAD_POSE, load_classifier, load_head_localiser, load_keypoint_pose
     from perception.observe import pipeline
     from perception.observe.detections import to_detections
-    from perception.observe.identified import to_identified
+    from perception.observe.identified import to_tracks
     from perception.observe.journal import FrameJournal
     from perception.observe.live import LiveObserver
 
@@ -225,8 +225,8 @@ def observe(
     points = FrameJournal(
         points_so_far,
         key_of(frames.stamp(), networks.asked),
-        FoundPeople.to_record,
-        FoundPeople.from_record,
+        Detections.to_record,
+        Detections.from_record,
     )
     people = given if given is not None or pointed else search.people(refuse)
     if networks.has_keypoints:
@@ -254,7 +254,7 @@ def observe(
         with _decoded(frames, journal.frames.keys() | empty, one_size=one_size) as decoded:
             count = pipeline.observe(decoded, people, models, journal, refuse=refuse)
         seen = journal.frames, models.head_classes, camera, rate
-        people_seen = to_identified(*seen, causal=bool(causal)) if identified else None
+        observed = to_tracks(*seen, causal=bool(causal)) if identified or render is not None else None
         alone = None if identified else to_detections(*seen, causal=bool(causal))
     except InputError:  # the same command would end in the same way
         for one in (journal, search, points):
@@ -265,18 +265,15 @@ def observe(
         journal.close(remove=False)
     seconds = time.perf_counter() - looked
     if render is not None:  # what is drawn stays in memory
-        _render(
-            frames,
-            pipeline.to_tracks(pipeline.seen_in(journal), *seen[1:], causal=bool(causal)),
-            render,
-            rate,
-        )
+        assert observed is not None
+        _render(frames, observed, journal.frames, render, rate)
     if alone is not None:
         write_table(alone.columns, output)
         left_out = alone.refused
         said = counted(len(alone.number), "detection")
     else:
-        assert people_seen is not None
+        assert observed is not None
+        people_seen = observed.tracks
         write(people_seen, output)
         left_out = people_seen.summary.refused
         said = f"{counted(people_seen.n_frames, 'person-frame')} in {counted(len(people_seen), 'track')}"
@@ -320,11 +317,14 @@ def _decoded(
         yield decoded
 
 
-def _render(frames: FrameSource, observed: SeenTracks, path: Path, fps: float) -> None:
+def _render(
+    frames: FrameSource, observed: SeenTracks, seen: Mapping[int, SeenFrame], path: Path, fps: float
+) -> None:
     """Decode the frames once more, now that all tracks are known, and draw what was seen in them."""
-    from perception.images.drawing import draw_people, people_by_frame, pictures
+    from perception.images.drawing.output import pictures
+    from perception.images.drawing.people import draw_people, people_by_frame
 
-    people, camera = people_by_frame(observed), observed.tracks.camera
+    people, camera = people_by_frame(observed, seen), observed.tracks.camera
     assert camera is not None
     with pictures(path, fps) as write_picture, _decoded(frames, unit="frames drawn") as decoded:
         for frame in decoded:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from graphtrack.cli.console import console
@@ -17,9 +18,8 @@ from graphtrack.errors import InputError
 from perception.cli.common import FILE, decoded_frames, in_time
 
 if TYPE_CHECKING:
-    from perception.detection.boxes import PersonBox
-    from perception.detection.networks.found import FoundPeople
-    from perception.detection.networks.yolo import NetworkParameters, YoloNetwork
+    from perception.detection.boxes import Detections, PersonBox
+    from perception.detection.yolo import NetworkParameters, YoloNetwork
     from perception.images.frames import FrameSource
     from perception.images.pixels import Image
     from perception.observe.journal import FrameJournal
@@ -68,7 +68,7 @@ class OwnNetworks:
 
     detector: YoloNetwork | None
     pose: YoloNetwork | None
-    known: Mapping[int, FoundPeople] | None
+    known: Mapping[int, Detections] | None
     asked: tuple[object, ...]
 
     @property
@@ -81,14 +81,14 @@ class OwnNetworks:
         """Whether the boxes of people are those of their keypoints, where none are given."""
         return self.has_keypoints and self.detector is None
 
-    def look(self, frame: int, image: Image) -> FoundPeople:
+    def look(self, frame: int, image: Image) -> Detections:
         """The people of a frame with their keypoints."""
-        from perception.detection.networks.found import FoundPeople
+        from perception.detection.boxes import Detections
 
         if self.pose is not None:
-            return self.pose.found(image)
+            return self.pose.detect(image)
         assert self.known is not None
-        return self.known.get(frame) or FoundPeople.nobody()
+        return self.known.get(frame) or Detections(np.empty((0, 4)), np.empty(0))
 
 
 def keypoint_files(keypoints: Path | None) -> list[Path]:
@@ -139,7 +139,7 @@ def own_networks(
 
 
 def _network(path: Path, pose: bool, parameters: NetworkParameters) -> YoloNetwork:
-    from perception.detection.networks.yolo import YoloNetwork
+    from perception.detection.yolo import YoloNetwork
 
     return YoloNetwork(path, pose=pose, parameters=parameters)
 
@@ -147,7 +147,7 @@ def _network(path: Path, pose: bool, parameters: NetworkParameters) -> YoloNetwo
 def _parameters(
     person_class: str | None, input_size: str | None, least_score: float | None
 ) -> NetworkParameters:
-    from perception.detection.networks.yolo import NetworkParameters
+    from perception.detection.yolo import NetworkParameters
 
     size = None
     if input_size is not None:
@@ -178,11 +178,11 @@ def find_keypoints(
     frames: FrameSource,
     networks: OwnNetworks,
     numbers: set[int] | None,
-    journal: FrameJournal[FoundPeople],
+    journal: FrameJournal[Detections],
     refuse: Callable[[str], object],
     *,
     one_size: bool,
-) -> Mapping[int, FoundPeople]:
+) -> Mapping[int, Detections]:
     """Keypoints by frame; frames that the journal has are not looked at again.
 
     Parameters
@@ -206,7 +206,7 @@ def find_keypoints(
                 if frame.image is None:
                     refuse(frame.reason)
                 else:
-                    journal.add(frame.number, networks.pose.found(frame.image))
+                    journal.add(frame.number, networks.pose.detect(frame.image))
                     count += 1
     finally:
         journal.close(remove=False)
@@ -215,7 +215,7 @@ def find_keypoints(
 
 
 def with_their_keypoints(
-    people: list[PersonBox] | None, found: Mapping[int, FoundPeople], refuse: Callable[[str], object]
+    people: list[PersonBox] | None, found: Mapping[int, Detections], refuse: Callable[[str], object]
 ) -> list[PersonBox]:
     """The same people with their keypoints; where no boxes are known, those of the keypoints.
 

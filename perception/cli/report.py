@@ -239,9 +239,9 @@ class _Run:
         from perception.models import HEAD_POSE, load_classifier, load_head_localiser
         from perception.observe import pipeline
         from perception.observe.detections import to_detections
-        from perception.observe.identified import to_identified
+        from perception.observe.estimates import associated, numbered
+        from perception.observe.identified import to_tracks
         from perception.observe.journal import FrameJournal
-        from perception.report.people import who_is_who, who_is_who_of
 
         place, taught = self.folder.file("observations"), self.folder.file("models")
         identified = self.people[0].identified
@@ -267,13 +267,13 @@ class _Run:
                     pipeline.observe(decoded, self.people, models, journal, refuse=refused.setdefault)
                 classes, camera = models.head_classes, self.camera
                 if identified:
-                    observed = to_identified(journal.frames, classes, camera, self.rate)
+                    observed = to_tracks(journal.frames, classes, camera, self.rate).tracks
                     beyond = observed.summary.refused
-                    tracks = who_is_who(observed, self.people, identified=True)
+                    tracks = numbered(observed, self.people)
                 else:
                     found = to_detections(journal.frames, classes, camera, self.rate)
                     beyond = found.refused
-                    tracks = who_is_who_of(found.columns, found.number, self.people)
+                    tracks = associated(found.columns, found.number, self.people)
             except InputError:  # the same command would end in the same way
                 journal.close(remove=True)
                 raise
@@ -290,7 +290,7 @@ class _Run:
         """Stage 5: where everybody is, how they move and point."""
         from graphtrack.io import write
         from perception.adaptation.models import CameraModels
-        from perception.report.people import FILTERS, estimated
+        from perception.observe.estimates import FILTERS, estimated
 
         def work(key: str) -> list[str]:
             assert self.camera is not None

@@ -19,10 +19,8 @@ from perception.cli.own_networks import say_how_far
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
     from perception.detection.background import Backgrounds
-    from perception.detection.boxes import PersonBox
+    from perception.detection.boxes import Detections, Detector, PersonBox
     from perception.detection.ground_search import Candidates, GroundSearch
-    from perception.detection.networks.found import Detector
-    from perception.detection.people import Detections
     from perception.detection.rescoring import PersonProbability
     from perception.images.frames import Frame, FrameSource
     from perception.observe.journal import FrameJournal
@@ -78,8 +76,8 @@ class PeopleSearch:
         ``refuse`` is told of frames that cannot be decoded.
         """
         from graphtrack.errors import InputError
-        from perception.detection.boxes import detected
-        from perception.detection.people import Detections
+        from perception.detection.boxes import Detections
+        from perception.detection.pointed import boxes_of
         from perception.detection.rescoring import PersonProbability
         from perception.observe.journal import FrameJournal
 
@@ -109,7 +107,7 @@ class PeopleSearch:
             f"{spent:.2f} s of processor time each",
             markup=False,
         )
-        return detected({number: (one.boxes, one.scores) for number, one in journal.frames.items()})
+        return boxes_of(journal.frames)
 
     def __enter__(self) -> Self:
         return self
@@ -126,14 +124,14 @@ class PeopleSearch:
             journal.close(remove=remove)
 
     def _frame_by_frame(self, journal: FrameJournal[Detections], refuse: Refuse) -> None:
-        from perception.detection.people import Detections, PeopleDetector
+        from perception.detection.people import PeopleDetector
 
         detector = self.detector or PeopleDetector()
         for frame in self._unknown(journal, one_size=self.one_size):
             if frame.image is None:
                 refuse(frame.reason)
             else:
-                journal.add(frame.number, Detections(*detector.detect(frame.image)))
+                journal.add(frame.number, detector.detect(frame.image))
 
     def _unknown(self, journal: FrameJournal[Detections], *, one_size: bool) -> Iterator[Frame]:
         """The frames that the journal has not, with a progress bar; and where a video ends too early."""
@@ -182,7 +180,7 @@ class PeopleSearch:
             else:
                 search = search or ground_search(camera, frame.image)
                 detector = GroundDetector(search, probability, backgrounds.at(frame.number))
-                journal.add(frame.number, _detections(*detector.detect(frame.image)))
+                journal.add(frame.number, detector.detect(frame.image))
 
     def _backgrounds(self, numbers: list[int]) -> Backgrounds:
         from perception.detection.background import Backgrounds, background_samples
@@ -232,12 +230,6 @@ class PeopleSearch:
                 markup=False,
             )
         return found
-
-
-def _detections(boxes: Any, scores: Any) -> Detections:
-    from perception.detection.people import Detections
-
-    return Detections(boxes, scores)
 
 
 def ground_search(camera: GroundCamera, image: np.ndarray) -> GroundSearch:

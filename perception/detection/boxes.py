@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from graphtrack.io.readers.caviar import read_boxes as read_caviar_boxes
 from graphtrack.io.readers.mot import read_boxes as read_mot_boxes
 from graphtrack.io.source import Source
 from graphtrack.table.rows import check_rows
-from perception.pose.keypoints.skeleton import Points
+from perception.images.pixels import Image
+from perception.pose.keypoints.skeleton import N_POINTS, Points
 
 
 @dataclass(frozen=True)
@@ -76,16 +78,6 @@ def read_boxes(path: str | Path, refuse: Callable[[str], None] = lambda reason: 
     ]
 
 
-def detected(found: Mapping[int, tuple[FloatArray, FloatArray]]) -> list[PersonBox]:
-    """Detections by frame, boxes (n, 4) and scores (n,), as boxes without identities, numbered from 1 on."""
-    boxes: list[PersonBox] = []
-    for frame, (of_frame, scores) in sorted(found.items()):
-        for (left, top, width, height), score in zip(of_frame.tolist(), scores.tolist(), strict=True):
-            box = left, top, width, height
-            boxes.append(PersonBox(frame, len(boxes) + 1, box, score, identified=False, score=score))
-    return boxes
-
-
 def write_boxes(boxes: Iterable[PersonBox], path: str | Path) -> None:
     """Write MOT text that `read_boxes` and any MOT tool read.
 
@@ -105,3 +97,45 @@ def foot_point(box: tuple[float, float, float, float]) -> np.ndarray:
     """The middle (2,) of a box's lower edge, in pixels."""
     left, top, width, height = box
     return np.array([left + width / 2.0, top + height])
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """The people who are found in one frame, best first.
+
+    Attributes
+    ----------
+    boxes : (n, 4) left, top, width, height in pixels; NaN where only points are known
+    scores : (n,) from 0 to 1
+    points : (n, 17, 3) COCO's points with their confidences; None: the detector gives none
+    """
+
+    boxes: FloatArray
+    scores: FloatArray
+    points: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    def to_record(self) -> dict[str, Any]:
+        """Return a JSON object."""
+        record = {"boxes": self.boxes.tolist(), "scores": self.scores.tolist()}
+        return record if self.points is None else record | {"points": self.points.round(3).tolist()}
+
+    @classmethod
+    def from_record(cls, values: dict[str, Any]) -> Detections:
+        """Invert `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
+        scores = np.array(values["scores"], float).reshape(-1)
+        boxes = np.array(values["boxes"], float).reshape(len(scores), 4)
+        points = None
+        if "points" in values:
+            points = np.array(values["points"], float).reshape(len(scores), N_POINTS, 3)
+        return cls(boxes, scores, points)
+
+
+class Detector(Protocol):
+    """Anything that finds people in an image."""
+
+    def detect(self, image: Image) -> Detections:
+        """Return the people of an image, best first."""
+        ...

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
 from perception.detection.background import Background
 from perception.detection.blocks import foot_boxes
+from perception.detection.boxes import Detections
 from perception.detection.ground_search import Candidates, GroundSearch, joined
-from perception.detection.people import Detections
 from perception.detection.rescoring import PersonProbability
 from perception.images.pixels import Image
 
@@ -35,10 +34,9 @@ class GroundDetector:
         size = image.shape[1], image.shape[0]
         return cls(GroundSearch(camera, size), PersonProbability.untaught(foreground=False))
 
-    def detect(self, image: Image) -> tuple[FloatArray, FloatArray]:
-        """Boxes (n, 4), left, top, width, height in pixels, and probabilities (n,), best first."""
-        found = self.chosen(self.search.candidates(image, self.background))
-        return found.boxes, found.scores
+    def detect(self, image: Image) -> Detections:
+        """Return people with the probabilities of them, best first."""
+        return self.chosen(self.search.candidates(image, self.background))
 
     def chosen(self, candidates: Candidates) -> Detections:
         """The candidates of a frame that are more like people than like nobody."""

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from perception.detection.blocks import CELL, FOOT, TALL, WindowFilter, foot_boxes, gradient_blocks, resized
-from perception.images.pixels import Image
-from perception.pose.heads import non_maximum_suppression
+from perception.detection.boxes import Detections
+from perception.images.pixels import Image, non_maximum_suppression
 
 _ROWS = 720
+_OVERLAP = 0.4
+"""Intersection over union above which the weaker of two boxes is dropped."""
 _STEP = 1.08
 """Ratio of neighbouring scales."""
 _MARGIN = 16
@@ -25,74 +23,37 @@ _SLOPE = 2.0
 """Log odds of a score of one; those of zero are even."""
 
 
-@dataclass(frozen=True)
-class DetectorParameters:
-    """How to look for people.
-
-    Attributes
-    ----------
-    enlarge : factor of the image before the search; people must then be 96 pixels high at least. None: so
-        that the image has 720 rows, but never smaller than it is
-    threshold : least score of the SVM
-    overlap : intersection over union above which the weaker of two boxes is dropped
-    """
-
-    enlarge: float | None = None
-    threshold: float = 0.3
-    overlap: float = 0.4
-
-
-@dataclass(frozen=True, eq=False)
-class Detections:
-    """What was detected in a frame.
-
-    Attributes
-    ----------
-    boxes : (n, 4) left, top, width, height in pixels
-    scores : (n,) how probably each is a person
-    """
-
-    boxes: FloatArray
-    scores: FloatArray
-
-    def to_record(self) -> dict[str, Any]:
-        """As JSON knows it."""
-        return {name: getattr(self, name).tolist() for name in ("boxes", "scores")}
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> Detections:
-        """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
-        scores = np.array(values["scores"], float).reshape(-1)
-        return cls(np.array(values["boxes"], float).reshape(len(scores), 4), scores)
-
-
 class PeopleDetector:
-    """OpenCV's default people detector; its weights come with the library."""
+    """OpenCV's default people detector at all scales; its weights come with the library.
 
-    def __init__(self, parameters: DetectorParameters = DetectorParameters()) -> None:
-        if parameters.enlarge is not None and not 0.1 <= parameters.enlarge <= 8.0:
-            raise InputError(f"enlarge = {parameters.enlarge}", "a factor from 0.1 to 8")
-        self.parameters = parameters
+    An image of fewer than 720 rows is enlarged to that, by a factor of 8 at most.
+
+    Parameters
+    ----------
+    threshold : least score of the SVM
+    """
+
+    def __init__(self, threshold: float = 0.3) -> None:
+        self.threshold = threshold
         self._filter = WindowFilter.of_opencv()
 
-    def detect(self, image: Image) -> tuple[FloatArray, FloatArray]:
-        """Boxes (n, 4), left, top, width, height in pixels, and probabilities (n,), best first."""
-        p = self.parameters
+    def detect(self, image: Image) -> Detections:
+        """Return people with the probabilities of them, best first."""
         found, heights, scores = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
         for scale in self._scales(image):
             feet, values = self._at(image, scale)
-            kept = values > p.threshold
+            kept = values > self.threshold
             found.append(feet[kept])
             heights.append(np.full(int(kept.sum()), TALL / scale))
             scores.append(values[kept].astype(float))
         boxes, score = foot_boxes(np.vstack(found), np.concatenate(heights)), np.concatenate(scores)
-        best = non_maximum_suppression(boxes, score, p.overlap)
-        return boxes[best], np.asarray(expit(_SLOPE * score[best]), float)
+        best = non_maximum_suppression(boxes, score, _OVERLAP)
+        return Detections(boxes[best], np.asarray(expit(_SLOPE * score[best]), float))
 
     def _scales(self, image: Image) -> list[float]:
         """Factors of the image, from the largest to the last at which a window fits in it."""
         rows, columns = image.shape[:2]
-        largest = self.parameters.enlarge or float(np.clip(_ROWS / rows, 1.0, 8.0))
+        largest = float(np.clip(_ROWS / rows, 1.0, 8.0))
         least = max(128 / rows, 64 / columns)
         if largest < least:
             return []

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from graphtrack.geometry.angles import FloatArray
-from perception.detection.boxes import PersonBox
-from perception.detection.networks.found import FoundPeople
+from perception.detection.boxes import Detections, PersonBox
 from perception.images.pixels import intersection_over_union
 from perception.pose.keypoints.files import PersonPoints
 from perception.pose.keypoints.skeleton import ANKLES, FACE, HIPS, N_POINTS, SHOULDERS, as_points
@@ -24,13 +23,13 @@ _TRUNKS = 1.86
 """From hips to soles, in lengths from shoulders to hips."""
 
 
-def found_by_frame(people: Iterable[PersonPoints]) -> dict[int, FoundPeople]:
+def found_by_frame(people: Iterable[PersonPoints]) -> dict[int, Detections]:
     """People of files by frame."""
     groups: dict[int, list[PersonPoints]] = {}
     for person in people:
         groups.setdefault(person.frame, []).append(person)
     return {
-        frame: FoundPeople(
+        frame: Detections(
             np.array([person.box for person in group]),
             np.array([person.score for person in group]),
             np.array([person.points for person in group]),
@@ -72,9 +71,9 @@ def box_of(points: FloatArray) -> FloatArray | None:
 
 
 def boxes_of(
-    found: Mapping[int, FoundPeople], refuse: Callable[[str], object] = lambda reason: None
+    found: Mapping[int, Detections], refuse: Callable[[str], object] = lambda reason: None
 ) -> list[PersonBox]:
-    """Detections with keypoints, each numbered, from 1 on; ``refuse`` is told of people without a box."""
+    """Return detections as boxes without identities, numbered from 1 on; people without a box are refused."""
     boxes: list[PersonBox] = []
     without = 0
     for frame, people in sorted(found.items()):
@@ -92,7 +91,7 @@ def boxes_of(
     return boxes
 
 
-def _own_box(people: FoundPeople, k: int) -> FloatArray | None:
+def _own_box(people: Detections, k: int) -> FloatArray | None:
     """Somebody's box: the given one, or that of their points."""
     box = people.boxes[k]
     if np.isfinite(box).all() and box[2] >= 1.0 and box[3] >= 1.0:
@@ -100,7 +99,7 @@ def _own_box(people: FoundPeople, k: int) -> FloatArray | None:
     return None if people.points is None else box_of(people.points[k])
 
 
-def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, FoundPeople]) -> list[PersonBox]:
+def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, Detections]) -> list[PersonBox]:
     """The same boxes with the keypoints of those whom they hold; who has none has none.
 
     Within a frame everybody's points are given to one box at most, so that overlaps are the largest in all.
@@ -121,7 +120,7 @@ def with_keypoints(boxes: Iterable[PersonBox], found: Mapping[int, FoundPeople])
     return result
 
 
-def _fit(box: tuple[float, float, float, float], people: FoundPeople, k: int) -> float:
+def _fit(box: tuple[float, float, float, float], people: Detections, k: int) -> float:
     """How well somebody fits into a box; 0: not at all."""
     assert people.points is not None
     points, (left, top, width, height) = people.points[k], box

@@ -25,13 +25,14 @@ from perception.detection.boxes import read_boxes
 from perception.ground.upright import LeaningView
 from perception.images.frames import FrameSource
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
-from perception.observe.pipeline import Models, observe_frame, to_tracks
-from perception.observe.seen import SeenPerson
-from perception.report.people import estimated
+from perception.observe.estimates import estimated
+from perception.observe.identified import to_tracks
+from perception.observe.pipeline import Models, observe_frame
+from perception.observe.seen import SeenPerson, by_frame
 
 
 @dataclass(frozen=True, eq=False)
-class Sequence:
+class LobbySequence:
     """A sequence of the lobby.
 
     Attributes
@@ -46,7 +47,7 @@ class Sequence:
     gaze: dict[tuple[int, int], float]
 
 
-def sequences_of(folder: Path) -> list[Sequence]:
+def sequences_of(folder: Path) -> list[LobbySequence]:
     """The lobby's sequences of a CAVIAR folder, as far as their frames are there.
 
     Raises
@@ -62,7 +63,7 @@ def sequences_of(folder: Path) -> list[Sequence]:
     return [_sequence(path, folder / "frames" / path.stem) for path in paths]
 
 
-def _sequence(path: Path, folder: Path) -> Sequence:
+def _sequence(path: Path, folder: Path) -> LobbySequence:
     camera, frames = lobby_camera(), FrameSource.open(folder)
     there = set(frames.numbers())
     people = [item for item in read_boxes(path) if item.frame in there]
@@ -74,7 +75,7 @@ def _sequence(path: Path, folder: Path) -> Sequence:
         for frame, value in zip(track.frame.tolist(), angle.tolist(), strict=True):
             if np.isfinite(value):
                 gaze[frame, track.track_id] = value
-    return Sequence(path.stem, Recording(frames, people, FPS), gaze)
+    return LobbySequence(path.stem, Recording(frames, people, FPS), gaze)
 
 
 def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int], None]]:
@@ -82,7 +83,7 @@ def _silent(count: int, unit: str = "") -> AbstractContextManager[Callable[[int]
     return nullcontext(lambda done: None)
 
 
-def adapted_table(sequences: list[Sequence], seed: int, progress: Progress) -> Table:
+def adapted_table(sequences: list[LobbySequence], seed: int, progress: Progress) -> Table:
     """Errors in each sequence by what the others taught."""
     package = PackageModels(
         load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
@@ -92,13 +93,13 @@ def adapted_table(sequences: list[Sequence], seed: int, progress: Progress) -> T
         others = [other.recording for other in sequences if other is not one]
         rng = np.random.default_rng(seed)
         found = adapted(others, lobby_camera(), package, rng, _silent, lambda reason: None)
-        rows.append(_judged(found.models, package, one, found.people))
+        rows.append(_sequence_errors(found.models, package, one, found.people))
         progress(1)
     return Table.of("CAVIAR's lobby, adapted on the other sequences: mean error in degrees (chance 90)", rows)
 
 
-def _judged(
-    models: CameraModels, package: PackageModels, sequence: Sequence, taught_by: int
+def _sequence_errors(
+    models: CameraModels, package: PackageModels, sequence: LobbySequence, taught_by: int
 ) -> dict[str, Cell]:
     camera, recording = lobby_camera(), sequence.recording
     people = recording.people
@@ -147,7 +148,7 @@ def _judged(
 def _smoothed(seen: list[SeenPerson], models: CameraModels, rate: float) -> dict[tuple[int, int], float]:
     """The body as the graph has it, which knows how people move besides, radians in the image frame."""
     camera = lobby_camera()
-    tracks = to_tracks(seen, CLASSES.pans, camera, rate).tracks
+    tracks = to_tracks(by_frame(seen), CLASSES.pans, camera, rate).tracks
     found: dict[tuple[int, int], float] = {}
     for track in estimated(tracks, camera, "smoother", lambda count: None, models.graph)[0]:
         if track.body is None:

@@ -29,9 +29,9 @@ from perception.detection.boxes import PersonBox, read_boxes
 from perception.images.frames import FrameSource
 from perception.images.pixels import Image
 from perception.models import HEAD_POSE, load_classifier, load_head_localiser
-from perception.observe.pipeline import to_tracks
-from perception.observe.seen import SeenPerson
-from perception.report.people import METHODS, estimated, who_is_who
+from perception.observe.detections import to_detections
+from perception.observe.estimates import METHODS, associated, estimated
+from perception.observe.seen import SeenPerson, by_frame
 
 PARTS = 2
 """Into which people are divided."""
@@ -75,8 +75,8 @@ def observed_by_others(folder: Path, seed: int, progress: Progress) -> tuple[Tra
         seen += _seen(models, rows, people, found, looks)
         shares.append(models.class_outlier_probability or 0.0)
         progress(1)
-    tracks = to_tracks(seen, CameraModels.classes.pans, camera, RATE).tracks
-    return who_is_who(tracks, people, identified=False), camera, float(np.mean(shares))
+    table = to_detections(by_frame(seen), CameraModels.classes.pans, camera, RATE)
+    return associated(table.columns, table.number, people), camera, float(np.mean(shares))
 
 
 def _seen(
@@ -114,7 +114,7 @@ def methods_table(folder: Path, seed: int, progress: Progress, methods: Sequence
                 {
                     "method": method,
                     "outliers": "as packaged" if news is None else f"{news:.2f}, learned",
-                    **_judged(found, reference),
+                    **_method_errors(found, reference),
                     "IDF1": known.idf1,
                     "MOTA": known.mota,
                 }
@@ -146,7 +146,7 @@ def _travel(truth: TrackSet) -> Reference:
     }
 
 
-def _judged(found: TrackSet, reference: Reference) -> dict[str, Cell]:
+def _method_errors(found: TrackSet, reference: Reference) -> dict[str, Cell]:
     of_frame: dict[int, list[tuple[Track, int]]] = {}
     for track in found:
         for k, frame in enumerate(track.frame.tolist()):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -17,14 +18,16 @@ from graphtrack.inference import track_online
 from graphtrack.inference.offline import smooth_track
 from graphtrack.model import Model
 from graphtrack.tracks import Track, TrackSet
+from perception.observe.identified import to_tracks
 from perception.observe.pipeline import (
     Models,
-    SeenPerson,
+    by_track,
     head_in_image,
+    is_on_ground,
     observe_frame,
     to_track,
-    to_tracks,
 )
+from perception.observe.seen import SeenPerson, by_frame
 from perception.synthetic.clips import Clip
 
 LAG = 2.0
@@ -89,20 +92,16 @@ def _in_image(person: ObservedPerson, model: Model, seed: int) -> Track:
     return particle_filter(person.image, model, camera=person.camera, options=options, seed=seed).track
 
 
-def _chain(person: ObservedPerson, model: Model, seed: int) -> Track:
-    return track_online(person.causal, model, engine="chain", lag=LAG, camera=person.camera)
+def _online(engine: Literal["chain", "isam2"]) -> Estimate:
+    """The graph online, with heads chosen from the past alone."""
+    return lambda person, model, seed: track_online(
+        person.causal, model, engine=engine, lag=LAG, camera=person.camera
+    )
 
 
-def _isam2(person: ObservedPerson, model: Model, seed: int) -> Track:
-    return track_online(person.causal, model, engine="isam2", lag=LAG, camera=person.camera)
-
-
-def _smoother(person: ObservedPerson, model: Model, seed: int) -> Track:
-    return smooth_track(person.causal, model, person.camera).track
-
-
-def _whole(person: ObservedPerson, model: Model, seed: int) -> Track:
-    return smooth_track(person.whole, model, person.camera).track
+def _offline(track: Literal["causal", "whole"]) -> Estimate:
+    """The smoother, with heads chosen from the past alone or along the whole track."""
+    return lambda person, model, seed: smooth_track(getattr(person, track), model, person.camera).track
 
 
 _SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter does not know the modes of ``full``
@@ -110,10 +109,10 @@ _SEPARATE_AND_JOINT = WITH_FULL[:-1]  # the particle filter does not know the mo
 METHODS: Mapping[str, Method] = {
     "particle": Method("online", _particle, _SEPARATE_AND_JOINT, seeds=3),
     "particle, eq. 12–14": Method("online", _in_image, _SEPARATE_AND_JOINT, seeds=3),
-    "graph, chain": Method("online", _chain),
-    "graph, isam2": Method("online", _isam2),
-    "smoother": Method("offline", _smoother),
-    "smoother, heads of the whole track": Method("offline", _whole),
+    "graph, chain": Method("online", _online("chain")),
+    "graph, isam2": Method("online", _online("isam2")),
+    "smoother": Method("offline", _offline("causal")),
+    "smoother, heads of the whole track": Method("offline", _offline("whole")),
 }
 """Online methods and the first smoother have the same observations; the last one's heads know the future."""
 
@@ -130,7 +129,7 @@ def seen_in_clip(clip: Clip, models: Models) -> list[SeenPerson]:
 def observed(clip: Clip, models: Models, *, causal: bool = False) -> TrackSet:
     """The observations of a clip, as `perception observe` writes them."""
     seen = seen_in_clip(clip, models)
-    return to_tracks(seen, models.head_pose.classes, clip.camera, clip.fps, causal=causal).tracks
+    return to_tracks(by_frame(seen), models.head_pose.classes, clip.camera, clip.fps, causal=causal).tracks
 
 
 def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
@@ -138,14 +137,15 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
     seen, classes = seen_in_clip(clip, models), models.head_pose.classes
     if not seen:
         return []
-    causal = to_tracks(seen, classes, clip.camera, clip.fps, causal=True)
-    whole = to_tracks(seen, classes, clip.camera, clip.fps).tracks
+    causal = to_tracks(by_frame(seen), classes, clip.camera, clip.fps, causal=True)
+    whole = to_tracks(by_frame(seen), classes, clip.camera, clip.fps).tracks
     found = []
     for track in causal.tracks:
         if len(track) < LEAST_FRAMES:
             continue
         key, truth = track.track_id, clip.truth[track.track_id]
-        items, heads = causal.seen[key], causal.heads[key]
+        heads = causal.heads[key]
+        items = [item for item in by_track(seen)[key] if is_on_ground(item, clip.camera)]
         found.append(
             ObservedPerson(
                 track,
@@ -160,7 +160,7 @@ def people_of(clip: Clip, models: Models) -> list[ObservedPerson]:
     return found
 
 
-def scores(
+def joint_scores(
     data: str, people: Iterable[ObservedPerson], progress: Callable[[int], object] = lambda count: None
 ) -> Scores:
     """Mean errors in degrees of each person by each method of `METHODS`, and of the single frames."""
@@ -203,7 +203,7 @@ def joint_effect(clips: Iterable[Clip], models: Models) -> list[dict[str, str | 
     A row for the most likely class of each frame, with heads chosen from the past alone and along the whole
     track; then one for each method of `METHODS` with each of its presets.
     """
-    found = scores("clips", [person for clip in clips for person in people_of(clip, models)])
+    found = joint_scores("clips", [person for clip in clips for person in people_of(clip, models)])
     rows: list[dict[str, str | float]] = []
     for preset, name in dict.fromkeys(key[:2] for key in found.errors):
         per_frame = preset == "observation"

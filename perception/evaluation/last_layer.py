@@ -59,8 +59,7 @@ def split_scores(
     """
     classes, pan = model.classes, np.asarray(pan, float)
     labels = classes.index(pan)
-    hidden = model.hidden(model.features(images))
-    mirrored = model.hidden(model.features([np.ascontiguousarray(image[:, ::-1]) for image in images]))
+    hidden, mirrored = hidden_both_ways(model, images)
     unit = np.arange(len(labels)) if groups is None else np.asarray(groups)
     confusion = np.zeros((len(classes), len(classes)), np.int64)
     errors, rates = [], []
@@ -75,6 +74,14 @@ def split_scores(
         errors.append(np.abs(difference(classes.pan[found], pan[~learned])))
         rates.append(float(np.mean(found == labels[~learned])))
     return SplitScores(confusion, float(np.degrees(np.concatenate(errors).mean())), np.array(rates))
+
+
+def hidden_both_ways(
+    model: DeepBelief, images: Sequence[Image]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """The last hidden layer (n, d) of heads, and of their reflections."""
+    mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in images]
+    return model.hidden(model.features(images)), model.hidden(model.features(mirrored))
 
 
 def softmax_layer(

@@ -1,18 +1,15 @@
-"""How good pose classifiers are, in numbers and as a figure."""
+"""The reliability and the confusion of pose classifiers, as a figure."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from graphtrack.geometry.angles import FloatArray, difference
-from perception.images.pixels import Image
-from perception.pose.calibration import Reliability, reliability
-from perception.pose.classifier import Classifier
+from graphtrack.geometry.angles import FloatArray
+from perception.pose.scores import PoseScores
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,69 +18,12 @@ if TYPE_CHECKING:
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
-@dataclass(frozen=True, eq=False)
-class PoseScores:
-    """Errors of a classifier on labelled images.
-
-    Attributes
-    ----------
-    mean_error, median_error : degrees, of the centre of the most likely pan class
-    accuracy : share of the most likely pan classes that are right; ``within_one`` counts neighbours too
-    reliability : confidence against accuracy of the pan classes
-    confusion : (n_pan, n_pan) images by true (row) and most likely (column) pan class
-    """
-
-    mean_error: float
-    median_error: float
-    accuracy: float
-    within_one: float
-    reliability: Reliability
-    confusion: NDArray[np.int64]
-
-    @property
-    def expected_calibration_error(self) -> float:
-        """Of the pan classes."""
-        return self.reliability.expected_calibration_error
-
-    @property
-    def rates(self) -> tuple[FloatArray, FloatArray]:
-        """True and false positive rates (n_pan,) of each pan class (Baxter et al. 2014, Fig. 3); NaN for
-        classes unseen."""
-        of_class, said = self.confusion.sum(axis=1), self.confusion.sum(axis=0)
-        hits = np.diag(self.confusion)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return hits / of_class, (said - hits) / (of_class.sum() - of_class)
-
-    def figures(self) -> dict[str, float]:
-        """The numbers by name, for a model card."""
-        return {
-            "mean_error_deg": self.mean_error,
-            "median_error_deg": self.median_error,
-            "accuracy": self.accuracy,
-            "accuracy_within_one_class": self.within_one,
-            "expected_calibration_error": self.expected_calibration_error,
-        }
-
-
-def evaluate(classifier: Classifier, images: Sequence[Image], pan: ArrayLike) -> PoseScores:
-    """Judge a classifier on images whose pan (n,) in radians is known."""
-    classes, pan = classifier.classes, np.asarray(pan, float)
-    found = classifier.log_likelihoods(images)
-    of_pan = classes.pan_log_likelihood(found)
-    error = np.degrees(np.abs(difference(classes.most_likely_pan(found), pan)))
-    labels = classes.pans.index(pan)
-    likely = of_pan.argmax(axis=1)
-    confusion = np.zeros((classes.n_pan, classes.n_pan), np.int64)
-    np.add.at(confusion, (labels, likely), 1)
-    apart = np.abs(difference(classes.pan[likely], classes.pan[labels]))
-    return PoseScores(
-        float(error.mean()),
-        float(np.median(error)),
-        float(np.mean(likely == labels)),
-        float(np.mean(apart < 1.5 * classes.step)),
-        reliability(of_pan, labels),
-        confusion,
-    )
+def class_rates(confusion: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Return the true and false positive rates (k,) of each class; NaN for classes unseen."""
+    of_class, said, hits = confusion.sum(axis=1), confusion.sum(axis=0), np.diag(confusion)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        false = (said - hits) / (of_class.sum() - of_class)
+        return hits / of_class, np.where(of_class > 0, false, np.nan)
 
 
 def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, np.ndarray]) -> Figure:
@@ -113,21 +53,30 @@ def reliability_figure(scores: Mapping[str, PoseScores], degrees: Mapping[str, n
         fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.16), borderaxespad=0.0, frameon=False
     )
     for (name, found), axes in zip(scores.items(), squares, strict=True):
-        _confusion(axes, found, degrees[name], name)
+        order = np.argsort(degrees[name])
+        ticks = [f"{degree:.0f}" for degree in degrees[name][order]]
+        title = f"{name.replace('_', ' ')}: {100 * found.accuracy:.0f} % right"
+        draw_confusion(axes, found.confusion[np.ix_(order, order)], ticks, title, numbers=len(ticks) <= 8)
     return figure
 
 
-def _confusion(axes: Axes, found: PoseScores, degrees: np.ndarray, name: str) -> None:
-    share = found.confusion / np.maximum(found.confusion.sum(axis=1, keepdims=True), 1)
-    order = np.argsort(degrees)
-    share = share[np.ix_(order, order)]
-    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0)
-    ticks = [f"{degrees[k]:.0f}" for k in order]
-    axes.set_xticks(range(len(ticks)), ticks, rotation=90, fontsize=7)
-    axes.set_yticks(range(len(ticks)), ticks, fontsize=7)
-    for (row, column), value in np.ndenumerate(share):
-        if value >= 0.005 and len(ticks) <= 8:
-            colour = "white" if value > 0.5 else "black"
-            axes.text(column, row, f"{100 * value:.0f}", ha="center", va="center", fontsize=7, color=colour)
-    axes.set(xlabel="most likely, degrees", ylabel="true, degrees")
-    axes.set_title(f"{name.replace('_', ' ')}: {100 * found.accuracy:.0f} % right", fontsize=10)
+def draw_confusion(
+    axes: Axes, confusion: NDArray[np.number], names: Sequence[str], title: str, *, numbers: bool = True
+) -> None:
+    """Draw a confusion matrix (n, n), rows the true classes, in per cent of the true class.
+
+    Parameters
+    ----------
+    names : of the classes, degrees
+    numbers : whether cells show their per cent
+    """
+    percent = 100.0 * confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1e-9)
+    axes.imshow(percent, cmap="Blues", vmin=0.0, vmax=100.0)
+    axes.set_xticks(range(len(names)), names, fontsize=7, rotation=90)
+    axes.set_yticks(range(len(names)), names, fontsize=7)
+    for (row, column), value in np.ndenumerate(percent):
+        if numbers and value >= 0.5:
+            colour = "white" if value > 50.0 else "black"
+            axes.text(column, row, f"{value:.0f}", ha="center", va="center", fontsize=7, color=colour)
+    axes.set(xlabel="most likely (°)", ylabel="true (°)")
+    axes.set_title(title, fontsize=9)

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.evaluation.measures import evaluate
 from perception.pose.classifier import FeatureClassifier
 from perception.pose.heads import HeadLocaliser
+from perception.pose.scores import evaluate
 from perception.synthetic import make_heads, make_pedestrians
 from perception.training.models import (
     FOUND_AS_WALKING,

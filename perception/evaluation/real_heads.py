@@ -13,30 +13,20 @@ from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce.experiment import Cell, Progress, Table
 from graphtrack.geometry.angles import FloatArray, difference, direction
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.cameras import read_calibration
-from graphtrack.io.readers.towncentre import FPS, read_boxes
-from graphtrack.io.source import Source
-from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH
+from graphtrack.io.readers.towncentre import FPS
 from perception.images.frames import Frame, FrameSource
-from perception.models import load_head_exemplars
-from perception.reproduce.head_runs import mean_pan, tracking_error
+from perception.reproduce.head_runs import tracking_error
+from perception.reproduce.street_heads import STEP, WALKING, head_boxes, labelled_runs
 from perception.trackers.color import ColourParameters, ColourTracker
 from perception.trackers.dynamics import BoxDynamics
+from perception.trackers.mixed_state.exemplars import load_head_exemplars
 from perception.trackers.mixed_state.tracker import MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import BoxEstimate, Proposal, Tracker
 
-_STEP = 10
-"""Frames of the recording from one picture to the next."""
-_SCALE = 2.0
-"""Size of the pictures, in that of the recording of which the boxes are."""
 _FEWEST, _MOST = 12, 25
 """Pictures in a row that somebody must be in, and that are looked at."""
-_WALKING = 0.5
-"""Metres a second on average: who walks faces where they go, so that the pan of the head is known."""
 _TOLD = 0.5
 """1-σ, in sizes of the head, of the place that trackers are told."""
-_HEAD_TOP = 0.005
-"""Of a head's box, in heights of the person's box below its top."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,58 +61,38 @@ def slower(dynamics: BoxDynamics, steps: int) -> BoxDynamics:
 
 
 def heads_of(folder: Path, most: int) -> tuple[FrameSource, list[WalkingHead]]:
-    """Those of the ``most`` people who walk longest in the pictures of a Town Centre folder.
+    """Return the pictures of a Town Centre folder and the heads of the ``most`` people who walk longest.
 
     Raises
     ------
     InputError
-        If something of it is not there.
+        If something of it is not there, or nobody walks.
     """
-    pictures, truth = folder / "frames_001_150" / "img1", folder / "boxes.csv"
-    for path in (pictures, truth, folder / "calibration.ci"):
-        if not path.exists():
-            raise InputError(
-                "no such file or folder", "Town Centre's pictures, boxes and calibration", path=path
-            )
-    frames, camera = FrameSource.open(pictures), read_calibration(folder / "calibration.ci")
-    rows = read_boxes(Source.open(truth))
-    last = (frames.count - 1) * _STEP
-    there = (rows.frame % _STEP == 0) & (rows.frame <= last)
-    found = []
-    for person in np.unique(rows.track_id[there]).tolist():
-        mine = np.flatnonzero(there & (rows.track_id == person))
-        mine = mine[np.argsort(rows.frame[mine])]
-        number = rows.frame[mine] // _STEP + 1
-        longest = max(np.split(np.arange(len(mine)), np.flatnonzero(np.diff(number) > 1) + 1), key=len)
-        run = longest[:_MOST]
-        if len(run) >= _FEWEST:
-            box = rows.channels["box"][mine[run]] * _SCALE
-            found += _head(person, np.asarray(number[run], np.int64), box, camera)
+    frames, camera, runs = labelled_runs(folder, _FEWEST)
+    found = [head for run in runs for head in _head(*run, camera)]
     if not found:
-        raise InputError("nobody who walks", f"people in {_FEWEST} pictures in a row", path=truth)
+        expected = f"people in {_FEWEST} pictures in a row"
+        raise InputError("nobody who walks", expected, path=folder / "boxes.csv")
     return frames, sorted(found, key=lambda one: -len(one.frame))[:most]
 
 
 def _head(person: int, frame: NDArray[np.int64], box: FloatArray, camera: GroundCamera) -> list[WalkingHead]:
     """The head of somebody who walks; none of others."""
-    left, top, width, height = box.T
-    middle = left + width / 2.0
-    position = camera.image_to_ground(np.column_stack([middle, top + height]))
+    left, top, width, height = box[:_MOST].T
+    position = camera.image_to_ground(np.column_stack([left + width / 2.0, top + height]))
     step = np.gradient(position, axis=0)
-    if not np.linalg.norm(step, axis=1).mean() * FPS / _STEP > _WALKING:
+    if not np.linalg.norm(step, axis=1).mean() * FPS / STEP > WALKING:
         return []
     pan = camera.image_angle(direction(step), position)
-    size = np.array([HEAD_WIDTH, HEAD_HEIGHT]) * height[:, None]
-    heads = np.column_stack([middle - size[:, 0] / 2.0, top + _HEAD_TOP * height, size])
-    return [WalkingHead(person, frame, heads, pan)]
+    return [WalkingHead(person, frame[:_MOST], head_boxes(box[:_MOST]), pan)]
 
 
 def _methods(seed: int) -> Mapping[str, tuple[Tracker, bool]]:
     """By name: a tracker, and whether it is told about where the head is."""
     exemplars = load_head_exemplars()
     mixed, colour = MixedStateParameters(), ColourParameters()
-    slow = replace(mixed, dynamics=slower(mixed.dynamics, _STEP))
-    slow_colour = replace(colour, dynamics=slower(colour.dynamics, _STEP))
+    slow = replace(mixed, dynamics=slower(mixed.dynamics, STEP))
+    slow_colour = replace(colour, dynamics=slower(colour.dynamics, STEP))
     return {
         "mixed-state": (MixedStateTracker(mixed, exemplars=exemplars, seed=seed), False),
         "mixed-state, motion of 0.4 s": (MixedStateTracker(slow, exemplars=exemplars, seed=seed), False),
@@ -191,7 +161,7 @@ def _followed(
     on = np.asarray(inside.all(axis=1))
     off = np.flatnonzero(tracking_error(boxes, truth) >= 1.0)
     assert tracker.pan_classes is not None
-    pan = mean_pan(np.array([one.pan for one in said]), tracker.pan_classes)
+    pan = tracker.pan_classes.mean_of(np.array([one.pan for one in said]))
     error = np.asarray(np.abs(difference(pan, head.pan[known])))
     return {
         "on": 100.0 * float(on[1:].mean()),

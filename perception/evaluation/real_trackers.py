@@ -12,7 +12,7 @@ from perception.reproduce.side_by_side import run_all
 from perception.reproduce.sigma_pi_runs import PersonJob, Recording, Tally, recordings, run_job
 from perception.reproduce.yan_sigma_pi import method_table, success
 
-_FEWEST = 50
+_FEWEST_OF_PERSON = 50
 """Frames in a row in which somebody is labelled, to be counted."""
 
 
@@ -25,9 +25,11 @@ def people_of(folder: Path) -> list[Recording]:
         If nobody is labelled in fifty frames in a row that are there.
     """
     names = sorted(path.name for path in (folder / "frames").glob("*") if path.is_dir())
-    found = recordings(folder, names, _FEWEST)
+    found = recordings(folder, names, _FEWEST_OF_PERSON)
     if not found:
-        expected = f"frames/NAME/NUMBER.jpg, and xml/NAME.xml with people in {_FEWEST} of them in a row"
+        expected = (
+            f"frames/NAME/NUMBER.jpg, and xml/NAME.xml with people in {_FEWEST_OF_PERSON} of them in a row"
+        )
         raise InputError("no recordings of labelled people", expected, path=folder)
     return found
 

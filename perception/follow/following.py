@@ -65,7 +65,7 @@ def find_head(image: Image) -> Box:
     InputError
         If no people are found.
     """
-    people, _ = PeopleDetector().detect(image)
+    people = PeopleDetector().detect(image).boxes
     if not len(people):
         raise InputError(
             "no target in the first frame", "a person from head to foot, or the box of a head (--init)"

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from graphtrack.evaluation.tracking.similarity import box_similarity
 from graphtrack.geometry.angles import FloatArray
 from perception.detection.boxes import PersonBox
+from perception.images.pixels import intersection_over_union
 
 _OVERLAP = 0.3
 _BORDER = 2.0
@@ -40,7 +40,7 @@ def people_of(boxes: Sequence[PersonBox]) -> NDArray[np.int64]:
     count = 0
     for now in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1) if len(order) else ():
         if len(before):
-            overlap = box_similarity(box[now], box[before])
+            overlap = intersection_over_union(box[now][:, None], box[before])
             first, second = linear_sum_assignment(-overlap)
             near = overlap[first, second] > _OVERLAP
             who[now[first[near]]] = who[before[second[near]]]

@@ -116,3 +116,14 @@ def intersection_over_union(boxes: ArrayLike, box: ArrayLike) -> FloatArray:
     shared = np.prod(np.maximum(high - low, 0.0), axis=-1)
     union = np.prod(a[..., 2:], axis=-1) + np.prod(b[..., 2:], axis=-1) - shared
     return np.asarray(shared / np.maximum(union, 1e-12), float)
+
+
+def non_maximum_suppression(boxes: FloatArray, scores: FloatArray, overlap: float) -> list[int]:
+    """Indices of boxes (n, 4) from the best on, without those that overlap a better one by more."""
+    left = np.argsort(-scores, kind="stable")
+    kept = []
+    while len(left):
+        best = int(left[0])
+        kept.append(best)
+        left = left[intersection_over_union(boxes[left], boxes[best]) <= overlap]
+    return kept

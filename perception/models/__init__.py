@@ -10,7 +10,6 @@ from perception.pose.classifier import FeatureClassifier
 from perception.pose.head_pose import DeepBelief, Exemplars, Templates
 from perception.pose.heads import HeadLocaliser
 from perception.pose.keypoints.model import KeypointPose
-from perception.trackers.mixed_state.exemplars import HeadExemplars
 
 CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "templates": Templates,
@@ -19,7 +18,7 @@ CLASSIFIERS: dict[str, type[FeatureClassifier]] = {
     "body_pose": BodyPose,
 }
 HEAD_POSE = ("deep_belief", "templates", "exemplars")
-NAMES = (*CLASSIFIERS, HeadLocaliser.kind, HeadExemplars.kind, KeypointPose.kind)
+NAMES = (*CLASSIFIERS, HeadLocaliser.kind, "head_exemplars", KeypointPose.kind)
 
 
 def model_path(name: str) -> Path:
@@ -51,18 +50,6 @@ def load_classifier(name: str, path: str | Path | None = None) -> FeatureClassif
 def load_head_localiser(path: str | Path | None = None) -> HeadLocaliser:
     """The head localiser of the package or of a file."""
     return HeadLocaliser.load(path or model_path(HeadLocaliser.kind))
-
-
-def load_head_exemplars(path: str | Path | None = None, *, plain: bool = False) -> HeadExemplars:
-    """Load the exemplars of the mixed-state tracker, of the package or of a file.
-
-    Parameters
-    ----------
-    plain : whether the package's are those of Ba & Odobez 2003 as printed (`HeadExemplars.plain`)
-    """
-    if path is None and plain:
-        path = Path(__file__).parent / "head_exemplars_as_published.npz"
-    return HeadExemplars.load(path or model_path(HeadExemplars.kind))
 
 
 def load_keypoint_pose(path: str | Path | None = None) -> KeypointPose:

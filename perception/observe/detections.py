@@ -56,7 +56,7 @@ def scene_of(
     """
     if not any(known.people for known in frames.values()):
         raise InputError("a video without people", "at least one person")
-    camera = scaled_camera_of(frames, causal=causal) if camera is None else camera
+    camera = scaled_camera(frames, causal=causal) if camera is None else camera
     return camera, Projection.fixed() if causal else projection_of(frames)
 
 
@@ -68,12 +68,12 @@ def to_detections(
     *,
     causal: bool = False,
 ) -> SeenDetections:
-    """The rows that `to_tracks` makes of people without identities, without keeping what they are made of.
+    """Return the rows of `to_tracks` for people without identities.
 
     Parameters
     ----------
     frames : what was seen, by number; it is gone through two or three times
-    head_classes, camera, fps, causal : as there
+    head_classes, camera, fps, causal : as in `perception.observe.identified.to_tracks`
 
     Raises
     ------
@@ -137,7 +137,7 @@ def _some_at_once(frames: Mapping[int, SeenFrame]) -> Iterator[list[SeenPerson]]
         yield items
 
 
-def scaled_camera_of(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCamera:
+def scaled_camera(frames: Mapping[int, SeenFrame], *, causal: bool) -> GroundCamera:
     """A view from above in which the median box, of the first frame if ``causal``, is as high as a person."""
     heights: list[float] = []
     for number in sorted(frames):

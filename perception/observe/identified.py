@@ -1,4 +1,4 @@
-"""Tracks of people with identities, made in two passes over what was seen: little of it is open at a time."""
+"""Tracks of observed people, made in two passes over the frames: few of them are in memory at a time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from perception.pose.features.appearance import Projection
 from perception.pose.head_path import select_along_track, select_so_far
 from perception.pose.heads import HeadCandidates
 
-_AT_ONCE = 64
+_ROWS_AT_ONCE = 64
 """Rows of a track that are made together."""
 
 
@@ -44,20 +44,40 @@ class _Heads:
         return select_so_far(candidates) if causal else select_along_track(candidates)
 
 
-def to_identified(
+@dataclass(frozen=True, eq=False)
+class SeenTracks:
+    """Tracks with positions and likelihoods in the world, and their heads.
+
+    Attributes
+    ----------
+    tracks : with a row for each frame
+    heads : by the id of a track, which candidate is the head in each row, (n,)
+    """
+
+    tracks: TrackSet
+    heads: dict[int, NDArray[np.int64]]
+
+
+def to_tracks(
     frames: Mapping[int, SeenFrame],
     head_classes: PoseClasses,
     camera: GroundCamera | None,
     fps: float,
     *,
     causal: bool = False,
-) -> TrackSet:
-    """The tracks that `to_tracks` makes, without keeping what they are made of.
+) -> SeenTracks:
+    """Return tracks with positions in metres and class likelihoods in the world frame.
+
+    People at or beyond the camera's horizon are left out, and counted by the summary.
 
     Parameters
     ----------
-    frames : what was seen, by number; it is gone through some times
-    head_classes, camera, fps, causal : as there
+    frames : observations by number, each person once a frame; they are read three or four times
+    head_classes : pan classes of ``SeenPerson.pan``
+    camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
+    causal : whether rows are made of the frames up to their own alone: the heads are those that
+        `select_so_far` gives, the scale is that of the first frame and appearance is projected in a fixed
+        way. Else heads are chosen along whole tracks, and the projection is fitted to the recording.
 
     Raises
     ------
@@ -85,14 +105,14 @@ def to_identified(
 
     for item in _on_ground(frames, camera):
         pending[item.track_id].append(item)
-        if len(pending[item.track_id]) == _AT_ONCE:
+        if len(pending[item.track_id]) == _ROWS_AT_ONCE:
             make(item.track_id)
     for track_id in heads:
         make(track_id)
     tracks = tuple(_joined(track_id, parts.pop(track_id)) for track_id in heads)
     beyond = seen - sum(map(len, tracks))
     refused = {BEYOND_HORIZON: beyond} if beyond else {}
-    return TrackSet(tracks, camera, ReadSummary("video", seen, refused))
+    return SeenTracks(TrackSet(tracks, camera, ReadSummary("video", seen, refused)), heads)
 
 
 def _on_ground(frames: Mapping[int, SeenFrame], camera: GroundCamera) -> Iterator[SeenPerson]:

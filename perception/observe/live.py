@@ -9,34 +9,33 @@ import numpy as np
 
 from graphtrack.geometry.camera import GroundCamera
 from graphtrack.tracks import TrackSet, to_columns
-from perception.detection.boxes import PersonBox, detected
+from perception.detection.boxes import Detections, Detector, PersonBox
 from perception.detection.ground_detector import GroundDetector
-from perception.detection.networks.found import Detector, FoundPeople
 from perception.detection.people import PeopleDetector
 from perception.detection.pointed import boxes_of, with_keypoints
 from perception.images.frames import Frame
 from perception.images.pixels import Image
+from perception.observe.detections import scaled_camera
 from perception.observe.pipeline import (
     Models,
     in_heights,
     is_on_ground,
     observe_frame,
-    scaled_camera,
     to_track,
 )
-from perception.observe.seen import SeenPerson
+from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.features.appearance import Projection
 from perception.pose.head_path import HeadPath
 
 Finder = Callable[[int, Image], list[PersonBox]]
 """The boxes of the people of a frame, by its number and image."""
 
-Look = Callable[[int, Image], FoundPeople]
+Look = Callable[[int, Image], Detections]
 """The people of a frame with their keypoints, likewise."""
 
 
 class LiveObserver:
-    """Says of each frame at once what `to_tracks` with ``causal`` says of it in the end.
+    """Rows of each frame at once, as causal `perception.observe.identified.to_tracks` makes them in the end.
 
     Parameters
     ----------
@@ -63,7 +62,7 @@ class LiveObserver:
         """
         seen = observe_frame(image, frame, boxes, self.models, refuse)
         if self.camera is None and seen:
-            self.camera = scaled_camera(seen)
+            self.camera = scaled_camera({frame: SeenFrame(seen, [])}, causal=True)
         return [
             row
             for item in sorted(seen, key=lambda item: item.track_id)
@@ -123,6 +122,6 @@ def detected_boxes(camera: GroundCamera | None, detector: Detector | None = None
         if detector is None:
             assert camera is not None
             detector = GroundDetector.of_frame(camera, image)
-        return detected({frame: detector.detect(image)})
+        return boxes_of({frame: detector.detect(image)})
 
     return find

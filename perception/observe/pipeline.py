@@ -13,8 +13,7 @@ from graphtrack.bounds import APPEARANCE
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.io.cameras import BEYOND_HORIZON, PERSON_HEIGHT
-from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, ReadSummary, Track, TrackSet
+from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track
 from perception.adaptation.models import CameraModels
 from perception.detection.boxes import PersonBox
 from perception.ground.upright import LeaningView, Standing, standing_in, upright_picture
@@ -25,9 +24,8 @@ from perception.observe.journal import FrameJournal
 from perception.observe.seen import SeenFrame, SeenPerson
 from perception.observe.turned import image_likelihood, world_likelihood
 from perception.pose.classes import PoseClasses
-from perception.pose.classifier import Classifier
-from perception.pose.features.appearance import LENGTH, Projection, describe, light_of
-from perception.pose.head_path import select_along_track, select_so_far
+from perception.pose.classifier import FeatureClassifier
+from perception.pose.features.appearance import Projection, describe, light_of
 from perception.pose.heads import HeadCandidates, HeadLocaliser
 from perception.pose.keypoints.model import KeypointPose
 
@@ -48,8 +46,8 @@ class Models:
     """
 
     head_localiser: HeadLocaliser
-    body_pose: Classifier
-    head_pose: Classifier
+    body_pose: FeatureClassifier
+    head_pose: FeatureClassifier
     appearance: bool = False
     of_camera: CameraModels | None = None
     of_keypoints: KeypointPose | None = None
@@ -80,22 +78,6 @@ class Models:
         if self.of_keypoints is not None:
             return _HEAD
         return (self.head_pose if self.of_camera is None else self.of_camera).classes.pans
-
-
-@dataclass(frozen=True, eq=False)
-class SeenTracks:
-    """Tracks with positions and likelihoods in the world, and what they were made of.
-
-    Attributes
-    ----------
-    tracks : with a row for each frame
-    seen : by the id of a track, what was seen in each of its rows
-    heads : by the id of a track, which candidate is the head, (n,)
-    """
-
-    tracks: TrackSet
-    seen: dict[int, list[SeenPerson]]
-    heads: dict[int, NDArray[np.int64]]
 
 
 def observe_frame(
@@ -226,70 +208,6 @@ def observe(
     return count
 
 
-def seen_in(journal: FrameJournal[SeenFrame]) -> list[SeenPerson]:
-    """Everything that a journal of `observe` has, frame by frame."""
-    return [person for frame in sorted(journal.frames) for person in journal.frames[frame].people]
-
-
-def to_tracks(
-    seen: list[SeenPerson],
-    head_classes: PoseClasses,
-    camera: GroundCamera | None,
-    fps: float,
-    *,
-    causal: bool = False,
-) -> SeenTracks:
-    """Tracks with positions in metres and class likelihoods in the world frame.
-
-    Who is at or beyond the camera's horizon is left out, and counted by the summary.
-
-    Parameters
-    ----------
-    seen : of all frames, each person once a frame
-    head_classes : pan classes of ``SeenPerson.pan``
-    camera : the ground plane; without it a scale is taken, so that the median box is as high as a person
-    causal : whether rows are made of what was seen up to their frame alone: the heads are those that
-        `select_so_far` gives, and the scale that of the first frame. Else they are chosen along whole tracks.
-        What people look like is projected in a fixed way then, else by what varies in the recording.
-
-    Raises
-    ------
-    InputError
-        If nobody was seen.
-    """
-    if not seen:
-        raise InputError("a video without people", "at least one person")
-    if camera is None:
-        first = min(item.frame for item in seen)
-        camera = scaled_camera(item for item in seen if not causal or item.frame == first)
-    projection = Projection.fixed() if causal else _projection(seen)
-    tracks, rows, heads = [], {}, {}
-    for track_id, items in by_track(seen).items():
-        items = [item for item in items if is_on_ground(item, camera)]
-        if items:
-            scaled = [in_heights(item) for item in items]
-            rows[track_id] = items
-            heads[track_id] = select_so_far(scaled) if causal else select_along_track(scaled)
-            tracks.append(to_track(items, heads[track_id], head_classes, camera, fps, projection=projection))
-    if not tracks:
-        raise InputError("people beyond the horizon only", "a homography that fits the pictures")
-    beyond = len(seen) - sum(len(track) for track in tracks)
-    refused = {BEYOND_HORIZON: beyond} if beyond else {}
-    found = TrackSet(tuple(tracks), camera, ReadSummary("video", len(seen), refused))
-    return SeenTracks(found, rows, heads)
-
-
-def _projection(seen: Iterable[SeenPerson]) -> Projection:
-    """The one that keeps most of what people look like."""
-    looks = [item.looks for item in seen if item.looks is not None]
-    return Projection.fitted(np.array(looks, np.uint8).reshape(-1, LENGTH))
-
-
-def scaled_camera(seen: Iterable[SeenPerson]) -> GroundCamera:
-    """A view from above in which the median box of these is as high as a person."""
-    return GroundCamera.from_scale(PERSON_HEIGHT / float(np.median([item.height for item in seen])))
-
-
 def is_on_ground(item: SeenPerson, camera: GroundCamera) -> bool:
     """Whether the feet are on this side of the horizon."""
     return bool(np.isfinite(camera.image_to_ground(item.foot)).all())
@@ -311,7 +229,7 @@ def to_track(
     ----------
     items : what was seen in n frames, on this side of the horizon
     heads : (n,) which candidate is the head
-    head_classes, camera, fps : as for `to_tracks`
+    head_classes, camera, fps : of `perception.observe.identified.to_tracks`
     in_image : whether the likelihoods are left in the image frame, for filters that judge them there (Chen
         et al. 2011, eq. 13–14)
     projection : of what people look like; None: tracks do not say

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,3 +111,11 @@ class SeenFrame:
         """The inverse of `to_record`; ``ValueError``, ``TypeError`` or ``KeyError`` for anything else."""
         people = [SeenPerson.from_record(person) for person in values["people"]]
         return cls(people, [str(reason) for reason in values["refused"]])
+
+
+def by_frame(seen: Iterable[SeenPerson]) -> dict[int, SeenFrame]:
+    """Group people by the numbers of their frames."""
+    frames: dict[int, SeenFrame] = {}
+    for item in seen:
+        frames.setdefault(item.frame, SeenFrame([], [])).people.append(item)
+    return frames

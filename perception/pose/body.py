@@ -42,6 +42,7 @@ class BodyPose(FeatureClassifier):
     """
 
     kind: ClassVar[str] = "body_pose"
+    options = ("samples", "penalty", "projection", "floor", "calibrated")
 
     def __init__(
         self,
@@ -70,16 +71,6 @@ class BodyPose(FeatureClassifier):
         """Chen et al. 2011, §2.1 as printed: the normalised weights of the classes, of the HoG itself, and
         nothing else."""
         return cls(seed=seed, projection="none", floor=0.0, calibrated=False)
-
-    def settings(self) -> dict[str, Any]:
-        """Arguments of the constructor."""
-        return {
-            "samples": self.samples,
-            "penalty": self.penalty,
-            "projection": self.projection,
-            "floor": self.floor,
-            "calibrated": self.calibrated,
-        }
 
     def features(self, images: Sequence[Image]) -> FloatArray:
         """HoG of 4 × 2 and 8 × 4 blocks (n, 1440)."""

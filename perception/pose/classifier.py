@@ -5,8 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,29 +27,6 @@ _HELD_OUT = 0.2
 _BATCH = 256
 
 
-class Classifier(Protocol):
-    """What the pipeline needs of a pose classifier."""
-
-    classes: PoseClasses
-    card: ModelCard
-
-    def fit(self, images: Sequence[Image], labels: ArrayLike) -> Self:
-        """Learn from images and the indices (n,) of their classes."""
-        ...
-
-    def log_likelihood(self, image: Image) -> FloatArray:
-        """Log likelihood (n_classes,) of one image, up to a constant."""
-        ...
-
-    def log_likelihoods(self, images: Sequence[Image]) -> FloatArray:
-        """The same for many images at once, (n, n_classes)."""
-        ...
-
-    def save(self, path: str | Path) -> None:
-        """Write a model file."""
-        ...
-
-
 class FeatureClassifier(Stored):
     """A classifier that scores feature vectors, calibrated by a temperature and a share for neighbours.
 
@@ -66,6 +42,9 @@ class FeatureClassifier(Stored):
     seed : of everything random in the fit
     calibrated : whether the fit chooses temperature and share; the papers' likelihoods have neither
     """
+
+    options: ClassVar[tuple[str, ...]] = ()
+    """Arguments of the constructor, and attributes, that a file keeps."""
 
     def __init__(self, classes: PoseClasses, *, seed: int = 0, calibrated: bool = True) -> None:
         self.classes, self.seed, self.calibrated = classes, seed, calibrated
@@ -89,8 +68,8 @@ class FeatureClassifier(Stored):
         """Take over what `arrays` gave."""
 
     def settings(self) -> dict[str, Any]:
-        """Arguments of the constructor besides classes and seed, for the file."""
-        return {}
+        """Return the arguments of the constructor besides classes and seed, for the file."""
+        return {name: getattr(self, name) for name in self.options}
 
     def fit(self, images: Sequence[Image], labels: ArrayLike) -> Self:
         """Learn from images (h, w, 3) or (h, w) uint8 and class indices (n,).

@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
-from perception.images.pixels import Image, enlarged, grey, intersection_over_union
+from perception.images.pixels import (
+    Image,
+    enlarged,
+    grey,
+    intersection_over_union,
+    non_maximum_suppression,
+)
 from perception.pose.features.blocks import block_histograms, corner_sums, integral_histogram
 from perception.pose.head_detector import BoostedBlocks, Weak
 from perception.storage import ModelCard, Stored
@@ -176,14 +182,8 @@ class HeadLocaliser(Stored):
 
     def parameters(self) -> dict[str, Any]:
         """Arguments of the constructor, threshold and weight of the place."""
-        settings: dict[str, Any] = {
-            "weak": self.weak,
-            "rounds": self.rounds,
-            "seed": self.seed,
-            "plain": self.plain,
-            "around": self.around,
-            "normalised": self.normalised,
-        }
+        names = ("weak", "rounds", "seed", "plain", "around", "normalised")
+        settings = {name: getattr(self, name) for name in names}
         return {"settings": settings, "threshold": self.threshold, "place_weight": self._place_weight}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -224,17 +224,6 @@ def candidate_windows(width: int, lowest: float = _LOWEST) -> FloatArray:
     windows = np.concatenate(found)
     windows.setflags(write=False)
     return windows
-
-
-def non_maximum_suppression(boxes: FloatArray, scores: FloatArray, overlap: float) -> list[int]:
-    """Indices of boxes (n, 4) from the best on, without those that overlap a better one by more."""
-    left = np.argsort(-scores, kind="stable")
-    kept = []
-    while len(left):
-        best = int(left[0])
-        kept.append(best)
-        left = left[intersection_over_union(boxes[left], boxes[best]) <= overlap]
-    return kept
 
 
 def _prepared(image: Image) -> tuple[NDArray[np.float32], tuple[float, float]]:

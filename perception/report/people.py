@@ -1,146 +1,20 @@
-"""Who is who in what was seen, where everybody is, and in which box."""
+"""Where estimated people are in the pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphtrack.association.tracks import associate
-from graphtrack.errors import InputError
-from graphtrack.evaluation.methods import make_method, own_model
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.inference.offline import engine_of, solve_tracks
-from graphtrack.inference.solution import Solution
-from graphtrack.model import Model
-from graphtrack.tracks import Track, TrackSet, to_columns
+from graphtrack.tracks import Track, TrackSet
 from graphtrack.viewer.pictures import PersonBoxes
 from perception.detection.boxes import PersonBox
-
-METHODS = ("smoother", "ffbs", "particle", "chain", "isam2", "fixed-lag")
-"""The graph's smoother; Chen et al.'s joint particle filter, smoothed (``ffbs``) or online (``particle``);
-the graph online."""
-FILTERS = ("ffbs", "particle")
-"""What a camera teaches itself of the graph's share of outliers is none of theirs: they forget as they go."""
-
-_BOX = "box"
-"""The input of a track that says which box each row was seen in; NaN in rows of nothing."""
-
-
-def who_is_who(tracks: TrackSet, boxes: Sequence[PersonBox], *, identified: bool) -> TrackSet:
-    """Tracks of people, each row of which knows the number of its box.
-
-    Parameters
-    ----------
-    tracks : as `perception.observe.pipeline.to_tracks` makes them; without identities one for each box
-    boxes : that were looked at
-    identified : whether the boxes say who is in them; else that is found out
-
-    Raises
-    ------
-    InputError
-        If everything was taken for false.
-    """
-    if identified:
-        number = {(item.track_id, item.frame): k for k, item in enumerate(boxes)}
-        return tracks.map(lambda track: _numbered(track, number))
-    columns = to_columns(tracks)
-    ids = columns["track_id"]
-    columns["track_id"] = np.full(len(ids), -1)
-    return who_is_who_of({name: values for name, values in columns.items() if name != "label"}, ids, boxes)
-
-
-def who_is_who_of(
-    columns: Mapping[str, NDArray[Any]], number: NDArray[np.int64], boxes: Sequence[PersonBox]
-) -> TrackSet:
-    """The same of a table of detections.
-
-    Parameters
-    ----------
-    columns : as `perception.observe.detections.to_detections` makes them
-    number : (n,) of each row's box
-    boxes : that were looked at
-    """
-    of_box = {item.track_id: k for k, item in enumerate(boxes)}
-    found = associate({**columns, f"input_{_BOX}": np.array([of_box[k] for k in number.tolist()], float)})
-    if not len(found):
-        raise InputError("detections that are all taken for false", "people who are seen for a while")
-    return found
-
-
-def _numbered(track: Track, number: Mapping[tuple[int, int], int]) -> Track:
-    of_rows = [number[track.track_id, frame] for frame in track.frame.tolist()]
-    return replace(track, inputs={**track.inputs, _BOX: np.array(of_rows, float)})
-
-
-def estimated(
-    tracks: TrackSet,
-    camera: GroundCamera,
-    method: str,
-    advance: Callable[[int], None],
-    adapted: Callable[[Model], Model] = lambda model: model,
-) -> tuple[TrackSet, list[str]]:
-    """Where everybody is, how they move and point, and what is to be said of it.
-
-    Parameters
-    ----------
-    tracks : of observations
-    camera : over the ground
-    method : one of `METHODS`
-    advance : is told of person-frames that are done
-    adapted : makes of a model that of the camera, as `CameraModels.graph`
-
-    Raises
-    ------
-    InputError
-        If nobody's track can be estimated.
-    """
-    chosen = make_method(method, adapted(own_model(method)))
-    placed = replace(tracks, camera=camera)
-    said: list[str] = []
-    if method == "smoother":
-        model = adapted(Model.named(None))
-        found = solve_tracks(placed, model, engine_of(model), progress=advance)
-        good = [result.track for result in found if isinstance(result, Solution)]
-        bad = [one for one in found if not isinstance(one, Solution)]
-        said += [f"track {one.track_id} is left out: {one.reason}" for one in bad]
-    else:
-        good = []
-        for track in placed:
-            good.append(chosen.estimate(track, camera))
-            advance(len(track))
-    if not good:
-        raise InputError("no track that can be estimated", "people who are seen for a while")
-    return placed.with_tracks(good), [f"estimates by `{method}`: {chosen.information}", *said]
-
-
-@dataclass(frozen=True, eq=False)
-class ShownPerson:
-    """An estimated person in one frame.
-
-    Attributes
-    ----------
-    track_id : whose colour it has
-    box : (4,) left, top, width, height in pixels
-    seen : whether somebody was seen there; else the box is where it should be
-    position : (2,) metres
-    body, body_std, head, head_std : radians; NaN where not known
-    path : (n, 2) pixels, on the ground, of the last seconds
-    """
-
-    track_id: int
-    box: FloatArray
-    seen: bool
-    position: FloatArray
-    body: float
-    body_std: float
-    head: float
-    head_std: float
-    path: FloatArray
+from perception.images.drawing.tracked import ShownPerson
+from perception.observe.estimates import BOX
 
 
 class ShownPeople(Mapping[int, list[ShownPerson]]):
@@ -230,7 +104,7 @@ def shown_by_frame(
 
     Parameters
     ----------
-    estimates, observations : matched by ``track_id``; the observations are as `who_is_who` has them
+    estimates, observations : matched by ``track_id``; the latter from `numbered` or `associated`
     boxes : that were looked at
     trail : seconds of the path
     """
@@ -272,7 +146,7 @@ def _boxes_of(
 
     Between two that were seen there are those of the estimated feet, of sizes in between.
     """
-    number = observation.inputs[_BOX].reshape(-1)
+    number = observation.inputs[BOX].reshape(-1)
     known = np.flatnonzero(np.isfinite(number))
     at = {int(observation.frame[k]): boxes[int(number[k])].box for k in known.tolist()}
     seen = np.array([frame in at for frame in track.frame.tolist()])

@@ -19,11 +19,10 @@ from graphtrack.report.content import Card, Note, Photo, Section
 from graphtrack.report.html import write_report
 from graphtrack.report.plots.scene import plot_tracks
 from graphtrack.tracks import TrackSet
-from perception.images.drawing import pictures
-from perception.images.drawing.tracked import draw_tracked
+from perception.images.drawing.output import pictures
+from perception.images.drawing.tracked import ShownPerson, draw_tracked
 from perception.images.frames import Frame
 from perception.images.pixels import Image
-from perception.report.people import ShownPerson
 
 _PHOTOS, _PHOTO_WIDTH, _QUALITY = 6, 1100, 85
 

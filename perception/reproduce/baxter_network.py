@@ -22,10 +22,11 @@ from graphtrack.evaluation.reproduce.experiment import (
     Settings,
     Table,
 )
-from graphtrack.geometry.angles import FloatArray, difference
+from graphtrack.geometry.angles import difference
 from graphtrack.io.readers.caviar import lobby_camera
 from graphtrack.tracks import Track
 from perception.evaluation.last_layer import SplitScores, split_scores
+from perception.evaluation.measures import class_rates, draw_confusion
 from perception.models import load_classifier
 from perception.pose.head_pose import DeepBelief
 from perception.reproduce.caviar_heads import PersonWithHeads, people_with_heads
@@ -34,7 +35,6 @@ from perception.synthetic import contact_sheet, make_heads
 from perception.training.models import FOUND_AS_WALKING
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 RATES = (1.0, 0.8, 0.6)
@@ -192,7 +192,7 @@ def _read(folder: Path) -> list[PersonWithHeads]:
 def _split_table(found: Sequence[Split]) -> Table:
     records: list[dict[str, Cell]] = []
     for one in found:
-        hits, false_alarms = rates(one.scores.confusion)
+        hits, false_alarms = class_rates(one.scores.confusion)
         records.append(
             {
                 "heads": one.data,
@@ -207,15 +207,6 @@ def _split_table(found: Sequence[Split]) -> Table:
             }
         )
     return Table.of("The network's last layer learned on a part, judged on the rest (Fig. 3)", records)
-
-
-def rates(confusion: np.ndarray) -> tuple[FloatArray, FloatArray]:
-    """True and false positive rates (k,) of each class; NaN for classes unseen."""
-    of_class, said = confusion.sum(axis=1), confusion.sum(axis=0)
-    hits = np.diag(confusion)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        true = hits / of_class
-        return true, np.where(of_class > 0, (said - hits) / (of_class.sum() - of_class), np.nan)
 
 
 def _people_table(people: Sequence[PersonWithHeads], model: DeepBelief) -> Table:
@@ -240,28 +231,15 @@ def _figure(found: Sequence[Split], people: Sequence[PersonWithHeads]) -> Figure
     figure = new_figure(3.6 * len(found), 4.0 if not people else 6.6)
     grid = figure.subplots(1 if not people else 2, len(found), squeeze=False)
     for axes, one in zip(grid[0], found, strict=True):
-        _confusion(axes, one)
+        confusion = one.scores.confusion
+        names = [f"{45 * k}" for k in range(len(confusion))]
+        draw_confusion(axes, confusion, names, f"{one.data}, {one.split} [{one.heads}]")
     for axes in grid[1:].flat:
         axes.set_axis_off()
     for axes, person in zip(grid[1:].flat, people, strict=False):
         axes.imshow(contact_sheet(person.images[:24:3], 4)[18:, :, ::-1])
         axes.set_title(f"{person.name}: {np.median(person.size):.0f} pixels", fontsize=9)
     return figure
-
-
-def _confusion(axes: Axes, one: Split) -> None:
-    confusion = one.scores.confusion
-    share = confusion / np.maximum(confusion.sum(axis=1, keepdims=True), 1)
-    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0)
-    for (row, column), value in np.ndenumerate(share):
-        if confusion[row].sum() and value >= 0.005:
-            colour = "white" if value > 0.5 else "black"
-            axes.text(column, row, f"{100 * value:.0f}", ha="center", va="center", fontsize=7, color=colour)
-    degrees = [f"{45 * k}" for k in range(len(share))]
-    axes.set_xticks(range(len(share)), degrees, fontsize=7)
-    axes.set_yticks(range(len(share)), degrees, fontsize=7)
-    axes.set(xlabel="most likely (°)", ylabel="true (°)")
-    axes.set_title(f"{one.data}, {one.split} [{one.heads}]", fontsize=9)
 
 
 def work(settings: Settings) -> int:

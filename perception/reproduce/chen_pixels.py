@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.evaluation.reproduce import chen_classes
+from graphtrack.evaluation.reproduce.chen_classes import GROUPS as CLASS_GROUPS
 from graphtrack.evaluation.reproduce.chen_joint import Scores, beside
 from graphtrack.evaluation.reproduce.chen_tables import detail, draw_errors
 from graphtrack.evaluation.reproduce.experiment import (
@@ -24,11 +24,11 @@ from graphtrack.evaluation.reproduce.experiment import (
     Table,
 )
 from graphtrack.evaluation.resampling import bootstrap, mean_difference
-from perception.evaluation.joint_effect import LAG, METHODS, ObservedPerson, people_of, scores
+from perception.evaluation.joint_effect import LAG, METHODS, ObservedPerson, joint_scores, people_of
 from perception.models import load_classifier, load_head_localiser
 from perception.observe.pipeline import Models
-from perception.reproduce import known_poses
 from perception.reproduce.chen_sheet import Sheet, draw_sheet
+from perception.reproduce.known_poses import captured_people, confusions, known_poses
 from perception.synthetic.clips import Clip, walking_clip
 
 if TYPE_CHECKING:
@@ -64,12 +64,12 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
             if first is None and people:
                 first = Sheet(clip, list(people))
             progress(1)
-        found.append(scores(name, people))
+        found.append(joint_scores(name, people))
         progress(1)
     assert first is not None
     body, head = load_classifier("body_pose"), load_classifier("templates")
-    everyone = known_poses.people(settings)
-    posed, answers = known_poses.known_poses(everyone, body, head, settings.rng(22), progress)
+    everyone = captured_people(settings)
+    posed, answers = known_poses(everyone, body, head, settings.rng(22), progress)
     rng = settings.rng(99)
     notes = (
         "Rendered people who walk as the model joint has it, three a clip, boxes off as a detector's are, "
@@ -92,10 +92,10 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
     )
     whole, effect, table_2 = detail(found, GROUPS, rng), _effect(found, rng), beside(found, GROUPS, BESIDE)
     of_posed = replace(
-        detail(posed, chen_classes.GROUPS, settings.rng(98)),
+        detail(posed, CLASS_GROUPS, settings.rng(98)),
         title="Known poses: body and head of motion capture from the answers of Chen et al.'s classifiers",
     )
-    tables = (whole, effect, of_posed, *known_poses.confusions(answers, head.classes), table_2)
+    tables = (whole, effect, of_posed, *confusions(answers, head.classes), table_2)
     return Reproduction("chen-pixels", tables, _figure(found, first, rng), notes)
 
 
@@ -149,7 +149,7 @@ def _figure(found: Sequence[Scores], sheet: Sheet, rng: np.random.Generator) -> 
 def work(settings: Settings) -> int:
     """Clips that are rendered, clips that are looked at, estimates, and sources of known poses."""
     clips, _, heads = _effort(settings)
-    return clips + len(heads) * (clips + 1) + len(known_poses.people(settings))
+    return clips + len(heads) * (clips + 1) + len(captured_people(settings))
 
 
 EXPERIMENT = Experiment(

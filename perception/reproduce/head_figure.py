@@ -11,6 +11,7 @@ import numpy as np
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.report.style import new_figure, tidy
+from perception.evaluation.measures import draw_confusion
 from perception.images.pixels import Image
 from perception.reproduce.head_runs import (
     AS_PRINTED,
@@ -29,8 +30,10 @@ if TYPE_CHECKING:
 
 ClipRuns = tuple[HeadClip, Mapping[str, Run]]
 
-COLOURS = {SEQUENTIAL: "#D55E00", REMEMBERED: "#E69F00", AS_PRINTED: "#66C7A3", JOINT: "#0072B2"}
-COLOURS[OUR_EXEMPLARS] = "#CC79A7"
+COLOURS = {
+    **{SEQUENTIAL: "#D55E00", REMEMBERED: "#E69F00", AS_PRINTED: "#66C7A3", JOINT: "#0072B2"},
+    OUR_EXEMPLARS: "#CC79A7",
+}
 _WIDTHS = {AS_PRINTED: 3.2}
 """Of lines: that of the paper's own stays seen under the other, which often lies on it."""
 _TRUTH = "#222222"
@@ -75,8 +78,9 @@ def page(shown: ClipRuns, failed: Sequence[Failure], confusion: FloatArray) -> F
     _curves(curves, *shown)
     _pictures(pictures, failed)
     axes = tables.subplots(1, 2)
-    _matrix(axes[0], CONFUSION, "Table 2: paper")
-    _matrix(axes[1], confusion, "Table 2: ours")
+    names = [f"{pan:g}" for pan in PANS]
+    draw_confusion(axes[0], CONFUSION, names, "Table 2: paper")
+    draw_confusion(axes[1], confusion, names, "Table 2: ours")
     return figure
 
 
@@ -147,15 +151,3 @@ def _cut_out(image: Image, box: FloatArray) -> tuple[Image, FloatArray, float]:
     scale = 300.0 / max(part.shape[:2])
     resized = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     return np.asarray(resized, np.uint8), low.astype(float), scale
-
-
-def _matrix(axes: Axes, values: FloatArray, title: str) -> None:
-    axes.imshow(values, cmap="Blues", vmin=0.0, vmax=100.0)
-    names = [f"{pan:g}" for pan in PANS]
-    axes.set_xticks(range(len(PANS)), names, fontsize=8)
-    axes.set_yticks(range(len(PANS)), names, fontsize=8)
-    axes.set(xlabel="pan found (°)", ylabel="true pan (°)")
-    axes.set_title(title, loc="left", fontsize=10)
-    for i, j in zip(*np.nonzero(values >= 0.05), strict=True):
-        shade = "#FFFFFF" if values[i, j] > 55.0 else _TRUTH
-        axes.text(j, i, f"{values[i, j]:.0f}", ha="center", va="center", fontsize=8, color=shade)

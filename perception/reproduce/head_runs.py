@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +14,11 @@ from perception.follow.following import follow
 from perception.follow.guidance import GraphGuide
 from perception.follow.world import PERSON_IN_HEADS, BoxCamera
 from perception.images.frames import Frame
-from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
 from perception.reproduce.graph_on_top import GraphOnTop, Truth, graph_on_top, survives
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.color import ColourParameters, ColourTracker
-from perception.trackers.mixed_state.exemplars import HeadExemplars
+from perception.trackers.mixed_state.exemplars import HeadExemplars, load_head_exemplars
 from perception.trackers.mixed_state.tracker import ColourMemory, MixedStateParameters, MixedStateTracker
 from perception.trackers.tracker import Box, BoxEstimate, Tracker
 
@@ -148,32 +147,22 @@ def followed(tracker: Tracker, clip: HeadClip, *, guided: bool = False) -> list[
     left, top, width, height = (float(value) for value in clip.boxes[0])
 
     def guide(first: Box) -> GraphGuide:
-        return GraphGuide(_ground(first), tracker.pan_classes, fps=clip.fps)
+        return GraphGuide(BoxCamera.from_box(first, PERSON_IN_HEADS), tracker.pan_classes, fps=clip.fps)
 
-    found = follow(
-        tracker,
-        _frames(clip),
-        lambda image: (left, top, width, height),
-        guide=guide if guided else None,
-    )
+    frames = (Frame(k, image) for k, image in enumerate(clip.images))
+    box = (left, top, width, height)
+    found = follow(tracker, frames, lambda image: box, guide=guide if guided else None)
     return [item.estimate for item in found]
-
-
-def _frames(clip: HeadClip) -> Iterator[Frame]:
-    return (Frame(k, image) for k, image in enumerate(clip.images))
-
-
-def _ground(first: ArrayLike) -> BoxCamera:
-    return BoxCamera.from_box(first, PERSON_IN_HEADS)
 
 
 def scored(found: Sequence[BoxEstimate], classes: PoseClasses | None, clip: HeadClip) -> Run:
     """Errors of the estimates of one sequence."""
     assert classes is not None
     distribution = np.array([item.pan for item in found])
-    pan, mode = mean_pan(distribution, classes), classes.pan[distribution.argmax(axis=1)]
+    pan, mode = classes.mean_of(distribution), classes.pan[distribution.argmax(axis=1)]
     boxes, tilt = np.array([item.box for item in found]), np.array([item.tilt for item in found], float)
-    on_top = graph_on_top(found, Truth(clip.boxes, clip.pan, clip.fps), _ground(found[0].box), classes)
+    ground = BoxCamera.from_box(found[0].box, PERSON_IN_HEADS)
+    on_top = graph_on_top(found, Truth(clip.boxes, clip.pan, clip.fps), ground, classes)
     return Run(
         boxes=boxes,
         error=tracking_error(boxes, clip.boxes),
@@ -183,11 +172,6 @@ def scored(found: Sequence[BoxEstimate], classes: PoseClasses | None, clip: Head
         tilt_error=np.abs(tilt - clip.tilt),
         on_top=on_top,
     )
-
-
-def mean_pan(distribution: FloatArray, classes: PoseClasses) -> FloatArray:
-    """Circular mean (n,) in radians of distributions (n, n_pan)."""
-    return classes.mean_of(distribution)
 
 
 def tracking_error(boxes: ArrayLike, truth: ArrayLike) -> FloatArray:

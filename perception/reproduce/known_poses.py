@@ -28,7 +28,7 @@ from graphtrack.simulation.sampling import simulate
 from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES, Track, TrackSet
 from perception.observe.turned import interpolated
 from perception.pose.classes import PoseClasses
-from perception.pose.classifier import Classifier
+from perception.pose.classifier import FeatureClassifier
 from perception.synthetic import make_heads, make_pedestrians
 from perception.training.models import FOUND_AS_WALKING
 
@@ -55,7 +55,7 @@ class Answers:
     said_tilt: NDArray[np.int64]
 
 
-def people(settings: Settings) -> dict[str, TrackSet]:
+def captured_people(settings: Settings) -> dict[str, TrackSet]:
     """People by source, with noise on their positions; ten frames a second."""
     count = 2 if settings.quick else 12
     mocap = settings.recording(*MOCAP)
@@ -76,7 +76,7 @@ def people(settings: Settings) -> dict[str, TrackSet]:
 
 
 def classified(
-    track: Track, body: Classifier, head: Classifier, rng: np.random.Generator
+    track: Track, body: FeatureClassifier, head: FeatureClassifier, rng: np.random.Generator
 ) -> tuple[Track, Answers]:
     """A person before a distant camera, with the classifiers' likelihoods turned to the world.
 
@@ -122,8 +122,8 @@ def _turned(log_likelihood: FloatArray, classes: PoseClasses, wanted: int, ray: 
 
 def known_poses(
     everyone: Mapping[str, TrackSet],
-    body: Classifier,
-    head: Classifier,
+    body: FeatureClassifier,
+    head: FeatureClassifier,
     rng: np.random.Generator,
     progress: Callable[[int], object],
 ) -> tuple[list[Scores], list[Answers]]:

@@ -1,20 +1,21 @@
-"""The Sigma-Pi tracker on rendered ceilings and on real frames, scored as in Yan et al.'s Table 1."""
+"""Runs of the Sigma-Pi tracker on rendered ceilings and on real frames, scored as in Yan et al.'s Table 1."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from graphtrack.errors import InputError
-from graphtrack.geometry.angles import FloatArray
 from perception.detection.boxes import read_boxes
 from perception.images.pixels import Image, as_uint8
 from perception.synthetic.ceiling import ALL_KINDS, ceiling_sequence
-from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTracker
+from perception.trackers.sigma_pi.parameters import SigmaPiParameters
+from perception.trackers.sigma_pi.tracker import SigmaPiTracker
 from perception.trackers.tracker import Box, BoxEstimate
 
 OURS, FIXED, MOTION = "sigma-pi", "motion not adaptive", "motion alone"
@@ -25,106 +26,60 @@ METHODS: Mapping[str, SigmaPiParameters] = {
     PRINTED: SigmaPiParameters.of_the_paper(),
     MOTION: SigmaPiParameters(cues=("motion",)),
 }
-"""The tracker; the same with a reliability of motion that is not adaptive, as Yan et al. (2011) have it;
-the form as printed in full (`SigmaPiParameters.of_the_paper`); and the same with the motion cue
-only, Yan et al.'s comparison."""
+"""The tracker; with a fixed reliability of motion (Yan et al. 2011, §2.2); as printed in full; and with the
+motion cue only, the paper's comparison. No box is given."""
 
 FROM_BOXES: Mapping[str, SigmaPiParameters] = {
     OURS: METHODS[OURS],
     LOCAL: SigmaPiParameters(views=False),
     MOTION: METHODS[MOTION],
 }
-"""For people whose first box is given: the tracker; the same without the view in that box, as it is for
-people whom nobody shows it; and motion only."""
+"""Methods that are given the first box: the tracker; without the view in that box; and motion only."""
 
 _SEEN = 0.5
 """Share of a rendered person that must be visible for the frame to count."""
 
 
-@dataclass(frozen=True)
-class Score:
-    """Frames of one run.
+@dataclass(eq=False)
+class Tally:
+    """Count the estimates of one run against labels.
 
     Attributes
     ----------
+    estimates : of every frame
     frames : in which the person is labelled
     missing : of them, those in which the tracker does not find anybody
     mismatch : of them, those in which it finds somebody whose centre is outside the person's box
     empty, alarms : frames without anybody, and those of them in which the tracker finds somebody
     """
 
-    frames: int
-    missing: int
-    mismatch: int
-    empty: int
-    alarms: int
-
-    @property
-    def success(self) -> float:
-        """Share of the frames in which the centre that is found lies in the labelled box."""
-        return 1.0 - (self.missing + self.mismatch) / max(self.frames, 1)
-
-
-@dataclass(eq=False)
-class Tally:
-    """Counts estimates against labels, frame by frame, and keeps the cues.
-
-    Attributes
-    ----------
-    estimates : of every frame
-    """
-
     estimates: list[BoxEstimate] = field(default_factory=list)
-    _counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(Score.__dataclass_fields__, 0))
+    frames: int = 0
+    missing: int = 0
+    mismatch: int = 0
+    empty: int = 0
+    alarms: int = 0
 
     def add(self, estimate: BoxEstimate, label: Box | None, *, counts: bool = True) -> None:
-        """Take in a frame; one that is not to count, such as of a person half hidden, is only kept."""
+        """Add a frame; one that does not count, such as of a person half hidden, is only kept."""
         self.estimates.append(estimate)
         if not counts:
             return
         if label is None:
-            self._counts["empty"] += 1
-            self._counts["alarms"] += estimate.found
+            self.empty += 1
+            self.alarms += estimate.found
             return
-        self._counts["frames"] += 1
+        self.frames += 1
+        low, size = np.array(label[:2]), np.array(label[2:])
         if not estimate.found:
-            self._counts["missing"] += 1
-        elif not holds(label, estimate.centre):
-            self._counts["mismatch"] += 1
+            self.missing += 1
+        elif not ((low <= estimate.centre) & (estimate.centre <= low + size)).all():
+            self.mismatch += 1
 
     @property
-    def score(self) -> Score:
-        """So far."""
-        return Score(**self._counts)
-
-
-def holds(box: Box, point: FloatArray) -> bool:
-    """Whether a point (2,) lies in a box."""
-    left, top, width, height = box
-    return bool(left <= point[0] <= left + width and top <= point[1] <= top + height)
-
-
-def rendered(kind: str, seed: Sequence[int], frames: int) -> dict[str, Tally]:
-    """Every method on one sequence of a kind; nobody tells them where the person is.
-
-    Parameters
-    ----------
-    seed : of the sequence and of the particles
-    """
-    sequence = ceiling_sequence(ALL_KINDS[kind], np.random.default_rng(seed), frames=frames, oversampling=1)
-    trackers = {
-        name: SigmaPiTracker(parameters, seed=np.random.default_rng([*seed, 1]))
-        for name, parameters in METHODS.items()
-    }
-    tallies = {name: Tally() for name in METHODS}
-    for k, frame in enumerate(sequence):
-        target = frame.target
-        box = None if target is None else target.body_box
-        counts = target is None or (box is not None and target.visibility >= _SEEN)
-        for name, tracker in trackers.items():
-            estimate = tracker.step(frame.image) if k else tracker.start(frame.image)
-            tallies[name].add(estimate, box, counts=counts)
-    return tallies
+    def success(self) -> float:
+        """Share of the frames in which the estimated centre lies in the labelled box."""
+        return 1.0 - (self.missing + self.mismatch) / max(self.frames, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +100,8 @@ class Recording:
     folder: Path
     labels: Mapping[int, Box]
 
-    def images(self) -> Iterable[Image]:
-        """The frames, in order.
+    def images(self) -> Iterator[Image]:
+        """Read the frames, in order.
 
         Raises
         ------
@@ -162,7 +117,7 @@ class Recording:
 
 
 def recordings(folder: Path, names: Iterable[str], fewest: int) -> list[Recording]:
-    """People of CAVIAR's recordings that are labelled in at least ``fewest`` frames one after the other.
+    """Find the people of CAVIAR's recordings who are labelled in ``fewest`` consecutive frames or more.
 
     Parameters
     ----------
@@ -186,35 +141,13 @@ def recordings(folder: Path, names: Iterable[str], fewest: int) -> list[Recordin
     return found
 
 
-def on_recording(recording: Recording, seed: Sequence[int], frames: int | None = None) -> dict[str, Tally]:
-    """The methods `FROM_BOXES` on one person, begun with the first labelled box.
-
-    Parameters
-    ----------
-    frames : to look at, from the first; all by default
-    """
-    trackers = {
-        name: SigmaPiTracker(parameters, seed=np.random.default_rng([*seed, 1]))
-        for name, parameters in FROM_BOXES.items()
-    }
-    tallies = {name: Tally() for name in FROM_BOXES}
-    for k, (number, image) in enumerate(zip(recording.numbers, recording.images(), strict=True)):
-        if k == frames:
-            break
-        box = recording.labels[number]
-        for name, tracker in trackers.items():
-            estimate = tracker.step(image) if k else tracker.start(image, box)
-            tallies[name].add(estimate, box)
-    return tallies
-
-
 @dataclass(frozen=True, eq=False)
 class PersonJob:
     """One sequence with one seed.
 
     Attributes
     ----------
-    sequence : a kind of rendered sequence, or a person of a recording
+    sequence : a kind of rendered sequence, or a person of a recording, begun with the first labelled box
     seed : of everything that is drawn
     frames : at most; all of a recording for None
     """
@@ -231,9 +164,31 @@ class PersonJob:
         one = self.sequence
         return f"{one.name} {one.numbers[0]}–{one.numbers[-1]}, person {one.person}"
 
+    def labelled(self) -> Iterator[tuple[Image, Box | None, bool]]:
+        """Yield each image, the person's box in it, and whether the frame counts."""
+        if isinstance(self.sequence, Recording):
+            images = zip(self.sequence.numbers, self.sequence.images(), strict=True)
+            for number, image in islice(images, self.frames):
+                yield image, self.sequence.labels[number], True
+            return
+        kind, rng = ALL_KINDS[self.sequence], np.random.default_rng(self.seed)
+        for frame in ceiling_sequence(kind, rng, frames=self.frames or 0, oversampling=1):
+            target = frame.target
+            box = None if target is None else target.body_box
+            yield frame.image, box, target is None or (box is not None and target.visibility >= _SEEN)
+
 
 def run_job(job: PersonJob) -> dict[str, Tally]:
-    """Every method on one sequence."""
-    if isinstance(job.sequence, str):
-        return rendered(job.sequence, job.seed, job.frames or 0)
-    return on_recording(job.sequence, job.seed, job.frames)
+    """Run every method on one sequence."""
+    given = isinstance(job.sequence, Recording)
+    methods = FROM_BOXES if given else METHODS
+    trackers = {
+        name: SigmaPiTracker(parameters, seed=np.random.default_rng([*job.seed, 1]))
+        for name, parameters in methods.items()
+    }
+    tallies = {name: Tally() for name in methods}
+    for k, (image, box, counts) in enumerate(job.labelled()):
+        for name, tracker in trackers.items():
+            estimate = tracker.step(image) if k else tracker.start(image, box if given else None)
+            tallies[name].add(estimate, box, counts=counts)
+    return tallies

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphtrack.baselines.intentional import OWN_FILTERS
+from graphtrack.errors import InputError
 from graphtrack.evaluation.reproduce.experiment import Cell, Table
 from graphtrack.evaluation.reproduce.fitting import fit
 from graphtrack.evaluation.reproduce.occlusion_methods import (
@@ -35,7 +36,7 @@ from graphtrack.model import Model
 from graphtrack.simulation.degrade import withhold
 from graphtrack.tracks import Track
 from perception.adaptation.alignment import HEAD_HEIGHT, HEAD_WIDTH
-from perception.evaluation.last_layer import softmax_layer
+from perception.evaluation.last_layer import hidden_both_ways, softmax_layer
 from perception.images.frames import FrameSource
 from perception.images.pixels import Image, crop, enlarged
 from perception.pose.head_pose import DeepBelief
@@ -84,27 +85,58 @@ class StreetPerson:
 def street_people(folder: Path) -> tuple[list[StreetPerson], GroundCamera]:
     """Everybody who is in `FEWEST` pictures in a row of a Town Centre folder, and its camera.
 
-    It has ``boxes.csv``, ``calibration.ci``, and the pictures in ``frames_001_150/img1``. Labels of frames
-    without a picture are not used.
+    Labels of frames without a picture are not used.
     """
-    frames = FrameSource.open(folder / "frames_001_150" / "img1")
-    camera = read_calibration(folder / "calibration.ci")
-    rows = read_boxes(Source.open(folder / "boxes.csv"))
-    there = (rows.frame % STEP == 0) & (rows.frame <= (frames.count - 1) * STEP)
-    runs: list[tuple[int, NDArray[np.int64], FloatArray]] = []
-    for person in np.unique(rows.track_id[there]).tolist():
-        mine = np.flatnonzero(there & (rows.track_id == person))
-        mine = mine[np.argsort(rows.frame[mine])]
-        number = rows.frame[mine] // STEP + 1
-        run = max(np.split(np.arange(len(mine)), np.flatnonzero(np.diff(number) > 1) + 1), key=len)
-        if len(run) >= FEWEST:
-            runs.append((person, np.asarray(number[run], np.int64), rows.channels["box"][mine[run]] * SCALE))
+    frames, camera, runs = labelled_runs(folder, FEWEST)
     pictures = {
         frame.number: frame.image
         for frame in frames.where({k for _, number, _ in runs for k in number.tolist()}.__contains__)
         if frame.image is not None
     }
     return [_person(*run, pictures, camera) for run in runs], camera
+
+
+def labelled_runs(
+    folder: Path, fewest: int
+) -> tuple[FrameSource, GroundCamera, list[tuple[int, NDArray[np.int64], FloatArray]]]:
+    """Read a Town Centre folder: ``frames_001_150/img1``, ``calibration.ci`` and ``boxes.csv``.
+
+    Returns
+    -------
+    The pictures, the camera, and for everybody who is in ``fewest`` pictures in a row: number, pictures (n,)
+    of the longest such run, and labelled boxes (n, 4) in their pixels.
+
+    Raises
+    ------
+    InputError
+        If something of it is not there.
+    """
+    pictures, truth, calibration = (
+        folder / name for name in ("frames_001_150/img1", "boxes.csv", "calibration.ci")
+    )
+    for path in (pictures, truth, calibration):
+        if not path.exists():
+            raise InputError(
+                "no such file or folder", "Town Centre's pictures, boxes and calibration", path=path
+            )
+    frames, rows = FrameSource.open(pictures), read_boxes(Source.open(truth))
+    there = (rows.frame % STEP == 0) & (rows.frame <= (frames.count - 1) * STEP)
+    runs: list[tuple[int, NDArray[np.int64], FloatArray]] = []
+    for person in np.unique(rows.track_id[there]).tolist():
+        mine = np.flatnonzero(there & (rows.track_id == person))
+        mine = mine[np.argsort(rows.frame[mine])]
+        number = np.asarray(rows.frame[mine] // STEP + 1, np.int64)
+        run = max(np.split(np.arange(len(mine)), np.flatnonzero(np.diff(number) > 1) + 1), key=len)
+        if len(run) >= fewest:
+            runs.append((person, number[run], rows.channels["box"][mine[run]] * SCALE))
+    return frames, read_calibration(calibration), runs
+
+
+def head_boxes(box: FloatArray) -> FloatArray:
+    """Boxes (n, 4) of heads, at the top of the labelled boxes (n, 4) of people who stand upright."""
+    left, top, width, height = box.T
+    size = np.array([HEAD_WIDTH, HEAD_HEIGHT]) * height[:, None]
+    return np.column_stack([left + width / 2.0 - size[:, 0] / 2.0, top + _HEAD_TOP * height, size])
 
 
 def _person(
@@ -115,16 +147,15 @@ def _person(
     camera: GroundCamera,
 ) -> StreetPerson:
     left, top, width, height = box.T
-    middle, t = left + width / 2.0, (frame - 1) * STEP / FPS
-    position = camera.image_to_ground(np.column_stack([middle, top + height]))
+    t = (frame - 1) * STEP / FPS
+    position = camera.image_to_ground(np.column_stack([left + width / 2.0, top + height]))
     velocity = np.gradient(position, t, axis=0)
     travel = camera.image_angle(direction(velocity), position)
-    size = np.array([HEAD_WIDTH, HEAD_HEIGHT]) * height[:, None]
-    heads = np.column_stack([middle - size[:, 0] / 2.0, top + _HEAD_TOP * height, size])
+    heads = head_boxes(box)
     return StreetPerson(
         Track(number, frame, t, position, true_position=position),
         [crop(pictures[k], one) for k, one in zip(frame.tolist(), enlarged(heads, _MARGIN), strict=True)],
-        size[:, 0],
+        heads[:, 2],
         np.where(np.linalg.norm(velocity, axis=1) > WALKING, travel, np.nan),
     )
 
@@ -138,14 +169,14 @@ def taught_pans(
     model: DeepBelief, people: Sequence[StreetPerson], teachers: Sequence[StreetPerson]
 ) -> list[FloatArray]:
     """The same with a last layer that learned from the direction of travel of others, and reflections."""
-    classes, inputs, labels = model.classes, [], []
+    classes = model.classes
+    inputs: list[NDArray[np.floating]] = []
+    labels: list[NDArray[np.int64]] = []
     for person in teachers:
         walks = np.flatnonzero(np.isfinite(person.travel))
-        images = [person.images[k] for k in walks.tolist()]
-        if images:
-            mirrored = [np.ascontiguousarray(image[:, ::-1]) for image in images]
+        if len(walks):
             label = classes.index(person.travel[walks])
-            inputs += [model.hidden(model.features(images)), model.hidden(model.features(mirrored))]
+            inputs += hidden_both_ways(model, [person.images[k] for k in walks.tolist()])
             labels += [label, classes.reflected(label)]
     weight, bias = softmax_layer(np.concatenate(inputs), np.concatenate(labels), len(classes), penalty=0.1)
     found = [model.hidden(model.features(person.images)) @ weight + bias for person in people]

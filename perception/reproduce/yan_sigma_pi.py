@@ -26,7 +26,6 @@ from perception.reproduce.sigma_pi_runs import (
     PRINTED,
     PersonJob,
     Recording,
-    Score,
     Tally,
     recordings,
     run_job,
@@ -133,7 +132,7 @@ def run(settings: Settings, progress: Progress) -> Reproduction:
 
 def success(runs: Sequence[Mapping[str, Tally]], method: str) -> np.ndarray:
     """Of one method in per cent, for each seed."""
-    return np.array([100.0 * found[method].score.success for found in runs])
+    return np.array([100.0 * found[method].success for found in runs])
 
 
 def method_table(runs: Runs, title: str) -> Table:
@@ -141,17 +140,17 @@ def method_table(runs: Runs, title: str) -> Table:
     records: list[dict[str, Cell]] = []
     for name, found in runs.items():
         for method in found[0]:
-            scores = [one[method].score for one in found]
+            tallies = [one[method] for one in found]
             share = success(found, method)
             records.append(
                 {
                     "sequence": name,
                     "method": method,
                     "seeds": len(found),
-                    "frames": sum(score.frames for score in scores),
-                    "missing": sum(score.missing for score in scores),
-                    "mismatch": sum(score.mismatch for score in scores),
-                    "alarms in empty frames": sum(score.alarms for score in scores),
+                    "frames": sum(tally.frames for tally in tallies),
+                    "missing": sum(tally.missing for tally in tallies),
+                    "mismatch": sum(tally.mismatch for tally in tallies),
+                    "alarms in empty frames": sum(tally.alarms for tally in tallies),
                     "success (%)": float(share.mean()),
                     "std": float(share.std(ddof=1)) if len(share) > 1 else None,
                     "least": float(share.min()),
@@ -191,18 +190,19 @@ def difference_table(runs: Runs, rng: np.random.Generator) -> Table:
 def _beside(runs: Runs) -> Table:
     records: list[dict[str, Cell]] = []
     for kind, found in runs.items():
-        frames, missing, mismatch, share = PAPER.get(kind, (None, None, None, None))
-        scores = [one[OURS].score for one in found]
+        printed = PAPER.get(kind)
+        tallies = [one[OURS] for one in found]
+        frames = sum(tally.frames for tally in tallies)
         records.append(
             {
                 "kind": kind,
-                "paper: frames": frames,
-                "paper: missing": None if frames is None or missing is None else 100.0 * missing / frames,
-                "paper: mismatch": None if frames is None or mismatch is None else 100.0 * mismatch / frames,
-                "paper: success": share,
-                "ours: frames": sum(score.frames for score in scores),
-                "ours: missing": _share([score.missing for score in scores], scores),
-                "ours: mismatch": _share([score.mismatch for score in scores], scores),
+                "paper: frames": printed and printed[0],
+                "paper: missing": printed and 100.0 * printed[1] / printed[0],
+                "paper: mismatch": printed and 100.0 * printed[2] / printed[0],
+                "paper: success": printed and printed[3],
+                "ours: frames": frames,
+                "ours: missing": 100.0 * sum(tally.missing for tally in tallies) / max(frames, 1),
+                "ours: mismatch": 100.0 * sum(tally.mismatch for tally in tallies) / max(frames, 1),
                 "ours: success": float(success(found, OURS).mean()),
                 "ours: motion not adaptive": float(success(found, FIXED).mean()),
                 "ours: as in the paper": float(success(found, PRINTED).mean()),
@@ -210,27 +210,22 @@ def _beside(runs: Runs) -> Table:
                 "ours: motion": float(success(found, MOTION).mean()),
             }
         )
+    of_persons = [record for record in records if record["kind"] in PAPER]
     mean: dict[str, Cell] = {"kind": "mean of the persons"}
     for column in list(records[0])[1:]:
-        cells = [record[column] for record in records if record["kind"] in PAPER]
+        cells = [record[column] for record in of_persons]
         values = [float(cell) for cell in cells if isinstance(cell, int | float)]
         mean[column] = float(np.mean(values)) if values else None
     whole, unseen, astray = (sum(values[k] for values in PAPER.values()) for k in range(3))
-    mean.update(
-        {
-            "paper: frames": int(whole),
-            "paper: missing": 100.0 * unseen / whole,
-            "paper: mismatch": 100.0 * astray / whole,
-            "ours: frames": sum(one[OURS].score.frames for kind in PAPER for one in runs[kind]),
-            "paper: success": PAPER_MEAN,
-            "paper: motion": PAPER_MOTION,
-        }
-    )
+    mean |= {
+        "paper: frames": int(whole),
+        "paper: missing": 100.0 * unseen / whole,
+        "paper: mismatch": 100.0 * astray / whole,
+        "ours: frames": sum(one[OURS].frames for kind in PAPER for one in runs[kind]),
+        "paper: success": PAPER_MEAN,
+        "paper: motion": PAPER_MOTION,
+    }
     return Table.of(_TITLE, [*records, mean])
-
-
-def _share(counts: Sequence[int], scores: Sequence[Score]) -> float:
-    return 100.0 * sum(counts) / max(sum(score.frames for score in scores), 1)
 
 
 def _figure(drawn: Runs, real: Runs) -> Figure:

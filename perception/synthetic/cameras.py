@@ -34,6 +34,14 @@ class Camera:
     size: tuple[int, int]
     lens: Literal["pinhole", "fisheye"] = "pinhole"
 
+    @classmethod
+    def above(
+        cls, distance: float, elevation: float, focal: float, size: tuple[int, int], height: float = 0.0
+    ) -> Camera:
+        """A camera on the +x side that looks at a point above the origin from an elevation (radians)."""
+        x, z = distance * np.cos(elevation), height + distance * np.sin(elevation)
+        return cls((x, 0.0, z), np.pi, -elevation, focal, size)
+
     @cached_property
     def rotation(self) -> FloatArray:
         """World → camera (3, 3): rows are image right, image down and the optical axis."""

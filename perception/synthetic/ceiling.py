@@ -135,15 +135,7 @@ def ceiling_sequence(
     tables = tuple(_table(rng, k) for k in range(len(kind.moves)))
     bearing, height = rng.uniform(-np.pi, np.pi), rng.uniform(1.0, 1.45)
     tint, key = rng.normal(1.0, 0.04, 3), rng.uniform(0.2, 0.5)
-    light = Light(
-        (
-            float(np.cos(height) * np.cos(bearing)),
-            float(np.cos(height) * np.sin(bearing)),
-            float(np.sin(height)),
-        ),
-        tuple(key * tint),
-        tuple(rng.uniform(0.4, 0.6) * tint[::-1]),
-    )
+    light = Light.above(bearing, height, key * tint, rng.uniform(0.4, 0.6) * tint[::-1])
     floor = Ground(
         tuple(rng.uniform(0.3, 0.6) + rng.normal(0.0, 0.03, 3)), rng.uniform(0.3, 0.7), rng.uniform(0.05, 0.2)
     )

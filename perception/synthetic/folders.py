@@ -144,34 +144,25 @@ def write_heads(
     folder: Path, rng: np.random.Generator, advance: Advance, *, count: int = 400
 ) -> list[PersonBox]:
     """Crops of heads with the labels that `perception train` takes for head pose."""
-    with atomic_path(folder, directory=True) as made:
-        columns: dict[str, list[Any]] = {"image": [], "pan_deg": [], "tilt_deg": []}
-        for size in _batches(count):
-            heads = make_heads(size, rng, _ALL_WAYS)
-            columns["image"] += _write_crops(made, heads.images, len(columns["image"]))
-            columns["pan_deg"] += np.rad2deg(heads.pan).tolist()
-            columns["tilt_deg"] += np.rad2deg(heads.tilt).tolist()
-            advance(size)
-        _write_table(made / LABELS, columns)
-    return []
+
+    def drawn(size: int) -> tuple[list[Image], dict[str, Any]]:
+        heads = make_heads(size, rng, _ALL_WAYS)
+        return heads.images, {"pan_deg": np.rad2deg(heads.pan), "tilt_deg": np.rad2deg(heads.tilt)}
+
+    return _write_crops(folder, drawn, count, advance)
 
 
 def write_people(
     folder: Path, rng: np.random.Generator, advance: Advance, *, count: int = 400
 ) -> list[PersonBox]:
     """Crops of people with the labels that `perception train` takes for body pose and heads in them."""
-    names = ("left", "top", "width", "height")
-    with atomic_path(folder, directory=True) as made:
-        columns: dict[str, list[Any]] = {name: [] for name in ("image", "body_deg", *names)}
-        for size in _batches(count):
-            people = make_pedestrians(size, rng)
-            columns["image"] += _write_crops(made, people.images, len(columns["image"]))
-            columns["body_deg"] += np.rad2deg(people.body).tolist()
-            for name, values in zip(names, people.head_box.T, strict=True):
-                columns[name] += values.tolist()
-            advance(size)
-        _write_table(made / LABELS, columns)
-    return []
+
+    def drawn(size: int) -> tuple[list[Image], dict[str, Any]]:
+        people = make_pedestrians(size, rng)
+        sides = zip(("left", "top", "width", "height"), people.head_box.T, strict=True)
+        return people.images, {"body_deg": np.rad2deg(people.body), **dict(sides)}
+
+    return _write_crops(folder, drawn, count, advance)
 
 
 KINDS: Mapping[str, Callable[..., list[PersonBox]]] = MappingProxyType(
@@ -233,17 +224,23 @@ def _walk_of(sequence: CeilingSequence) -> TrackSet:
     return TrackSet((track,))
 
 
-def _batches(count: int) -> Iterator[int]:
-    for first in range(0, count, _BATCH):
-        yield min(_BATCH, count - first)
-
-
-def _write_crops(folder: Path, images: Sequence[Image], first: int) -> list[str]:
-    """Write crops under numbers from ``first`` on; their names."""
-    names = [f"{first + k:05d}.png" for k in range(len(images))]
-    for name, image in zip(names, images, strict=True):
-        (folder / name).write_bytes(cv2.imencode(".png", image)[1].tobytes())
-    return names
+def _write_crops(
+    folder: Path, drawn: Callable[[int], tuple[list[Image], dict[str, Any]]], count: int, advance: Advance
+) -> list[PersonBox]:
+    """Draw crops in batches and write them, named by their numbers, with a table of their labels."""
+    columns: dict[str, list[Any]] = {"image": []}
+    with atomic_path(folder, directory=True) as made:
+        while len(columns["image"]) < count:
+            first = len(columns["image"])
+            images, labels = drawn(min(_BATCH, count - first))
+            for k, image in enumerate(images):
+                columns["image"].append(f"{first + k:05d}.png")
+                (made / columns["image"][-1]).write_bytes(cv2.imencode(".png", image)[1].tobytes())
+            for name, values in labels.items():
+                columns.setdefault(name, []).extend(values.tolist())
+            advance(len(images))
+        _write_table(made / LABELS, columns)
+    return []
 
 
 def _write_table(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:

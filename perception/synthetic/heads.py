@@ -79,10 +79,6 @@ class HeadSet:
         return HeadSet(self.images + other.images, pan, tilt, self.skin + other.skin)
 
 
-def _draw_pans(count: int, rng: np.random.Generator, variation: HeadVariation) -> FloatArray:
-    return rng.uniform(*variation.pan, count)
-
-
 def _draw_tilts(count: int, rng: np.random.Generator, variation: HeadVariation) -> FloatArray:
     tilt = rng.uniform(*variation.tilt, count)
     if variation.tilt_deviation is not None:
@@ -98,12 +94,12 @@ def draw_poses(
     Where a draw has fewer, heads of the classes that have most of them give way to others. A draw that has
     enough is left as it is, and so is one too small to have them.
     """
-    pan, tilt = _draw_pans(count, rng, variation), _draw_tilts(count, rng, variation)
+    pan, tilt = rng.uniform(*variation.pan, count), _draw_tilts(count, rng, variation)
     labels = classes.index(pan, tilt)
     of_class = np.bincount(labels, minlength=len(classes))
     if of_class.min() >= least or count < least * len(classes):
         return pan, tilt
-    pans, tilts = _draw_pans(_SPARE, rng, variation), _draw_tilts(_SPARE, rng, variation)
+    pans, tilts = rng.uniform(*variation.pan, _SPARE), _draw_tilts(_SPARE, rng, variation)
     spare = classes.index(pans, tilts)
     for k in np.flatnonzero(of_class < least):
         for other in np.flatnonzero(spare == k)[: least - of_class[k]]:
@@ -132,7 +128,7 @@ def make_heads(
     people : the person of each head, to set them instead of drawing them
     advance : is told of each head that is done
     """
-    pan = _draw_pans(count, rng, variation) if pan is None else np.asarray(pan, float)
+    pan = rng.uniform(*variation.pan, count) if pan is None else np.asarray(pan, float)
     tilt = _draw_tilts(count, rng, variation) if tilt is None else np.asarray(tilt, float)
     made = []
     for i in range(count):
@@ -166,20 +162,9 @@ def render_head(
 def _cast(head: Solids, body: Solids, size: int, elevation: float, light: Light) -> Cast:
     """The head in its groups and the body in another; a crop ``size`` high gets 1.6 rays a pixel and axis."""
     side = round(1.6 * size * 2.0 * _MARGIN / 0.26)
-    camera = Camera(
-        (_DISTANCE * np.cos(elevation), 0.0, _DISTANCE * np.sin(elevation)),
-        np.pi,
-        -elevation,
-        side * _DISTANCE / (2.0 * _MARGIN),
-        (side, side),
-    )
-    return cast(
-        np.array(camera.position),
-        camera.rays(),
-        Solids.together(head, body.in_group(EXTRA + 1)),
-        light,
-        n_groups=EXTRA + 2,
-    )
+    camera = Camera.above(_DISTANCE, elevation, side * _DISTANCE / (2.0 * _MARGIN), (side, side))
+    solids = Solids.together(head, body.in_group(EXTRA + 1))
+    return cast(np.array(camera.position), camera.rays(), solids, light, n_groups=EXTRA + 2)
 
 
 def _crop(

@@ -109,15 +109,9 @@ def _rendered(
     place: Place, body: float, length: float, rng: np.random.Generator, variation: Insertion
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], FloatArray, FloatArray]:
     """Light (h, w, 3) of a person alone, what they cover (h, w), their head's middle and their place (2,)."""
-    rise, away = np.sin(place.elevation), np.cos(place.elevation)
     size = round(1.6 * length), round(1.7 * length)
-    camera = Camera(
-        (place.distance * away, 0.0, _MIDDLE + place.distance * rise),
-        np.pi,
-        -place.elevation,
-        length * place.distance / (_TALL * max(away, _LEAST_COSINE)),
-        size,
-    )
+    focal = length * place.distance / (_TALL * max(np.cos(place.elevation), _LEAST_COSINE))
+    camera = Camera.above(place.distance, place.elevation, focal, size, _MIDDLE)
     posture = Posture(
         (0.0, 0.0),
         body,

@@ -71,15 +71,21 @@ def seen_keypoints(
     errors: NetworkErrors = NetworkErrors(),
 ) -> FloatArray:
     """COCO's points (17, 3) of somebody, as a pose network would give them; limbs are not there."""
-    assert isinstance(person.look, Appearance)
-    pixels = camera.project(joints_of(person.look, person.posture))
-    x, y = person.posture.position
-    ends = camera.project([(x, y, 0.0), (x, y, person.look.height)])
-    height = float(np.linalg.norm(ends[1] - ends[0]))
-    visibility = seen_joints(person, camera, furniture)
+    pixels, visibility, height = _seen_person(person, camera, furniture)
     points = np.zeros((N_POINTS, 3))
     points[list(USED)] = perceived(pixels[None], visibility[None], height, rng, errors)[0]
     return points
+
+
+def _seen_person(
+    person: Person, camera: Camera, furniture: tuple[Furniture, ...]
+) -> tuple[FloatArray, FloatArray, float]:
+    """Pixels (9, 2) of the joints, their visibility (9,), and the person's height in pixels."""
+    assert isinstance(person.look, Appearance)
+    x, y = person.posture.position
+    ends = camera.project([(x, y, 0.0), (x, y, person.look.height)])
+    pixels = camera.project(joints_of(person.look, person.posture))
+    return pixels, seen_joints(person, camera, furniture), float(np.linalg.norm(ends[1] - ends[0]))
 
 
 def make_rendered_skeletons(
@@ -111,24 +117,11 @@ def _one(
     stride = 0.0 if rng.random() < 0.25 else rng.uniform(0.5, 1.0)
     posture = Posture((0.0, rng.uniform(-0.3, 0.3) * distance), body, head, tilt, rng.uniform(0, 6.3), stride)
     pixels = float(np.exp(rng.uniform(np.log(size[0]), np.log(size[1]))))
-    camera = Camera(
-        (distance * np.cos(elevation), 0.0, 0.9 + distance * np.sin(elevation)),
-        np.pi,
-        -elevation,
-        pixels * distance / look.height,
-        (1000, 1000),
-    )
+    camera = Camera.above(distance, elevation, pixels * distance / look.height, (1000, 1000), 0.9)
     furniture: tuple[Furniture, ...] = ()
     if rng.random() < 0.2:
         place = (0.8, posture.position[1] + rng.uniform(-0.6, 0.6))
         furniture = (Furniture(place, (0.3, 0.9, rng.uniform(0.3, 1.3))),)
-    person = Person(look, posture)
     toward = direction(np.array(camera.position[:2]) - np.array(posture.position))
-    ends = camera.project([(*posture.position, 0.0), (*posture.position, look.height)])
-    return (
-        camera.project(joints_of(look, posture)),
-        seen_joints(person, camera, furniture),
-        float(np.linalg.norm(ends[1] - ends[0])),
-        float(wrap(body - toward)),
-        float(wrap(head - toward)),
-    )
+    seen = _seen_person(Person(look, posture), camera, furniture)
+    return *seen, float(wrap(body - toward)), float(wrap(head - toward))

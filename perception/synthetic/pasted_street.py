@@ -12,7 +12,8 @@ from graphtrack.geometry.camera import GroundCamera
 from perception.detection.boxes import PersonBox
 from perception.images.frames import Frame
 from perception.images.pixels import Image
-from perception.synthetic import Camera, PedestrianVariation, make_pedestrians
+from perception.synthetic.cameras import Camera
+from perception.synthetic.pedestrians import PedestrianVariation, make_pedestrians
 
 SIZE = (320, 240)
 CAMERA = Camera((0.0, -14.0, 6.0), np.pi / 2, -0.4, 330.0, SIZE)

@@ -123,13 +123,7 @@ def _pedestrian(
     size = int(rng.integers(v.size[0], v.size[1] + 1))
     elevation = rng.uniform(*v.elevation)
     canvas = (round(1.1 * size), round(1.5 * size))
-    camera = Camera(
-        (_DISTANCE * np.cos(elevation), 0.0, 0.9 + _DISTANCE * np.sin(elevation)),
-        np.pi,
-        -elevation,
-        size * _DISTANCE / 1.8,
-        canvas,
-    )
+    camera = Camera.above(_DISTANCE, elevation, size * _DISTANCE / 1.8, canvas, 0.9)
     stands = rng.random() < v.standing
     posture = Posture(
         (0.0, 0.0),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.readiness import Rehearsal, make_ready
@@ -28,6 +28,12 @@ class Light:
     direction: tuple[float, float, float]
     key: tuple[float, float, float]
     ambient: tuple[float, float, float]
+
+    @classmethod
+    def above(cls, bearing: float, height: float, key: ArrayLike, ambient: ArrayLike) -> Light:
+        """A light at a bearing and a height above the horizon, in radians; strengths (3,)."""
+        toward = np.cos(height) * np.cos(bearing), np.cos(height) * np.sin(bearing), np.sin(height)
+        return cls(*(tuple(np.asarray(values, float).tolist()) for values in (toward, key, ambient)))
 
 
 @dataclass(frozen=True)

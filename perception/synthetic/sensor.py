@@ -48,15 +48,7 @@ def random_light(rng: np.random.Generator) -> Light:
     bearing, height = rng.uniform(-np.pi, np.pi), rng.uniform(0.35, 1.4)
     tint = rng.normal(1.0, 0.05, 3)
     key, ambient = rng.uniform(0.2, 0.75), rng.uniform(0.35, 0.7)
-    return Light(
-        (
-            float(np.cos(height) * np.cos(bearing)),
-            float(np.cos(height) * np.sin(bearing)),
-            float(np.sin(height)),
-        ),
-        tuple(key * tint),
-        tuple(ambient * tint[::-1]),
-    )
+    return Light.above(bearing, height, key * tint, ambient * tint[::-1])
 
 
 def develop(light: NDArray[np.floating], sensor: Sensor, rng: np.random.Generator) -> Image:

@@ -16,6 +16,7 @@ from scipy.special import expit
 
 from graphtrack.geometry.angles import FloatArray, wrap
 from perception.pose.keypoints.skeleton import USED
+from perception.synthetic.solids import rotation_roll, rotation_up, rotation_z
 
 _TWIST, _HEAD_TURN, _FARTHEST = np.deg2rad([9.0, 35.0, 110.0])
 _EVEN = 0.5
@@ -141,20 +142,20 @@ def _joints(
     side = np.array([_LEFT, _RIGHT])
     points, normals = np.zeros((n, N_USED, 3)), np.zeros((n, N_USED, 3))
     lean, sway = about(0.05, 0.09), about(0.0, 0.05)
-    chest = _turned(body)
+    chest = rotation_z(body)
     middle = np.stack([np.sin(lean) * 0.29 * tall, np.sin(sway) * 0.29 * tall, about(0.815, 0.012) * tall], 1)
     shoulders = np.einsum("nij,nj->ni", chest, middle)
     wide, tipped = about(0.118, 0.014) * tall, about(0.0, 0.05)
     for k in range(2):
         offset = np.stack([about(0.0, 0.012), side[k] * wide * np.cos(tipped), side[k] * wide * tipped], 1)
         points[:, 5 + k] = shoulders + np.einsum("nij,nj->ni", chest, offset)
-    hips, hip_height = _turned(pelvis), about(0.53, 0.015) * tall
+    hips, hip_height = rotation_z(pelvis), about(0.53, 0.015) * tall
     across = about(0.062, 0.012) * tall
     for k in range(2):
         offset = np.stack([about(0.0, 0.01), side[k] * across, hip_height + about(0.0, 0.01)], 1)
         points[:, 7 + k] = np.einsum("nij,nj->ni", hips, offset)
     tilt, roll, size = about(-0.08, 0.26), about(0.0, 0.09), about(1.0, 0.06)
-    face = _turned(head) @ _lifted(tilt) @ _rolled(roll)
+    face = rotation_z(head) @ rotation_up(tilt) @ rotation_roll(roll)
     forward = np.einsum(
         "nij,nj->ni", chest, np.stack([about(0.015, 0.035), about(0.0, 0.015), 0.0 * tall], 1)
     )
@@ -189,21 +190,6 @@ def _projected(world: FloatArray, camera: FloatArray, rng: np.random.Generator) 
         [np.stack([np.cos(roll), -np.sin(roll)], 1), np.stack([np.sin(roll), np.cos(roll)], 1)], 1
     )
     return np.asarray(np.einsum("nij,nkj->nki", turn, plane), float)
-
-
-def _turned(angle: FloatArray) -> FloatArray:
-    c, s, o, i = np.cos(angle), np.sin(angle), 0.0 * angle, 0.0 * angle + 1.0
-    return np.stack([np.stack([c, -s, o], 1), np.stack([s, c, o], 1), np.stack([o, o, i], 1)], 1)
-
-
-def _lifted(angle: FloatArray) -> FloatArray:
-    c, s, o, i = np.cos(angle), np.sin(angle), 0.0 * angle, 0.0 * angle + 1.0
-    return np.stack([np.stack([c, o, -s], 1), np.stack([o, i, o], 1), np.stack([s, o, c], 1)], 1)
-
-
-def _rolled(angle: FloatArray) -> FloatArray:
-    c, s, o, i = np.cos(angle), np.sin(angle), 0.0 * angle, 0.0 * angle + 1.0
-    return np.stack([np.stack([i, o, o], 1), np.stack([o, c, -s], 1), np.stack([o, s, c], 1)], 1)
 
 
 def perceived(

@@ -164,19 +164,26 @@ class Builder:
         )
 
 
-def rotation_z(angle: float) -> FloatArray:
-    """Rotation (3, 3) by ``angle`` radians about z, counter-clockwise as seen from above."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def _rotation(angle: ArrayLike, first: int, second: int) -> FloatArray:
+    """Rotations (..., 3, 3) by angles (...) in radians that turn one axis towards another."""
+    angle = np.asarray(angle, float)
+    result = np.broadcast_to(np.eye(3), (*angle.shape, 3, 3)).copy()
+    result[..., first, first] = result[..., second, second] = np.cos(angle)
+    result[..., second, first] = np.sin(angle)
+    result[..., first, second] = -np.sin(angle)
+    return result
 
 
-def rotation_up(angle: float) -> FloatArray:
-    """Rotation (3, 3) that lifts the x axis by ``angle`` radians."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+def rotation_z(angle: ArrayLike) -> FloatArray:
+    """Rotations (..., 3, 3) by radians (...) about z, counter-clockwise as seen from above."""
+    return _rotation(angle, 0, 1)
 
 
-def rotation_roll(angle: float) -> FloatArray:
-    """Rotation (3, 3) by ``angle`` radians about the x axis."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+def rotation_up(angle: ArrayLike) -> FloatArray:
+    """Rotations (..., 3, 3) that lift the x axis by radians (...)."""
+    return _rotation(angle, 0, 2)
+
+
+def rotation_roll(angle: ArrayLike) -> FloatArray:
+    """Rotations (..., 3, 3) by radians (...) about the x axis."""
+    return _rotation(angle, 1, 2)

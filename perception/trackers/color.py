@@ -14,7 +14,7 @@ from perception.images.pixels import Image, enlarged, grey
 from perception.pose.classes import PoseClasses
 from perception.pose.features.gabor import SIDE
 from perception.trackers.colours import BoxColours, bhattacharyya
-from perception.trackers.dynamics import BoxDynamics, moved, resampled
+from perception.trackers.dynamics import BoxDynamics, predict, resampled
 from perception.trackers.mixed_state.exemplars import HeadExemplars
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes_of, check_frame, first_state
@@ -80,20 +80,12 @@ class ColourTracker:
     ) -> None:
         self.parameters = parameters if particles is None else replace(parameters, particles=particles)
         self.exemplars = exemplars
-        self.pan_classes: PoseClasses | None = None
-        if exemplars is not None:
-            self.pan_classes = exemplars.classes.pans
+        self.pan_classes: PoseClasses | None = None if exemplars is None else exemplars.classes.pans
         self._rng = generator(seed)
         self._shape: tuple[int, int] = (0, 0)
 
     def start(self, image: Image, box: Box | None) -> BoxEstimate:
-        """Begin with the target's box.
-
-        Raises
-        ------
-        InputError
-            If there is no box, or it cannot be used.
-        """
+        """Begin with the target's box; see `Tracker.start`."""
         p = self.parameters
         first = first_state(image, box)
         self._shape = image.shape[0], image.shape[1]
@@ -103,17 +95,11 @@ class ColourTracker:
         return self._look(image)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
-        """Go on to the next frame.
-
-        Raises
-        ------
-        InputError
-            If the frame's size is not that of the first.
-        """
+        """Go on to the next frame; see `Tracker.step`."""
         check_frame(image, self._shape)
         p = self.parameters
         cloud, _ = resampled(self._cloud, p.resample_below, self._rng)
-        self._cloud = moved(cloud, self._reference, p.dynamics, self._shape, self._rng, proposal)
+        self._cloud = predict(cloud, self._reference, p.dynamics, self._rng, proposal, self._shape)
         return self._look(image)
 
     def _look(self, image: Image) -> BoxEstimate:
@@ -122,8 +108,7 @@ class ColourTracker:
         similarity = bhattacharyya(p.colours.of_boxes(pixels, self._cloud.boxes), self._model)
         with np.errstate(divide="ignore"):
             log_weights = np.log(self._cloud.weights) - p.sharpness * (1.0 - similarity)
-        weights = np.empty_like(log_weights)
-        normalise(log_weights, weights)
+        normalise(log_weights, weights := np.empty_like(log_weights))
         self._cloud = replace(self._cloud, weights=weights)
         box, spread = self._cloud.mean()
         here = p.colours.of_boxes(pixels, np.array([box]))

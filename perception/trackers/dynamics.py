@@ -47,26 +47,13 @@ def resampled(cloud: Cloud, below: float, rng: np.random.Generator) -> tuple[Clo
     return cloud.chosen(ancestors), ancestors
 
 
-def moved(
-    cloud: Cloud,
-    reference: FloatArray,
-    dynamics: BoxDynamics,
-    shape: tuple[int, ...],
-    rng: np.random.Generator,
-    proposal: Proposal | None,
-) -> Cloud:
-    """The same as `predict`, with the centres kept within an image of a shape (h, w)."""
-    after = predict(cloud, reference, dynamics, rng, proposal)
-    np.clip(after.now[:, :2], 0.0, shape[::-1], out=after.now[:, :2])
-    return after
-
-
 def predict(
     cloud: Cloud,
     reference: FloatArray,
     dynamics: BoxDynamics,
     rng: np.random.Generator,
     proposal: Proposal | None = None,
+    shape: tuple[int, ...] | None = None,
 ) -> Cloud:
     """Draw the next states of all particles.
 
@@ -77,6 +64,7 @@ def predict(
     Parameters
     ----------
     reference : (2,) logarithms of the first width and height (pixels)
+    shape : of an image (h, w) that the centres are kept within
     """
     now, step = cloud.now, cloud.now - cloud.before
     noise = rng.standard_normal(now.shape)
@@ -95,4 +83,6 @@ def predict(
         drawn = rng.multivariate_normal(proposal.centre, proposal.covariance, len(now))
         after[guided, :2] = drawn[guided]
         before[guided] = after[guided]
+    if shape is not None:
+        np.clip(after[:, :2], 0.0, shape[::-1], out=after[:, :2])
     return Cloud(after, before, cloud.weights)

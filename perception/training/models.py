@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from graphtrack.errors import InputError
-from perception.evaluation.measures import evaluate
 from perception.images.pixels import intersection_over_union
 from perception.models import CLASSIFIERS, NAMES, model_path
 from perception.pose.body import BodyPose
@@ -19,6 +18,7 @@ from perception.pose.features.skin import SkinColours
 from perception.pose.head_pose import DeepBelief, Exemplars, Templates
 from perception.pose.heads import HeadLocaliser
 from perception.pose.keypoints.model import KeypointPose
+from perception.pose.scores import evaluate
 from perception.synthetic import (
     HeadSet,
     HeadVariation,
@@ -119,7 +119,7 @@ def train_on_rendered(
     if name == BodyPose.kind:
         people = make_pedestrians(count - count // 3, rng, advance=advance)
         people += make_pedestrians(count // 3, rng, FAR, advance=advance)
-        body = BodyPose.as_published(seed=seed) if as_published else BodyPose(seed=seed)
+        body = _untrained(name, seed, as_published)
         return _body_pose(people, make_pedestrians(test_images, other), body)
     if name == KeypointPose.kind:
         return train_keypoints(count, test_skeletons=20 * test_images, seed=seed, advance=advance)
@@ -155,15 +155,11 @@ def check_published(name: str, as_published: bool) -> None:
 
 
 def _head_pose(name: str, heads: HeadSet, seed: int, as_published: bool) -> FeatureClassifier:
-    model: FeatureClassifier
+    skin = None
     if name == Templates.kind:
         seen, masks = heads.images[:_SKIN_IMAGES], heads.skin[:_SKIN_IMAGES]
         skin = SkinColours.fit(seen, masks, as_published=as_published)
-        model = _templates(seed, skin, as_published)
-    elif name == Exemplars.kind:
-        model = _exemplars(seed, as_published)
-    else:
-        model = DeepBelief(seed=seed)
+    model = _untrained(name, seed, as_published, skin)
     return model.fit(heads.images, model.classes.index(heads.pan, heads.tilt))
 
 
@@ -171,16 +167,21 @@ def _head_localiser(seed: int, as_published: bool) -> HeadLocaliser:
     return HeadLocaliser.as_published(seed=seed) if as_published else HeadLocaliser(seed=seed)
 
 
-def _templates(seed: int, skin: SkinColours | None, as_published: bool) -> Templates:
-    if as_published:
-        return Templates.as_published(seed=seed, skin=skin)
-    return Templates(seed=seed, skin=skin, metric="fisher")
-
-
-def _exemplars(seed: int, as_published: bool) -> Exemplars:
-    if as_published:
-        return Exemplars.as_published(seed=seed)
-    return Exemplars(seed=seed, exemplars=40, weigh_filters=True)
+def _untrained(
+    name: str, seed: int, as_published: bool, skin: SkinColours | None = None
+) -> FeatureClassifier:
+    """Return a classifier by name, in the package's form or as published."""
+    if name == BodyPose.kind:
+        return BodyPose.as_published(seed=seed) if as_published else BodyPose(seed=seed)
+    if name == Templates.kind:
+        if as_published:
+            return Templates.as_published(seed=seed, skin=skin)
+        return Templates(seed=seed, skin=skin, metric="fisher")
+    if name == Exemplars.kind:
+        if as_published:
+            return Exemplars.as_published(seed=seed)
+        return Exemplars(seed=seed, exemplars=40, weigh_filters=True)
+    return DeepBelief(seed=seed)
 
 
 def calibrate_for_use(model: FeatureClassifier, seed: int) -> None:
@@ -228,23 +229,21 @@ def train_on_files(
         model = _head_localiser(seed, as_published).fit(given.images, given.values)
     elif name == BodyPose.kind:
         given = read_labelled(folder, labels, ("body_deg",))
-        model = BodyPose.as_published(seed=seed) if as_published else BodyPose(seed=seed)
+        model = _untrained(name, seed, as_published)
         model.fit(given.images, model.classes.index(np.deg2rad(given.values[:, 0])))
     else:
         given = read_labelled(folder, labels, ("pan_deg", "tilt_deg"))
-        model = DeepBelief(seed=seed) if name == DeepBelief.kind else Exemplars(seed=seed)
-        if as_published and name == Exemplars.kind:
-            model = Exemplars.as_published(seed=seed)
-        if name == Templates.kind:
-            # Skin is a matter of masks, which these labels lack: the colours of the package's model serve.
-            shipped = Templates.load(model_path(Templates.kind))
-            model = _templates(seed, shipped.skin, as_published)
+        # Skin is a matter of masks, which these labels lack: the colours of the package's model serve.
+        skin = Templates.load(model_path(Templates.kind)).skin if name == Templates.kind else None
+        model = _untrained(name, seed, as_published, skin)
+        if name == Exemplars.kind and not as_published:
+            model = Exemplars(seed=seed)  # of fewer images than are rendered
         model.fit(given.images, model.classes.index(*np.deg2rad(given.values).T))
     model.card = replace(model.card, trained_on=f"the images that {Path(labels).name} names")
     return model
 
 
-def _body_pose(people: PedestrianSet, judged: PedestrianSet, model: BodyPose) -> BodyPose:
+def _body_pose(people: PedestrianSet, judged: PedestrianSet, model: FeatureClassifier) -> FeatureClassifier:
     model.fit(people.images, model.classes.index(people.body))
     near = make_pedestrians(_CALIBRATION_IMAGES // 2, np.random.default_rng([model.seed, 2]))
     model.calibrate(near.images, near.body)

@@ -14,7 +14,8 @@ from perception.images.pixels import Image
 from perception.synthetic.ceiling import KINDS, ceiling_sequence
 from perception.synthetic.head_clips import HeadClip, HeadClipParameters, head_clip
 from perception.trackers.mixed_state.tracker import MixedStateTracker
-from perception.trackers.sigma_pi.tracker import SigmaPiParameters, SigmaPiTracker
+from perception.trackers.sigma_pi.parameters import SigmaPiParameters
+from perception.trackers.sigma_pi.tracker import SigmaPiTracker
 
 pytestmark = pytest.mark.benchmark
 REPEATS, FRAMES = 3, 60

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from perception.synthetic.appearance import random_appearance
-from perception.synthetic.ceiling import KINDS, SIZE, CeilingSequence, ceiling_sequence
+from perception.synthetic.ceiling import ALL_KINDS, KINDS, SIZE, CeilingSequence, ceiling_sequence
 from perception.synthetic.person import Posture, person_solids
 from perception.synthetic.scene import Furniture, Person, render_frame
 from perception.synthetic.sensor import Sensor
@@ -18,7 +18,7 @@ FRAMES = 100
 
 
 def drawn(name: str, frames: int = FRAMES) -> CeilingSequence:
-    return ceiling_sequence(KINDS[name], np.random.default_rng(1), frames=frames, oversampling=1)
+    return ceiling_sequence(ALL_KINDS[name], np.random.default_rng(1), frames=frames, oversampling=1)
 
 
 @pytest.mark.parametrize("oversampling", [1, 2])
@@ -41,8 +41,9 @@ def test_casting_only_near_what_moves_gives_the_same_frame(oversampling: int) ->
     assert frame.labels == expected.labels
 
 
-def test_the_label_encloses_the_pixels_of_the_person() -> None:
-    sequence = drawn("person moving and sitting 1")
+@pytest.mark.parametrize("name", ["person moving and sitting 1", "robot moving"])
+def test_the_label_encloses_the_pixels_of_the_target(name: str) -> None:
+    sequence = drawn(name)
     # Without a key light nothing throws a shadow: what differs from the empty room is the person.
     light = replace(sequence.scene.light, key=(0.0, 0.0, 0.0))
     scene = replace(sequence.scene, light=light)

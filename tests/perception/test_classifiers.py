@@ -12,7 +12,6 @@ import pytest
 from selection import others_slow
 
 from graphtrack.errors import InputError
-from perception.evaluation.measures import evaluate
 from perception.evaluation.recognition import recognition_table
 from perception.models import load_classifier
 from perception.pose.calibration import (
@@ -26,6 +25,7 @@ from perception.pose.classifier import FeatureClassifier, split
 from perception.pose.features.skin import SkinColours
 from perception.pose.head_pose import DeepBelief, Exemplars, Templates
 from perception.pose.head_pose.exemplars import CENTRE_STEP, DEVIATION_STEP
+from perception.pose.scores import evaluate
 from perception.storage import ModelCard, load_model, save_model
 from perception.synthetic import HeadSet, HeadVariation, make_heads
 
@@ -98,7 +98,7 @@ def test_calibration_on_other_images_makes_up_for_scores_of_another_scale(
     model, before = copy(fitted[0]), fitted[0].temperature
     model.temperature = 20.0 * before
     model.calibrate(heads[1].images, heads[1].pan)
-    honest = evaluate(model, heads[1].images, heads[1].pan).expected_calibration_error
+    honest = evaluate(model, heads[1].images, heads[1].pan).reliability.expected_calibration_error
     assert before / 4.0 < model.temperature < 4.0 * before and honest < 0.15
 
 
@@ -292,7 +292,7 @@ def test_the_network_of_the_package_meets_its_bars() -> None:
     made = make_heads(200, np.random.default_rng(99))
     scores = evaluate(load_classifier("deep_belief"), made.images, made.pan)
     assert scores.accuracy > 0.75 and scores.within_one > 0.94
-    assert scores.expected_calibration_error < 0.09  # of 200 images; noise alone gives about 0.04
+    assert scores.reliability.expected_calibration_error < 0.09  # of 200 images; noise alone gives about 0.04
 
 
 def test_mirror_images_have_the_mirrored_classes() -> None:

@@ -50,15 +50,6 @@ def test_an_activation_rises_from_0_to_1(middle: float, width: float) -> None:
     assert (np.diff(values) >= 0.0).all()
 
 
-def test_the_running_average_has_its_closed_form() -> None:
-    rng = np.random.default_rng(0)
-    first, image = (rng.uniform(0, 255, (8, 9, 3)).astype(np.float32) for _ in range(2))
-    background = first
-    for _ in range(30):
-        background = running_average(background, image, 0.07)
-    np.testing.assert_allclose(background, image + 0.93**30 * (first - image), rtol=1e-4, atol=1e-3)
-
-
 def test_what_stays_still_is_absorbed_after_the_time_that_its_contrast_takes() -> None:
     background = np.full((4, 4, 3), 50.0, np.float32)
     image = background.copy()

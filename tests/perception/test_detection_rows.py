@@ -12,12 +12,10 @@ import pytest
 
 from graphtrack.errors import InputError
 from graphtrack.geometry.camera import GroundCamera
-from graphtrack.tracks import TrackSet, to_columns
-from perception.observe import detections, identified
+from graphtrack.tracks import to_columns
 from perception.observe.detections import to_detections
-from perception.observe.identified import to_identified
+from perception.observe.identified import SeenTracks, to_tracks
 from perception.observe.journal import FrameJournal
-from perception.observe.pipeline import to_tracks
 from perception.observe.seen import SeenFrame, SeenPerson
 from perception.pose.classes import PoseClasses
 from perception.pose.features.appearance import LENGTH
@@ -50,10 +48,9 @@ def seen_frames(count: int, rng: np.random.Generator, *, known: bool = True) -> 
 def test_rows_made_some_at_a_time_are_those_of_tracks(
     camera: GroundCamera | None, causal: bool, known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(detections, "_AT_ONCE", 10)
+    monkeypatch.setattr("perception.observe.detections._AT_ONCE", 10)
     frames = seen_frames(30, np.random.default_rng(1), known=known)
-    everybody = [person for k in sorted(frames) for person in frames[k].people]
-    tracks = to_tracks(everybody, PANS, camera, 5.0, causal=causal).tracks
+    tracks = to_tracks(frames, PANS, camera, 5.0, causal=causal).tracks
     expected = to_columns(tracks)
     order = np.argsort(expected["frame"], kind="stable")
     found = to_detections(frames, PANS, camera, 5.0, causal=causal)
@@ -70,16 +67,17 @@ def test_rows_made_some_at_a_time_are_those_of_tracks(
 def test_tracks_made_piece_by_piece_are_the_same(
     camera: GroundCamera | None, causal: bool, known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identified, "_AT_ONCE", 7)
     frames = seen_frames(30, np.random.default_rng(5), known=known)
     for frame in frames.values():
         frame.people[:] = [replace(item, track_id=1 + item.track_id % 3) for item in frame.people]
         del frame.people[2 if frame.people[0].frame % 4 else 3 :]
     far = frames[9].people[0]
     frames[9].people[0] = replace(far, box=(100.0, -900.0, 20.0, 50.0))
-    everybody = [person for k in sorted(frames) for person in frames[k].people]
-    expected = to_tracks(everybody, PANS, camera, 5.0, causal=causal).tracks
-    found = to_identified(frames, PANS, camera, 5.0, causal=causal)
+    expected = to_tracks(frames, PANS, camera, 5.0, causal=causal).tracks
+    assert all((np.diff(track.frame) > 0).all() for track in expected)
+    assert sum(expected.summary.refused.values()) == (camera is not None)
+    monkeypatch.setattr("perception.observe.identified._ROWS_AT_ONCE", 7)
+    found = to_tracks(frames, PANS, camera, 5.0, causal=causal).tracks
     assert found.summary == expected.summary
     assert found.camera is not None and expected.camera is not None
     np.testing.assert_allclose(found.camera.homography, expected.camera.homography)
@@ -136,13 +134,14 @@ def test_a_row_of_a_long_recording_takes_less_than_a_kilobyte(tmp_path: Path, ha
                 journal.add(k, frame)
             gc.collect()
             tracemalloc.clear_traces()  # only what comes now is counted
-            make = to_identified if has_identities else to_detections
+            make = to_tracks if has_identities else to_detections
             found = make(journal.frames, PANS, CAMERA, 5.0)
             gc.collect()
             kept.append(tracemalloc.get_traced_memory()[0])
         finally:
             tracemalloc.stop()
-        assert (found.n_frames if isinstance(found, TrackSet) else len(found.number)) == 3 * count
+        rows = found.tracks.n_frames if isinstance(found, SeenTracks) else len(found.number)
+        assert rows == 3 * count
         journal.close(remove=True)
         del found
     assert (kept[1] - kept[0]) / (3 * 400) < 1000.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -18,10 +17,6 @@ from perception.detection.boxes import read_boxes
 from perception.follow.following import box_cameras
 from perception.follow.world import BODY_MIDDLE, BoxCamera
 from perception.synthetic.ceiling import ALL_KINDS, ceiling_sequence
-from perception.synthetic.robot import RobotLook
-from perception.synthetic.scene import Person
-from perception.synthetic.sensor import Sensor
-from perception.synthetic.still import StillScene
 
 pytestmark = pytest.mark.slow
 """A room is rendered for these; `test_ceiling` looks at one every time."""
@@ -133,31 +128,6 @@ def test_a_background_is_read_before_the_work(rooms: dict[str, Path], tmp_path: 
         done = follow(rooms["robot"], output, *given)
         assert done.returncode == 2 and message in done.stderr, done.stderr
         assert not output.exists()
-
-
-def test_a_robot_is_labelled_where_its_pixels_are() -> None:
-    sequence = ceiling_sequence(
-        ALL_KINDS["robot moving"], np.random.default_rng(1), frames=60, oversampling=1
-    )
-    assert isinstance(sequence.looks[0], RobotLook) and sequence.walks[0].sitting.max() == 0.0
-    light = replace(sequence.scene.light, key=(0.0, 0.0, 0.0))
-    room = StillScene(replace(sequence.scene, light=light), oversampling=1)
-    empty = room.render((), Sensor(), np.random.default_rng(0)).image
-    for k in (30, 45, 59):
-        posture = sequence.walks[0].posture(k)
-        assert posture is not None
-        frame = room.render([Person(sequence.looks[0], posture)], Sensor(), np.random.default_rng(0))
-        box = frame.labels[0].body_box
-        assert box is not None
-        rows, columns = np.nonzero((frame.image != empty).any(axis=2))
-        left, top, width, height = box
-        if frame.labels[0].visibility == 1.0:
-            np.testing.assert_allclose(
-                [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1],
-                [left, top, left + width, top + height],
-                atol=2.0,
-            )
-        assert min(width, height) > 8.0 and max(width, height) < 60.0
 
 
 def test_who_comes_into_the_room_can_be_chosen(rooms: dict[str, Path], tmp_path: Path) -> None:

@@ -15,8 +15,7 @@ from command import run
 from graphtrack import io
 from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
-from perception.detection.boxes import PersonBox, write_boxes
-from perception.detection.networks.found import FoundPeople
+from perception.detection.boxes import Detections, PersonBox, write_boxes
 from perception.detection.pointed import box_of, boxes_of, found_by_frame, with_keypoints
 from perception.pose.classes import PoseClasses
 from perception.pose.keypoints.files import PersonPoints, read_keypoints
@@ -235,7 +234,7 @@ def test_boxes_of_points_enclose_people_whose_legs_are_hidden_too() -> None:
             face[5:] = 0.0
             assert box_of(face) is None and box_of(points * 0.0) is None
     told: list[str] = []
-    alone = FoundPeople(np.full((1, 4), np.nan), np.ones(1), face[None])
+    alone = Detections(np.full((1, 4), np.nan), np.ones(1), face[None])
     assert boxes_of({3: alone}, told.append) == [] and "1 people" in told[0]
 
 

@@ -12,9 +12,10 @@ from graphtrack.evaluation.reproduce import Settings
 from graphtrack.io.readers.caviar import LOBBY_HEIGHT, lobby_camera
 from graphtrack.tracks import Track
 from perception.evaluation.last_layer import softmax_layer, split_scores
+from perception.evaluation.measures import class_rates
 from perception.models import load_classifier
 from perception.pose.head_pose import DeepBelief
-from perception.reproduce.baxter_network import EXPERIMENT, network_heads, rates
+from perception.reproduce.baxter_network import EXPERIMENT, network_heads
 from perception.reproduce.caviar_heads import PersonWithHeads, head_size, people_with_heads, upright_head
 from perception.reproduce.street_heads import (
     APART,
@@ -64,7 +65,7 @@ def test_no_person_is_learned_from_and_judged() -> None:
     assert apart.rates.max() == 0.0 and apart.confusion.sum() == 2 * 24
     judged = split_scores(network(), heads.images, heads.pan, rng=np.random.default_rng(1), **options)
     assert judged.rates.mean() > 0.25  # by chance: 0.125
-    hits, false_alarms = rates(judged.confusion)
+    hits, false_alarms = class_rates(judged.confusion)
     assert np.nanmin(hits) >= 0.0 and np.nanmax(false_alarms) < 0.5
 
 

@@ -16,8 +16,9 @@ from graphtrack.errors import InputError
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
 from perception.detection.people import PeopleDetector
 from perception.images.frames import FrameSource
-from perception.observe.pipeline import observe_frame, to_tracks
-from perception.observe.seen import SeenPerson
+from perception.observe.identified import to_tracks
+from perception.observe.pipeline import observe_frame
+from perception.observe.seen import SeenPerson, by_frame
 from perception.pose.classes import PoseClasses
 from perception.pose.heads import HeadCandidates
 from perception.synthetic import Camera, Person, Scene, render_frame
@@ -396,9 +397,9 @@ def test_the_scale_without_a_camera_is_that_of_the_first_frame_when_causal(tmp_p
         for k in range(3)
     ]
     classes = PoseClasses.circle(12)
-    alone, after = (to_tracks(near[:n], classes, None, 5.0, causal=True).tracks[1] for n in (1, 3))
+    alone, after = (to_tracks(by_frame(near[:n]), classes, None, 5.0, causal=True).tracks[1] for n in (1, 3))
     np.testing.assert_array_equal(alone.position[0], after.position[0])
-    whole = to_tracks(near, classes, None, 5.0).tracks[1]
+    whole = to_tracks(by_frame(near), classes, None, 5.0).tracks[1]
     assert not np.allclose(whole.position[0], after.position[0])
 
 

@@ -17,9 +17,10 @@ from command import run
 from graphtrack.errors import InputError
 from perception.detection import from_supervision, from_ultralytics
 from perception.detection.boxes import PersonBox, read_boxes, write_boxes
-from perception.detection.networks.yolo import YoloNetwork
+from perception.detection.yolo import YoloNetwork
 
 pytest.importorskip("onnx", reason="the extra test has it")
+pytest.importorskip("onnxruntime", reason="the extra networks has it")
 from onnx_files import brightest, constant, output_of
 
 FRAMES = 5
@@ -54,7 +55,7 @@ def walk(tmp_path: Path) -> Path:
 def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How often networks have looked, from here on."""
     counted: list[int] = []
-    found = YoloNetwork.found
+    found = YoloNetwork.detect
 
     def told(self: YoloNetwork, image: np.ndarray) -> Any:
         counted.append(len(counted))
@@ -64,7 +65,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         return found(self, image)
 
     told.breaks = False  # type: ignore[attr-defined]
-    monkeypatch.setattr(YoloNetwork, "found", told)
+    monkeypatch.setattr(YoloNetwork, "detect", told)
     return counted
 
 
@@ -125,14 +126,14 @@ def test_a_run_that_was_broken_off_goes_on_unless_the_network_has_changed(
         return pose_network(tmp_path / "n.onnx", person)
 
     arguments = "observe", walk, option, write(16), "-o", tmp_path / "out.csv"
-    YoloNetwork.found.breaks = True  # type: ignore[attr-defined]
+    YoloNetwork.detect.breaks = True  # type: ignore[attr-defined]
     assert run(*arguments).returncode != 0
     assert not (tmp_path / "out.csv").exists() and len(looks) == 3
     done = run(*arguments)
     assert done.returncode == 0 and "going on after 2 frames" in done.stderr
     assert len(looks) == 3 + FRAMES - 2
     before = pd.read_csv(tmp_path / "out.csv")
-    YoloNetwork.found.breaks = True  # type: ignore[attr-defined]
+    YoloNetwork.detect.breaks = True  # type: ignore[attr-defined]
     looks.clear()
     assert run(*arguments).returncode != 0
     write(24)

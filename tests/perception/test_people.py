@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from graphtrack.errors import InputError
 from perception.detection.blocks import (
     CELL,
     ORIENTATIONS,
@@ -16,8 +15,9 @@ from perception.detection.blocks import (
     mean_blocks,
     resized,
 )
-from perception.detection.boxes import detected, read_boxes, write_boxes
-from perception.detection.people import Detections, DetectorParameters, PeopleDetector
+from perception.detection.boxes import Detections, read_boxes, write_boxes
+from perception.detection.people import PeopleDetector
+from perception.detection.pointed import boxes_of
 from perception.synthetic import PedestrianVariation, make_pedestrians
 
 WHOLE = PedestrianVariation(
@@ -80,7 +80,8 @@ def test_a_person_is_found_at_any_size(height: int) -> None:
         person = cv2.resize(picture, (round(tall * picture.shape[1] / picture.shape[0]), tall))
         image = np.full((720, 640, 3), 120, np.uint8)
         image[100 : 100 + tall, 200 : 200 + person.shape[1]] = person
-        boxes, scores = PeopleDetector(DetectorParameters(threshold=-0.5)).detect(image)
+        found = PeopleDetector(threshold=-0.5).detect(image)
+        boxes, scores = found.boxes, found.scores
         assert (np.diff(scores) <= 0).all() and ((scores > 0) & (scores < 1)).all()
         if not len(boxes):
             continue
@@ -94,18 +95,16 @@ def test_a_person_is_found_at_any_size(height: int) -> None:
 def test_an_empty_or_tiny_frame_has_no_people() -> None:
     detector = PeopleDetector()
     for shape in ((288, 384, 3), (20, 20, 3)):
-        boxes, scores = detector.detect(np.full(shape, 90, np.uint8))
-        assert boxes.shape == (0, 4) and scores.shape == (0,)
-    with pytest.raises(InputError):
-        PeopleDetector(DetectorParameters(enlarge=0.0))
+        found = detector.detect(np.full(shape, 90, np.uint8))
+        assert found.boxes.shape == (0, 4) and found.scores.shape == (0,)
 
 
 def test_detections_are_written_without_identities(tmp_path: object) -> None:
     found = {
-        4: (np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.75])),
-        2: (np.ones((2, 4)), np.array([0.5, 0.25])),
+        4: Detections(np.array([[1.0, 2.0, 3.0, 4.0]]), np.array([0.75])),
+        2: Detections(np.ones((2, 4)), np.array([0.5, 0.25])),
     }
-    boxes = detected(found)
+    boxes = boxes_of(found)
     assert [(item.frame, item.track_id, item.score) for item in boxes] == [
         (2, 1, 0.5),
         (2, 2, 0.25),

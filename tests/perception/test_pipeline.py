@@ -14,12 +14,12 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import difference
 from perception.detection.boxes import PersonBox
 from perception.models import NAMES, load_classifier, load_head_localiser, model_path
+from perception.observe.identified import to_tracks
 from perception.observe.pipeline import (
     Models,
-    SeenPerson,
     observe_frame,
-    to_tracks,
 )
+from perception.observe.seen import SeenPerson, by_frame
 from perception.observe.turned import interpolated, world_likelihood
 from perception.pose.classes import PoseClasses
 from perception.pose.heads import HeadCandidates
@@ -60,13 +60,13 @@ def test_tracks_are_on_the_ground_and_those_beyond_the_horizon_are_left_out() ->
     flat = np.log(np.full(8, 1.0 / 8.0))
     feet = camera.ground_to_image(np.array([[0.5, 1.0], [0.6, 1.0]]))
     items = [seen(0, tuple(feet[0]), flat), seen(1, tuple(feet[1]), flat), seen(2, (100.0, -500.0), flat)]
-    tracks = to_tracks(items, PoseClasses.circle(12, 3), camera, 10.0).tracks
+    tracks = to_tracks(by_frame(items), PoseClasses.circle(12, 3), camera, 10.0).tracks
     np.testing.assert_allclose(tracks[1].position, [[0.5, 1.0], [0.6, 1.0]], atol=1e-6)
     np.testing.assert_allclose(tracks[1].t, [0.0, 0.1])
     with pytest.raises(InputError):
-        to_tracks(items[2:], PoseClasses.circle(12), camera, 10.0)
+        to_tracks(by_frame(items[2:]), PoseClasses.circle(12), camera, 10.0)
     with pytest.raises(InputError):
-        to_tracks([], PoseClasses.circle(12), None, 10.0)
+        to_tracks({}, PoseClasses.circle(12), None, 10.0)
 
 
 def test_the_models_of_the_package_load_and_are_small() -> None:

@@ -105,11 +105,6 @@ def test_views_change_nothing_for_people_whom_nobody_shows(box: Box | None) -> N
     assert (ends[0] == ends[1]) == (box is None)
 
 
-def test_the_paper_knows_no_views() -> None:
-    paper = SigmaPiParameters.of_the_paper()
-    assert not paper.views and paper.fixed == ("motion",)
-
-
 def test_in_too_small_a_box_motion_keeps_its_reliability() -> None:
     tracker = SigmaPiTracker(seed=0)
     tracker.start(lobby(0), (40.0, 60.0, 10.0, 8.0))

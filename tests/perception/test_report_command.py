@@ -25,9 +25,10 @@ from perception.adaptation.learning import AdaptationParameters, learn
 from perception.adaptation.models import CameraModels
 from perception.cli import report as command
 from perception.detection.boxes import PersonBox, write_boxes
-from perception.images.drawing.tracked import draw_tracked
+from perception.images.drawing.tracked import ShownPerson, draw_tracked
 from perception.observe import pipeline
-from perception.report.people import METHODS, ShownPerson, estimated, shown_by_frame, who_is_who
+from perception.observe.estimates import METHODS, associated, estimated, numbered
+from perception.report.people import shown_by_frame
 from perception.report.showing import what_they_do
 from perception.synthetic.pasted_street import FPS, PastedStreet, pasted_street
 
@@ -218,13 +219,13 @@ def test_detections_are_associated_and_keep_their_boxes(street: PastedStreet) ->
         replace(item, track_id=k + 1, identified=False, score=1.0) for k, item in enumerate(street.boxes)
     ]
     columns = {
-        "track_id": np.array([item.track_id for item in boxes]),
+        "track_id": np.full(len(boxes), -1),
         "frame": np.array([item.frame for item in boxes]),
         "t": np.array([item.frame for item in boxes]) / FPS,
     }
     x, y = street.camera.image_to_ground([(b.box[0] + b.box[2] / 2, b.box[1] + b.box[3]) for b in boxes]).T
-    seen = TrackSet.from_table({**columns, "x": x, "y": y})
-    found = who_is_who(seen, boxes, identified=False)
+    number = np.array([item.track_id for item in boxes])
+    found = associated({**columns, "x": x, "y": y}, number, boxes)
     assert found.n_frames == 21
     shown = shown_by_frame(found, found, boxes, street.camera)
     assert sorted(shown) == list(range(21))
@@ -239,7 +240,7 @@ def test_who_is_not_seen_is_shown_where_the_estimate_is(street: PastedStreet) ->
     pixel = camera.ground_to_image(feet)
     boxes = [PersonBox(k, 4, (pixel[k, 0] - 10, pixel[k, 1] - 50 - k, 20, 50 + k)) for k in (0, 2)]
     seen = gt.Track(4, frame[[0, 2]], t=frame[[0, 2]] / FPS, position=feet[[0, 2]])
-    tracks = who_is_who(TrackSet((seen,)), boxes, identified=True)
+    tracks = numbered(TrackSet((seen,)), boxes)
     estimate = gt.Track(4, frame, t=frame / FPS, position=feet)
     shown = shown_by_frame(TrackSet((estimate,)), tracks, boxes, camera)
     assert [shown[k][0].seen for k in range(3)] == [True, False, True]
@@ -254,7 +255,7 @@ def test_what_is_shown_is_kept_as_columns() -> None:
     for number in range(people):
         tracks.append(gt.Track(number, frame, t=frame / FPS, position=still + number))
         boxes += [PersonBox(k, number, (1.0, 2.0, 20.0, 50.0)) for k in frame.tolist()]
-    seen = who_is_who(TrackSet(tuple(tracks)), boxes, identified=True)
+    seen = numbered(TrackSet(tuple(tracks)), boxes)
     gc.collect()
     tracemalloc.start()
     try:

@@ -64,7 +64,8 @@ def test_the_legend_of_reliability_covers_no_curve(methods: int) -> None:
 def test_the_legend_of_classifiers_covers_no_curve() -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from perception.evaluation.measures import PoseScores, reliability_figure
+    from perception.evaluation.measures import reliability_figure
+    from perception.pose.scores import PoseScores
 
     bins = np.linspace(0.1, 0.9, 9)
     curve = Reliability(bins, np.ones(9), np.full(9, 10))

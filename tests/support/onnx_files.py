@@ -90,7 +90,7 @@ def output_of(kind: str, people: Sequence[Sequence[float]], classes: int, side: 
 
 
 def selecting(path: Path, rows: np.ndarray, classes: int, most: int = 5, **options: object) -> Path:
-    """A network with the last part of v10 and v26: the best few are selected, by layers that OpenCV lacks.
+    """A network with the last part of v10 and v26: the best few are selected.
 
     Parameters
     ----------
@@ -102,43 +102,22 @@ def selecting(path: Path, rows: np.ndarray, classes: int, most: int = 5, **optio
         "sizes": np.array([4, classes, *([more] if more else [])], np.int64),
         "most": np.array([most], np.int64),
         "last": np.array([-1], np.int64),
-        "each_class": np.array([1, 1, classes], np.int64),
-        "each_side": np.array([1, 1, 4], np.int64),
-        "classes": np.array(classes, np.int64),
-        "first": np.zeros((1, most, 1), np.int64),
     }
-    steps = saying("all")
     node = helper.make_node
-    steps += [
+    steps = [
+        *saying("all"),
         node("Split", ["all", "sizes"], parts, axis=2),
         node("ReduceMax", ["scores"], ["best"], axes=[2], keepdims=0),
-        node("TopK", ["best", "most"], ["best_values", "best_places"], axis=-1),
-        node("Unsqueeze", ["best_places", "last"], ["places"]),
-        node("Tile", ["places", "each_class"], ["places_of_classes"]),
-        node("GatherElements", ["scores", "places_of_classes"], ["best_scores"], axis=1),
-        node("Flatten", ["best_scores"], ["flat_scores"], axis=1),
-        node("TopK", ["flat_scores", "most"], ["values", "flat_places"], axis=-1),
-        node("Div", ["flat_places", "classes"], ["row"]),
-        node("Mod", ["flat_places", "classes"], ["of_class"]),
-        node("Unsqueeze", ["row", "last"], ["row_column"]),
-        node("Concat", ["first", "row_column"], ["index"], axis=-1),
-        node("GatherND", ["places", "index"], ["chosen_flat"]),
-        node("Unsqueeze", ["chosen_flat", "last"], ["chosen"]),
-        node("Tile", ["chosen", "each_side"], ["chosen_sides"]),
-        node("GatherElements", ["boxes", "chosen_sides"], ["chosen_boxes"], axis=1),
-        node("Unsqueeze", ["values", "last"], ["values_column"]),
-        node("Cast", ["of_class"], ["of_class_number"], to=TensorProto.FLOAT),
-        node("Unsqueeze", ["of_class_number", "last"], ["of_class_column"]),
+        node("ArgMax", ["scores"], ["class_number"], axis=2, keepdims=1),
+        node("Cast", ["class_number"], ["class"], to=TensorProto.FLOAT),
+        node("TopK", ["best", "most"], ["values", "best_places"], axis=-1),
+        node("Reshape", ["best_places", "flat"], ["places"]),
+        node("Unsqueeze", ["values", "last"], ["chosen_score"]),
     ]
-    columns = ["chosen_boxes", "values_column", "of_class_column"]
-    if more:
-        weights["each_point"] = np.array([1, 1, more], np.int64)
-        steps += [
-            node("Tile", ["chosen", "each_point"], ["chosen_points_places"]),
-            node("GatherElements", ["points", "chosen_points_places"], ["chosen_points"], axis=1),
-        ]
-        columns.append("chosen_points")
-    steps.append(node("Concat", columns, ["output0"], axis=-1))
+    of_row = ["boxes", "class", *parts[2:]]
+    steps += [node("Gather", [name, "places"], [f"chosen_{name}"], axis=1) for name in of_row]
+    columns = ["chosen_boxes", "chosen_score", "chosen_class", *(f"chosen_{name}" for name in parts[2:])]
+    steps += [node("Concat", columns, ["output0"], axis=2)]
     return written(path, steps, weights, (1, most, 6 + more), **options)  # type: ignore[arg-type]
 
 

@@ -70,18 +70,11 @@ def draw_cues(image: Image, cues: Cues, camera: GroundCamera, height: int = 320)
     def shown(pixel: FloatArray) -> FloatArray:
         return np.asarray((pixel - corner) * factor, float)
 
-    feet = camera.ground_to_image(cues.position)
     head = cues.head_box[:2] + cues.head_box[2:] / 2.0
-
-    def on_ground(offset: FloatArray) -> FloatArray:
-        return shown(camera.ground_to_image(cues.position + _RADIUS * offset))
-
-    def at_head(offset: FloatArray) -> FloatArray:
-        return shown(camera.ground_to_image(cues.position + _RADIUS * offset) - feet + head)
-
+    planes = marks.planes(camera, cues.position, head, (_RADIUS, _RADIUS), shown)
     marks.dashed_box(picture, np.concatenate([shown(cues.box[:2]), factor * cues.box[2:]]), _BOX, 1)
     marks.box(picture, np.concatenate([shown(cues.head_box[:2]), factor * cues.head_box[2:]]), _BOX, 1)
-    for k, (place, colour) in enumerate(((on_ground, _BODY), (at_head, _HEAD))):
+    for k, (place, colour) in enumerate(zip(planes, (_BODY, _HEAD), strict=True)):
         _circle(picture, place, colour)
         if cues.true is not None:
             _line(picture, place, float(cues.true[k]), (0.8, 1.25), _TRUE, 3)

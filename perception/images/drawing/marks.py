@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from graphtrack.geometry.angles import FloatArray, direction, unit
+from graphtrack.geometry.camera import GroundCamera
 from perception.images.pixels import Image
 from perception.pose.classes import PoseClasses
 
@@ -160,6 +161,34 @@ def _fill(picture: Image, edge: FloatArray, colour: Colour, opacity: float) -> N
     over = part.copy()
     cv2.fillPoly(over, [points(edge - (left, top))], colour, cv2.LINE_AA, FRACTION)
     cv2.addWeighted(over, opacity, part, 1.0 - opacity, 0.0, dst=part)
+
+
+def planes(
+    camera: GroundCamera,
+    position: FloatArray,
+    head: FloatArray,
+    radii: tuple[float, float],
+    shown: Place,
+) -> tuple[Place, Place]:
+    """The ground at a person's feet, and the same moved to the middle of the head.
+
+    Parameters
+    ----------
+    camera : over the ground
+    position : (2,) metres, of the feet
+    head : (2,) pixels of the image
+    radii : metres on the ground of an arrow's length, at the feet and at the head
+    shown : from pixels of the image to those of the picture
+    """
+    feet = camera.ground_to_image(position)
+
+    def on_ground(offset: FloatArray) -> FloatArray:
+        return shown(camera.ground_to_image(position + radii[0] * offset))
+
+    def at_head(offset: FloatArray) -> FloatArray:
+        return shown(camera.ground_to_image(position + radii[1] * offset) - feet + head)
+
+    return on_ground, at_head
 
 
 def identity(picture: Image, track_id: int, box: FloatArray, colour: Colour, width: int) -> None:

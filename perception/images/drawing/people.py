@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +13,14 @@ from graphtrack.tracks import BODY_CLASSES, HEAD_CLASSES
 from perception.images.drawing import marks
 from perception.images.drawing.marks import Place
 from perception.images.pixels import Image
-from perception.observe.pipeline import SeenTracks, head_in_image
+from perception.observe.identified import SeenTracks
+from perception.observe.pipeline import head_in_image
+from perception.observe.seen import SeenFrame
 from perception.pose.classes import PoseClasses
 
 _BODY, _HEAD = PoseClasses.circle(BODY_CLASSES), PoseClasses.circle(HEAD_CLASSES)
-_BODY_RADIUS, _HEAD_RADIUS = 0.8, 0.55
-"""Metres on the ground."""
+_RADII = 0.8, 0.55
+"""Metres on the ground, of the arrows of body and head."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,22 +43,29 @@ class DrawnPerson:
     head: FloatArray
 
 
-def people_by_frame(observed: SeenTracks) -> dict[int, list[DrawnPerson]]:
-    """What to draw in each frame."""
+def people_by_frame(observed: SeenTracks, frames: Mapping[int, SeenFrame]) -> dict[int, list[DrawnPerson]]:
+    """Return the people to draw in each frame, of tracks and the frames that they were made of."""
+    row_of = {
+        (track.track_id, frame): (track, row)
+        for track in observed.tracks
+        for row, frame in enumerate(track.frame.tolist())
+    }
     found: dict[int, list[DrawnPerson]] = {}
-    for track in observed.tracks:
-        assert track.body_likelihood is not None and track.head_likelihood is not None
-        items, heads = observed.seen[track.track_id], observed.heads[track.track_id].tolist()
-        for row, (item, head) in enumerate(zip(items, heads, strict=True)):
+    for number in sorted(frames):
+        for item in sorted(frames[number].people, key=lambda item: item.track_id):
+            if (item.track_id, number) not in row_of:
+                continue
+            track, row = row_of[item.track_id, number]
+            assert track.body_likelihood is not None and track.head_likelihood is not None
             person = DrawnPerson(
                 track.track_id,
                 np.array(item.box),
-                head_in_image(item, head),
+                head_in_image(item, int(observed.heads[track.track_id][row])),
                 track.position[row],
                 track.body_likelihood[row],
                 track.head_likelihood[row],
             )
-            found.setdefault(item.frame, []).append(person)
+            found.setdefault(number, []).append(person)
     return found
 
 
@@ -94,15 +103,5 @@ def draw_people(image: Image, number: int, people: Sequence[DrawnPerson], camera
 
 
 def _planes(person: DrawnPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
-    """The ground at a person's feet, and the same moved to the middle of the head."""
-    feet = camera.ground_to_image(person.position)
     head = person.head_box[:2] + person.head_box[2:] / 2.0
-
-    def on_ground(offset: FloatArray) -> FloatArray:
-        return camera.ground_to_image(person.position + _BODY_RADIUS * offset) * factor
-
-    def at_head(offset: FloatArray) -> FloatArray:
-        moved = camera.ground_to_image(person.position + _HEAD_RADIUS * offset)
-        return np.asarray((moved - feet + head) * factor, float)
-
-    return on_ground, at_head
+    return marks.planes(camera, person.position, head, _RADII, lambda pixel: pixel * factor)

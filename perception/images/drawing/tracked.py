@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -12,15 +13,39 @@ from graphtrack.geometry.camera import GroundCamera
 from perception.images.drawing import marks
 from perception.images.drawing.marks import Place
 from perception.images.pixels import Image
-from perception.report.people import ShownPerson
 
-_BODY_RADIUS, _HEAD_RADIUS = 0.8, 0.6
-"""Metres on the ground."""
-_HEAD = 0.08
+_TRACKED_RADII = 0.8, 0.6
+"""Metres on the ground, of the arrows of body and head."""
+_HEAD_BELOW = 0.08
 """Height of the head's middle below the top of a box, in its heights."""
 _INTERVAL = 1.96
 """Standard deviations to each side, of the sectors that hold 95 %."""
 _WIDEST = np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class ShownPerson:
+    """An estimated person in one frame.
+
+    Attributes
+    ----------
+    track_id : whose colour it has
+    box : (4,) left, top, width, height in pixels
+    seen : whether somebody was seen there; else the box is where it should be
+    position : (2,) metres
+    body, body_std, head, head_std : radians; NaN where not known
+    path : (n, 2) pixels, on the ground, of the last seconds
+    """
+
+    track_id: int
+    box: FloatArray
+    seen: bool
+    position: FloatArray
+    body: float
+    body_std: float
+    head: float
+    head_std: float
+    path: FloatArray
 
 
 def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera: GroundCamera) -> Image:
@@ -42,12 +67,12 @@ def draw_tracked(image: Image, words: str, people: Sequence[ShownPerson], camera
         _path(picture, person, factor, width)
     for person in people:
         colour = marks.person_colour(person.track_id)
-        on_ground, at_head = _planes(person, camera, factor)
+        on_ground, at_head = _planes_of(person, camera, factor)
         _sector(picture, on_ground, person.body, person.body_std, colour)
         _sector(picture, at_head, person.head, person.head_std, marks.LIGHT)
     for person in people:
         colour = marks.person_colour(person.track_id)
-        on_ground, at_head = _planes(person, camera, factor)
+        on_ground, at_head = _planes_of(person, camera, factor)
         (marks.box if person.seen else marks.dashed_box)(picture, person.box * factor, colour, width)
         if np.isfinite(person.body):
             marks.arrow(picture, on_ground, person.body, colour, 2 * width)
@@ -71,17 +96,7 @@ def _sector(picture: Image, place: Place, angle: float, std: float, colour: mark
         marks.sector(picture, place, angle, min(_INTERVAL * std, _WIDEST), colour)
 
 
-def _planes(person: ShownPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
-    """The ground at a person's feet, and the same moved to the head."""
-    feet = camera.ground_to_image(person.position)
+def _planes_of(person: ShownPerson, camera: GroundCamera, factor: int) -> tuple[Place, Place]:
     left, top, width, height = person.box
-    head = np.array([left + width / 2.0, top + _HEAD * height])
-
-    def on_ground(offset: FloatArray) -> FloatArray:
-        return camera.ground_to_image(person.position + _BODY_RADIUS * offset) * factor
-
-    def at_head(offset: FloatArray) -> FloatArray:
-        moved = camera.ground_to_image(person.position + _HEAD_RADIUS * offset)
-        return np.asarray((moved - feet + head) * factor, float)
-
-    return on_ground, at_head
+    head = np.array([left + width / 2.0, top + _HEAD_BELOW * height])
+    return marks.planes(camera, person.position, head, _TRACKED_RADII, lambda pixel: pixel * factor)

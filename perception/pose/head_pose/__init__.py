@@ -1,4 +1,4 @@
-"""Head pose classifiers, one a module; all are a `perception.pose.classifier.Classifier`."""
+"""Head pose classifiers, one a module; all are a `perception.pose.classifier.FeatureClassifier`."""
 
 from __future__ import annotations
 

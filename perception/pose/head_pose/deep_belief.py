@@ -41,6 +41,7 @@ class DeepBelief(FeatureClassifier):
     """
 
     kind: ClassVar[str] = "deep_belief"
+    options = ("units", "epochs", "pretraining_epochs", "dropout")
 
     def __init__(
         self,
@@ -62,15 +63,6 @@ class DeepBelief(FeatureClassifier):
         self.units, self.epochs = tuple(units), epochs
         self.pretraining_epochs, self.dropout = pretraining_epochs, dropout
         self._layers: list[Layer] = []
-
-    def settings(self) -> dict[str, Any]:
-        """Shape of the network and of its training."""
-        return {
-            "units": list(self.units),
-            "epochs": self.epochs,
-            "pretraining_epochs": self.pretraining_epochs,
-            "dropout": self.dropout,
-        }
 
     def features(self, images: Sequence[Image]) -> FloatArray:
         """Equalised pixels (n, 1024) in 0…1."""

@@ -62,6 +62,7 @@ class Exemplars(FeatureClassifier):
     """
 
     kind: ClassVar[str] = "exemplars"
+    options = ("exemplars", "density", "weigh_filters", "plain", "calibrated")
 
     def __init__(
         self,
@@ -96,16 +97,6 @@ class Exemplars(FeatureClassifier):
     ) -> Self:
         """Ba & Odobez 2003, §2 as printed: plain exemplars, λ = 1, uncalibrated."""
         return cls(classes, seed=seed, exemplars=exemplars, density=density, plain=True, calibrated=False)
-
-    def settings(self) -> dict[str, Any]:
-        """Arguments of the constructor."""
-        return {
-            "exemplars": self.exemplars,
-            "density": self.density,
-            "weigh_filters": self.weigh_filters,
-            "plain": self.plain,
-            "calibrated": self.calibrated,
-        }
 
     def features(self, images: Sequence[Image]) -> FloatArray:
         """Normalised responses (n, 764)."""

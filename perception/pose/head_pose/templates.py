@@ -51,6 +51,7 @@ class Templates(FeatureClassifier):
     """
 
     kind: ClassVar[str] = "templates"
+    options = ("metric", "calibrated", "interpolated")
 
     def __init__(
         self,
@@ -75,14 +76,6 @@ class Templates(FeatureClassifier):
         """Chen et al. 2011, §2.3 as printed: eq. 3–4 with L2 and L1 distances, uncalibrated, of quantised
         orientations; ``skin`` should be that of `SkinColours.fit` as published."""
         return cls(seed=seed, skin=skin, metric="euclidean", calibrated=False, interpolated=False)
-
-    def settings(self) -> dict[str, Any]:
-        """Arguments of the constructor."""
-        return {
-            "metric": self.metric,
-            "calibrated": self.calibrated,
-            "interpolated": self.interpolated,
-        }
 
     @property
     def weights(self) -> FloatArray:

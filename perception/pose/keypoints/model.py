@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -153,8 +152,3 @@ def _layers(name: str, card: ModelCard, arrays: dict[str, NDArray[Any]]) -> Laye
     )
     given = card.parameters[name]
     return Layers(weights, biases, float(given["temperature"]), float(given["share"]))
-
-
-def used_points(points: Sequence[FloatArray]) -> FloatArray:
-    """The points (n, 9, 3) of `USED` of people's points (17, 3)."""
-    return np.asarray(np.array(points, float).reshape(-1, 17, 3)[:, _ORDER])

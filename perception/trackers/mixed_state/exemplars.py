@@ -10,6 +10,7 @@ one was on the head for 83 % of them, 55 % without the division.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from graphtrack.geometry.angles import FloatArray, difference
+from perception.models import model_path
 from perception.pose.classes import TILT_EDGE, PoseClasses
 from perception.pose.features.gabor import gabor_features
 from perception.pose.head_pose.exemplars import (
@@ -235,3 +237,16 @@ def _pose_transitions(classes: PoseClasses, pan_std: float, tilt_share: float) -
     tilt += tilt_share * (np.eye(classes.n_tilt, k=1) + np.eye(classes.n_tilt, k=-1))
     both = np.kron(tilt, pan)
     return np.asarray(both / both.sum(axis=1, keepdims=True), float)
+
+
+def load_head_exemplars(path: str | Path | None = None, *, plain: bool = False) -> HeadExemplars:
+    """Load the exemplars of the mixed-state tracker, of the package or of a file.
+
+    Parameters
+    ----------
+    plain : whether the package's are those of Ba & Odobez 2003 as printed (`HeadExemplars.plain`)
+    """
+    if path is None:
+        path = model_path(HeadExemplars.kind)
+        path = path.with_name("head_exemplars_as_published.npz") if plain else path
+    return HeadExemplars.load(path)

@@ -13,12 +13,11 @@ from graphtrack.errors import InputError
 from graphtrack.geometry.angles import FloatArray
 from graphtrack.particles import generator
 from perception.images.pixels import Image, enlarged, grey
-from perception.models import load_head_exemplars
 from perception.pose.classes import PoseClasses
 from perception.pose.features.gabor import SIDE
 from perception.trackers.colours import BoxColours, bhattacharyya
-from perception.trackers.dynamics import BoxDynamics, moved, resampled
-from perception.trackers.mixed_state.exemplars import HeadExemplars
+from perception.trackers.dynamics import BoxDynamics, predict, resampled
+from perception.trackers.mixed_state.exemplars import HeadExemplars, load_head_exemplars
 from perception.trackers.patches import PATCH_MARGIN, cut, equalised
 from perception.trackers.tracker import (
     Box,
@@ -163,13 +162,7 @@ class MixedStateTracker:
         self._colours: FloatArray | None = None
 
     def start(self, image: Image, box: Box | None) -> BoxEstimate:
-        """Begin with the head's box.
-
-        Raises
-        ------
-        InputError
-            If there is no box, or it cannot be used.
-        """
+        """Begin with the head's box; see `Tracker.start`."""
         first = first_state(image, box)
         self._shape = image.shape[0], image.shape[1]
         self._colours = None
@@ -186,18 +179,12 @@ class MixedStateTracker:
         return self._look(image, 1.0)
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
-        """Go on to the next frame.
-
-        Raises
-        ------
-        InputError
-            If the frame's size is not that of the first.
-        """
+        """Go on to the next frame; see `Tracker.step`."""
         check_frame(image, self._shape)
         p = self.parameters
         cloud, ancestors = resampled(self._cloud, p.resample_below, self._rng)
         self._label, self._belief = self._label[ancestors], self._belief[ancestors]
-        self._cloud = moved(cloud, self._reference, p.dynamics, self._shape, self._rng, proposal)
+        self._cloud = predict(cloud, self._reference, p.dynamics, self._rng, proposal, self._shape)
         if p.labels == "sampled":
             drawn = self._rng.random((p.particles, 1))
             last = self.exemplars.labels - 1

@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 
 from graphtrack.geometry.angles import FloatArray
 from perception.images.pixels import Image, enlarged, grey
-from perception.trackers import colours
-from perception.trackers.sigma_pi import shape
+from perception.trackers.colours import pixel_bins, target_share, weighed_histogram
 from perception.trackers.sigma_pi.parameters import CueParameters
-from perception.trackers.sigma_pi.windows import activation, integral, overlap, sums
+from perception.trackers.sigma_pi.shape import (
+    Features,
+    detect,
+    inside,
+    matching_rate,
+    memory_similarity,
+    none,
+    point_scores,
+    similarity,
+)
+from perception.trackers.sigma_pi.windows import activation, integral, overlap, salient_overlap
 
 
 class Cue(Protocol):
@@ -52,7 +61,7 @@ class MotionCue:
     def activity(self, windows: FloatArray) -> FloatArray:
         """Activities (n,) of windows (n, 4)."""
         p = self._parameters
-        return activation(_overlap(self._table, windows, p.surround), *p.motion_overlap)
+        return activation(salient_overlap(self._table, windows, p.surround), *p.motion_overlap)
 
     def adapt(self, target: NDArray[np.bool_] | None) -> None:
         """Let the background follow; ``target`` (h, w) says where it may be hidden."""
@@ -71,46 +80,42 @@ class ColourCue:
 
     def __init__(self, parameters: CueParameters, image: Image) -> None:
         self._parameters = parameters
-        self._numbers = colours.pixel_bins(image)
-        self._target: FloatArray | None = None
+        self._numbers = pixel_bins(image)
+        self.target: FloatArray | None = None
+        """The target's histogram (COUNT,), once there is one."""
         self.frames = 0
         """Of which the target's histogram is made."""
         self._background: FloatArray | None = None
         self.saliency = np.zeros(image.shape[:2], np.float32)
         self._table = integral(self.saliency)
 
-    @property
-    def target(self) -> FloatArray | None:
-        """The target's histogram (COUNT,), once there is one."""
-        return self._target
-
     def look(self, image: Image) -> None:
         """Take in a frame."""
-        self._numbers = colours.pixel_bins(image)
-        if self._target is None or self._background is None:
+        self._numbers = pixel_bins(image)
+        if self.target is None or self._background is None:
             return
-        share = colours.target_share(self._target, self._background, self._parameters.colour_odds)
+        share = target_share(self.target, self._background, self._parameters.colour_odds)
         self.saliency = share.astype(np.float32)[self._numbers]
         self._table = integral(self.saliency)
 
     def activity(self, windows: FloatArray) -> FloatArray:
         """Activities (n,) of windows (n, 4)."""
         p = self._parameters
-        return activation(_overlap(self._table, windows, p.surround), *p.colour_overlap)
+        return activation(salient_overlap(self._table, windows, p.surround), *p.colour_overlap)
 
     def surroundings(self, outside: NDArray[np.bool_]) -> None:
         """Adapt the background's histogram to where the target is not (h, w)."""
-        found = colours.weighed_histogram(self._numbers, outside.astype(np.float32))
+        found = weighed_histogram(self._numbers, outside.astype(np.float32))
         rate = self._parameters.surroundings_rate
         self._background = found if self._background is None else _mixed(self._background, found, rate)
 
     def adapt(self, weights: NDArray[np.float32]) -> None:
         """Adapt the target's histogram to pixels with weights (h, w)."""
-        found = colours.weighed_histogram(self._numbers, weights)
+        found = weighed_histogram(self._numbers, weights)
         if found.sum() > 0.0:
             self.frames += 1
             rate = max(self._parameters.colour_rate, 1.0 / self.frames)
-            self._target = found if self._target is None else _mixed(self._target, found, rate)
+            self.target = found if self.target is None else _mixed(self.target, found, rate)
 
 
 class ShapeCue:
@@ -119,31 +124,22 @@ class ShapeCue:
     def __init__(self, parameters: CueParameters) -> None:
         self._parameters = parameters
         self._sift: Any = cv2.SIFT_create(contrastThreshold=parameters.contrast)  # type: ignore[attr-defined]
-        self._features = shape.Features(np.zeros((0, 2)), shape.none())
-        self._scores = np.zeros(0)
+        self.features = Features(np.zeros((0, 2)), none())
+        self.scores = np.zeros(0)
+        """How much each feature of the frame speaks for the target (n,), −1…1."""
         self._of_background = np.zeros(0)
         self._memory: deque[NDArray[np.float32]] = deque(maxlen=parameters.memory)
         self._rates: deque[float] = deque(maxlen=parameters.memory)
-        self._given = shape.none()
+        self._given = none()
         self._focus: FloatArray | None = None
         self._looked = 0
         self.frames = 0
-        self._background = shape.none()
+        self._background = none()
         self._expected = 0.0
-
-    @property
-    def features(self) -> shape.Features:
-        """Of the frame."""
-        return self._features
-
-    @property
-    def scores(self) -> FloatArray:
-        """How much each feature speaks for the target (n,), −1…1."""
-        return self._scores
 
     def give(self, images: list[Image]) -> None:
         """Images of what is never the target, such as furniture."""
-        found = [shape.detect(self._sift, grey(image)).descriptors for image in images]
+        found = [detect(self._sift, grey(image)).descriptors for image in images]
         self._given = np.concatenate([self._given, *found])
 
     def focus(self, window: FloatArray | None) -> None:
@@ -161,24 +157,24 @@ class ShapeCue:
         p = self._parameters
         self._looked += 1
         part = None if self._looked % p.everywhere == 0 else self._focus
-        self._features = shape.detect(self._sift, grey(image), part)
-        descriptors = self._features.descriptors
+        self.features = detect(self._sift, grey(image), part)
+        descriptors = self.features.descriptors
         self._of_background = np.maximum(
-            shape.similarity(descriptors, self._background), shape.similarity(descriptors, self._given)
+            similarity(descriptors, self._background), similarity(descriptors, self._given)
         )
         weights = np.array(self._rates)
-        of_target = shape.memory_similarity(descriptors, self._memory, weights)
-        self._scores = shape.point_scores(of_target, self._of_background, p.matched, p.margin)
+        of_target = memory_similarity(descriptors, self._memory, weights)
+        self.scores = point_scores(of_target, self._of_background, p.matched, p.margin)
 
     def activity(self, windows: FloatArray) -> FloatArray:
         """Activities (n,) of windows (n, 4)."""
         p = self._parameters
         if not self._memory:
             return np.zeros(len(windows))
-        points = self._features.points
-        within = shape.inside(points, windows)
-        around = shape.inside(points, enlarged(windows, p.surround)) & ~within
-        gain, loss = np.maximum(self._scores, 0.0), np.maximum(-self._scores, 0.0)
+        points = self.features.points
+        within = inside(points, windows)
+        around = inside(points, enlarged(windows, p.surround)) & ~within
+        gain, loss = np.maximum(self.scores, 0.0), np.maximum(-self.scores, 0.0)
         held = within @ gain - p.negative * (within @ loss)
         expected = np.full(len(windows), max(self._expected, p.fewest))
         return activation(overlap(held, np.asarray(around @ gain), expected), *p.shape_overlap)
@@ -187,36 +183,30 @@ class ShapeCue:
         """Remember features that are not the target's; ``outside`` (h, w) says where it is not."""
         p = self._parameters
         last = [outside.shape[1] - 1, outside.shape[0] - 1]
-        places = np.clip(self._features.points.astype(int), 0, last)
+        places = np.clip(self.features.points.astype(int), 0, last)
         beside = outside[places[:, 1], places[:, 0]]
-        descriptors = self._features.descriptors[beside]
+        descriptors = self.features.descriptors[beside]
         new = descriptors[self._of_background[beside] < p.matched]
         # What was seen again goes last, what was not seen for longest is forgotten.
-        seen = shape.similarity(self._background, descriptors) >= p.matched
+        seen = similarity(self._background, descriptors) >= p.matched
         known = np.concatenate([self._background[~seen], self._background[seen], new])
         self._background = known[-p.background_features :]
 
     def adapt(self, window: FloatArray) -> None:
         """Remember the features in a window (4,) that are not the background's."""
         p = self._parameters
-        own = shape.inside(self._features.points, window[None])[0] & (self._of_background < p.matched)
-        new = self._features.descriptors[own]
+        own = inside(self.features.points, window[None])[0] & (self._of_background < p.matched)
+        new = self.features.descriptors[own]
         if not len(new):
             return
         if self._memory:
-            rate = shape.matching_rate(self._memory[-1], new, p.matched)
+            rate = matching_rate(self._memory[-1], new, p.matched)
             self._rates[-1] = rate
         self.frames += 1
         self._memory.append(new)
         self._rates.append(1.0)
         sizes = [len(frame) for frame in self._memory]
         self._expected = float(np.mean(sizes))
-
-
-def _overlap(table: FloatArray, windows: FloatArray, surround: float) -> FloatArray:
-    within = sums(table, windows)
-    around = sums(table, enlarged(windows, surround)) - within
-    return overlap(within, around, windows[:, 2] * windows[:, 3])
 
 
 def _mixed(before: FloatArray, now: FloatArray, rate: float) -> FloatArray:

@@ -23,18 +23,14 @@ from perception.trackers.sigma_pi.views import ViewCue
 from perception.trackers.sigma_pi.windows import covered, cut_off, kernel
 from perception.trackers.tracker import Box, BoxEstimate, Cloud, Proposal, boxes_of, check_box, states_of
 
-__all__ = ["SigmaPiParameters", "SigmaPiTracker"]
-
 
 class SigmaPiTracker:
     """Follows one person; without a first box, the first that moves.
 
     Parameters
     ----------
-    parameters : see there
     background : images of what is never the person (furniture), for the shape cue
-    particles : how many, if not as in the parameters
-    seed : of the particles
+    particles : in place of the parameters' number
 
     Raises
     ------
@@ -60,13 +56,7 @@ class SigmaPiTracker:
         self._size: tuple[int, ...] | None = None
 
     def start(self, image: Image, box: Box | None = None) -> BoxEstimate:
-        """Begin, with the person's box or without; nobody to be seen is not an error.
-
-        Raises
-        ------
-        InputError
-            If the box cannot be used.
-        """
+        """Begin, with the person's box or without; an empty frame is not an error. See `Tracker.start`."""
         p = self.parameters
         image = as_uint8(image)
         self._size = image.shape
@@ -96,46 +86,39 @@ class SigmaPiTracker:
         self._reference = np.log(np.array(p.first_size) if first is None else first[2:])
         # Who is cut off by the frame's border may be seen in a box of any small size at first.
         usual = np.log(np.array(p.first_size))
-        self._limits = (
-            np.minimum(self._reference, usual) + np.log(p.size_range[0]),
-            np.maximum(self._reference, usual) + np.log(p.size_range[1]),
-        )
-        if views is not None:
-            self._limits = (
-                self._reference + np.log(p.view_range[0]),
-                self._reference + np.log(p.view_range[1]),
-            )
+        low, high, (least, most) = self._reference, self._reference, np.log(p.view_range)
+        if views is None:
+            low, high = np.minimum(low, usual), np.maximum(high, usual)
+            least, most = np.log(p.size_range)
+        self._limits = low + least, high + most
         self._counter, self._found = 0, first is not None
         self._alone = 0
         self._look(small)
         if first is None:
-            states = self._anywhere(p.particles)
-            self._cloud = Cloud(states, states, np.full(p.particles, 1.0 / p.particles))
+            self._begin(self._anywhere(p.particles))
             self._surroundings(None)
             return self._estimate(self._best())
         self._last = states_of(first[None])[0]
         states = np.tile(self._last, (p.particles, 1))
         if cut_off(first, self._shape):
-            # Of somebody who comes in only a part is in the box: they are as large as people usually are.
+            # Only a part of somebody who comes in is in the box: they are as large as people usually are.
             self._reference = np.maximum(self._reference, usual)
             states[:, 2:] += self._rng.random((p.particles, 1)) * (self._reference - states[:, 2:])
-        self._cloud = Cloud(states, states, np.full(p.particles, 1.0 / p.particles))
+        self._begin(states)
         self._surroundings(first)
         if self._used[1]:
             self._colour.adapt(kernel(small.shape, first))
         if self._used[2]:
             self._form.adapt(first)
         self._look(small)
-        return self._estimate(states_of(first[None])[0])
+        return self._estimate(self._last)
+
+    def _begin(self, states: FloatArray) -> None:
+        """Take states (n, 4), at rest, as equally likely particles."""
+        self._cloud = Cloud(states, states, np.full(len(states), 1.0 / len(states)))
 
     def step(self, image: Image, proposal: Proposal | None = None) -> BoxEstimate:
-        """Go on to the next frame.
-
-        Raises
-        ------
-        InputError
-            If the frame's size is not that of the first, or the tracker was not started.
-        """
+        """Go on to the next frame; see `Tracker.step`. Before `start` it is refused."""
         image = as_uint8(image)
         if self._size is None or image.shape != self._size:
             expected = "a start first" if self._size is None else f"{self._size[1]} × {self._size[0]} pixels"
@@ -186,7 +169,7 @@ class SigmaPiTracker:
         return found
 
     def _resample(self) -> NDArray[np.int64]:
-        """Resample the particles by their weights; return their ancestors (n,)."""
+        """Resample by weight; return the ancestors (n,)."""
         ancestors = resample(self._cloud.weights, self._rng)
         self._cloud = self._cloud.chosen(ancestors)
         return ancestors
@@ -243,22 +226,17 @@ class SigmaPiTracker:
         """What is said of a state; decides whether the person is found, and adapts the reliabilities."""
         p = self.parameters
         window = boxes_of(best[None])
-        activities = self._activities(window)[0]
-        self._active = activities
-        cloud = self._activities(self._cloud.boxes)
-        self._support = cloud.max(axis=1)
-        confidence = self._confidence(activities)
+        self._active = self._activities(window)[0]
+        self._support = self._activities(self._cloud.boxes).max(axis=1)
+        confidence = self._confidence(self._active)
         believed = confidence >= (p.lost if self._found else p.found)
         self._counter = 0 if believed == self._found else self._counter + 1
         if self._counter >= p.patience:
             self._found, self._counter = not self._found, 0
-        strength = dict(zip(CUES, activities.tolist(), strict=True))
-        reliable = {
-            f"reliability {name}": value
-            for name, value in zip(TERM_NAMES, self.reliabilities.tolist(), strict=True)
-        }
-        mean = self._cloud.weights @ self._cloud.now[:, :2]
-        spread = np.sqrt(self._cloud.weights @ (self._cloud.now[:, :2] - mean) ** 2)
+        cues = dict(zip(CUES, self._active.tolist(), strict=True))
+        for name, value in zip(TERM_NAMES, self.reliabilities.tolist(), strict=True):
+            cues[f"reliability {name}"] = value
+        spread = self._cloud.mean()[1]
         left, top, width, height = (float(value) for value in window[0] / self._scale)
         return BoxEstimate(
             (left, top, width, height),
@@ -267,7 +245,7 @@ class SigmaPiTracker:
             self._found and believed,
             self._cloud.boxes / self._scale,
             self._cloud.weights,
-            cues={**strength, **reliable},
+            cues=cues,
         )
 
     def _confidence(self, activities: FloatArray) -> float:
@@ -294,15 +272,13 @@ class SigmaPiTracker:
         # Shape is the cue that tells a person from furniture on the move, so colour waits for it.
         self._alone = self._alone + 1 if moving and active.sum() == 1 else 0
         anew = self._alone > p.stale
-        always = p.teach_always
+        always = p.teach_always or anew
         trusted = enough and (formed or not self._used[2])
-        if self._used[1] and (
-            always or trusted or anew or (self._colour.frames < p.young and (moving or formed))
-        ):
+        young = self._colour.frames < p.young and (moving or formed)
+        if self._used[1] and (always or trusted or young):
             self._colour.adapt(kernel(self._motion.saliency.shape, window))
-        if self._used[2] and (
-            always or enough or anew or (self._form.frames < p.young and (moving or coloured))
-        ):
+        young = self._form.frames < p.young and (moving or coloured)
+        if self._used[2] and (always or enough or young):
             self._form.adapt(window)
         self._surroundings(window)
         if self._active.max() >= p.support:

@@ -59,8 +59,7 @@ def sums(table: FloatArray, windows: FloatArray) -> FloatArray:
 def overlap(inside: FloatArray, around: FloatArray, area: FloatArray) -> FloatArray:
     """How well windows fit what is salient (n,), 0…1: inside / (area + what is salient around them).
 
-    A window on a part of something leaves much around it, one that is too large holds much that is not
-    salient: this is the intersection over union of the window with what is salient in it and around it.
+    This is the intersection over union of the window with what is salient in it and around it.
 
     Parameters
     ----------
@@ -69,6 +68,12 @@ def overlap(inside: FloatArray, around: FloatArray, area: FloatArray) -> FloatAr
     area : (n,) of the windows, in the unit of the sums
     """
     return np.asarray(np.maximum(inside, 0.0) / np.maximum(area + np.maximum(around, 0.0), 1e-9))
+
+
+def salient_overlap(table: FloatArray, windows: FloatArray, surround: float) -> FloatArray:
+    """`overlap` (n,) of windows (n, 4) by the `integral` of a saliency; ``surround`` in sizes of a window."""
+    within = sums(table, windows)
+    return overlap(within, sums(table, enlarged(windows, surround)) - within, windows[:, 2] * windows[:, 3])
 
 
 def activation(value: FloatArray, middle: float, width: float) -> FloatArray:

@@ -1,1 +1,0 @@
-"""People found by networks of one's own, in ONNX files that OpenCV runs."""

@@ -1,0 +1,383 @@
+"""YOLO networks in ONNX files, run by ONNX Runtime (the extra ``networks``); the weights are the user's.
+
+====================  ===================  =============================================================
+layout                output               a row
+====================  ===================  =============================================================
+``anchors``           (1, 3·cells, 5 + c)  middle, width, height, objectness, c classes (YOLOv5, v7)
+``cells``             (1, 4 + c, cells)    middle, width, height, c classes (v8 to v12; v10 and v26 without
+                                           their end-to-end heads); a column is one detection
+``selected``          (1, n, 6)            corners, score, class (v10 and v26 with them)
+====================  ===================  =============================================================
+
+With keypoints each row goes on with x, y and visibility of each. Places are pixels of the input. Cells are
+those of strides 8, 16 and 32 (and 64, or 4).
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from graphtrack.io.extras import package
+from numpy.typing import NDArray
+
+from graphtrack.errors import InputError
+from graphtrack.geometry.angles import FloatArray
+from graphtrack.io.source import Source
+from perception.detection.boxes import Detections
+from perception.images.pixels import Image, non_maximum_suppression
+from perception.pose.keypoints.skeleton import BY_NUMBER, KNOWN, in_coco_order
+
+_GREY = (114, 114, 114)
+
+
+@dataclass(frozen=True)
+class Letterbox:
+    """How an image lies in a network's input: enlarged evenly, in the middle.
+
+    Attributes
+    ----------
+    image, size : columns and rows of the image and of the input
+    """
+
+    image: tuple[int, int]
+    size: tuple[int, int]
+
+    @property
+    def scale(self) -> float:
+        """Pixels of the input for one of the image."""
+        return min(self.size[0] / self.image[0], self.size[1] / self.image[1])
+
+    @property
+    def shown(self) -> tuple[int, int]:
+        """Columns and rows that the image takes in the input."""
+        width, height = (max(1, round(side * self.scale)) for side in self.image)
+        return min(width, self.size[0]), min(height, self.size[1])
+
+    @property
+    def margin(self) -> tuple[int, int]:
+        """Columns to the left and rows above; to the right and below there may be one more."""
+        return (self.size[0] - self.shown[0]) // 2, (self.size[1] - self.shown[1]) // 2
+
+    def applied(self, image: Image) -> NDArray[np.float32]:
+        """The network's input (1, 3, rows, columns): red, green, blue from 0 to 1."""
+        (left, top), (width, height) = self.margin, self.shown
+        right, bottom = self.size[0] - width - left, self.size[1] - height - top
+        small = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
+        whole = cv2.copyMakeBorder(small, top, bottom, left, right, cv2.BORDER_CONSTANT, value=_GREY)
+        return np.asarray(cv2.dnn.blobFromImage(whole, 1.0 / 255.0, swapRB=True), np.float32)
+
+    def back(self, places: FloatArray) -> FloatArray:
+        """Places (..., 2) of the input, in pixels of the image."""
+        return np.asarray((places - np.array(self.margin)) / self.scale, float)
+
+
+Kind = Literal["anchors", "cells", "selected"]
+
+_STRIDES = ((8, 16, 32), (8, 16, 32, 64), (4, 8, 16, 32))
+_EXPECTED = "YOLO's (1, 3·cells, 5 + classes), (1, 4 + classes, cells) or (1, n, 6)"
+_POSE = {"anchors": 52, "cells": 52, "selected": 51}
+_EXPECTED_POSE = "YOLO-pose's (1, 56, cells) or (1, n, 57)"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the numbers of an output are.
+
+    Attributes
+    ----------
+    kind : as in the table
+    classes : how many; None: the output does not say
+    points : keypoints of each person, 0: none
+    columns : numbers of each keypoint: 2 (no visibility) or 3
+    """
+
+    kind: Kind
+    classes: int | None
+    points: int = 0
+    columns: int = 3
+
+    def decoded(
+        self, output: NDArray[np.float32], person: int, least: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Corners (n, 4), scores (n,) from the least on, and keypoints (n, 17, 3) of people."""
+        values = np.asarray(output[0], float)
+        rows = values.T if self.kind == "cells" else values
+        start, scores = 6, rows[:, 4]
+        if self.kind == "selected":
+            is_person = np.round(rows[:, 5]) == person
+        else:
+            first = 5 if self.kind == "anchors" else 4
+            assert self.classes is not None
+            start = first + self.classes
+            of_class = rows[:, first:start]
+            is_person = of_class.argmax(axis=1) == person
+            scores = of_class[:, person] * (scores if self.kind == "anchors" else 1.0)
+        kept = is_person & (scores >= least) & np.isfinite(rows).all(axis=1)
+        rows, scores = rows[kept], np.clip(scores[kept], 0.0, 1.0)
+        corners = rows[:, :4]
+        if self.kind != "selected":
+            corners = np.hstack([rows[:, :2] - rows[:, 2:4] / 2.0, rows[:, :2] + rows[:, 2:4] / 2.0])
+        return corners, scores, self._points(rows[:, start:]) if self.points else None
+
+    def _points(self, values: FloatArray) -> FloatArray:
+        values = values[:, : self.points * self.columns].reshape(len(values), self.points, self.columns)
+        if self.columns == 2:
+            values = np.concatenate([values, np.ones((*values.shape[:2], 1))], axis=2)
+        return in_coco_order(values, BY_NUMBER[self.points])
+
+
+def layout_of(
+    shape: tuple[int, ...],
+    size: tuple[int, int],
+    *,
+    path: str,
+    names: int | None = None,
+    keypoints: tuple[int, int] | None = None,
+    pose: bool = False,
+) -> Layout:
+    """The layout of an output.
+
+    Parameters
+    ----------
+    shape : of the output
+    size : columns and rows of the input
+    path : of the file, for messages
+    names : how many classes the file names; None: it does not
+    keypoints : how many the file says there are, and numbers of each; None: it does not
+    pose : whether keypoints are wanted
+
+    Raises
+    ------
+    InputError
+        If it is none of the table, or has another number of classes or keypoints.
+    """
+    found = f"an output of shape {shape} for an input of {size[0]} × {size[1]}"
+    expected = _EXPECTED_POSE if pose else _EXPECTED
+    cells = {sum(-(-size[0] // s) * -(-size[1] // s) for s in strides) for strides in _STRIDES}
+    if len(shape) != 3 or shape[0] != 1:
+        raise InputError(found, expected, path=path)
+    _, rows, columns = shape
+    kind: Kind
+    if rows in {3 * count for count in cells}:
+        kind, numbers, before = "anchors", columns, 5
+    elif columns in cells:
+        kind, numbers, before = "cells", rows, 4
+    elif columns >= 6 and rows not in cells and rows > 0:
+        kind, numbers, before = "selected", columns, 6
+    else:
+        raise InputError(found, expected, path=path)
+    if keypoints is None and names is None and numbers - before == _POSE[kind]:
+        keypoints = (17, 3)  # YOLO-pose as it is, of one class
+    if pose and keypoints is None:
+        classes = 0 if kind == "selected" else names or 1
+        keypoints = _counted_keypoints(numbers - before - classes, found, path)
+    points, each = keypoints or (0, 3)
+    if points and points not in BY_NUMBER and pose:
+        raise InputError(f"a network of {points} keypoints", KNOWN, path=path)
+    rest = numbers - before - points * each
+    if kind == "selected":
+        if rest:
+            raise InputError(found, expected, path=path)
+        return Layout(kind, names, points, each)
+    if rest < 1 or (names is not None and rest != names):
+        told = f", and {names} classes by name" if names is not None else ""
+        raise InputError(found + told, f"{before} + classes{' + keypoints' if points else ''}", path=path)
+    return Layout(kind, rest, points, each)
+
+
+def _counted_keypoints(numbers: int, found: str, path: str) -> tuple[int, int]:
+    """How many keypoints so many numbers are."""
+    if numbers <= 0:
+        raise InputError(f"{found}, without keypoints", _EXPECTED_POSE, path=path)
+    if numbers % 3 or numbers // 3 not in BY_NUMBER:
+        count = (
+            f"{numbers // 3} keypoints" if numbers % 3 == 0 else f"{numbers} numbers besides box and class"
+        )
+        raise InputError(f"{found}: {count}", KNOWN, path=path)
+    return numbers // 3, 3
+
+
+_MOST = 1000
+"""Finds, best first, among which those of the same person are looked for."""
+_SMALLEST, _LARGEST = 32, 8192
+
+
+@dataclass(frozen=True)
+class NetworkParameters:
+    """Options of a network.
+
+    Attributes
+    ----------
+    size : columns and rows of the input, where the file leaves them open
+    person : name or number of the class; None: "person", or the first
+    least : score of those who are reported
+    overlap : intersection over union above which the weaker of two boxes is dropped
+    """
+
+    size: tuple[int, int] | None = None
+    person: str | None = None
+    least: float = 0.25
+    overlap: float = 0.6
+
+
+class YoloNetwork:
+    """A network that finds people.
+
+    Parameters
+    ----------
+    path : the ONNX file
+    pose : whether keypoints are wanted
+    parameters : what the file leaves open
+
+    Raises
+    ------
+    InputError
+        If ONNX Runtime is missing or cannot run the file, or its output is of no known layout.
+    """
+
+    def __init__(
+        self, path: str | Path, *, pose: bool = False, parameters: NetworkParameters = NetworkParameters()
+    ) -> None:
+        self.parameters, self.path = parameters, str(path)
+        runtime = package("onnxruntime", "networks")
+        options = runtime.SessionOptions()
+        options.log_severity_level = 4  # errors are raised, not printed too
+        data = Source.open(path).data
+        try:
+            self._session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # its errors have no public base class
+            raise InputError(_cannot_run(error), "an ONNX file that is whole", path=path) from error
+        notes = self._session.get_modelmeta().custom_metadata_map
+        names, task = _names(notes), notes.get("task")
+        wanted = ("pose",) if pose else ("detect", "pose")
+        if task is not None and task not in wanted:
+            raise InputError(f"a network for the task {task!r}", " or ".join(wanted), path=path)
+        self.size = _input_size(self._session.get_inputs(), notes, parameters.size, self.path)
+        self.person = _person(names, parameters.person, self.path)
+        blank = np.full((self.size[1], self.size[0], 3), 114, np.uint8)
+        outputs = self._run(Letterbox(self.size, self.size).applied(blank))
+        # The first output of three dimensions: YOLOv5 also returns its cells, and others return masks.
+        self._output = next((k for k, values in enumerate(outputs) if values.ndim == 3), 0)
+        self.layout: Layout = layout_of(
+            outputs[self._output].shape,
+            self.size,
+            path=self.path,
+            names=None if names is None else len(names),
+            keypoints=_keypoints(notes),
+            pose=pose,
+        )
+        if self.layout.classes is not None and self.person >= self.layout.classes:
+            found = f"class {self.person} of {self.layout.classes}"
+            raise InputError(found, "--person-class with a class that there is", path=path)
+
+    def _run(self, values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        (given,) = self._session.get_inputs()
+        kind = np.float16 if given.type == "tensor(float16)" else np.float32
+        try:
+            found: list[NDArray[np.float32]] = self._session.run(None, {given.name: values.astype(kind)})
+        except Exception as error:
+            raise InputError(_cannot_run(error), "a network of one image", path=self.path) from error
+        return found
+
+    def detect(self, image: Image) -> Detections:
+        """Return the people of an image (h, w, 3) uint8, best first."""
+        p = self.parameters
+        box = Letterbox((image.shape[1], image.shape[0]), self.size)
+        output = self._run(box.applied(image))[self._output]
+        corners, scores, points = self.layout.decoded(output, self.person, p.least)
+        order = np.argsort(-scores, kind="stable")[:_MOST]
+        ends = np.clip(box.back(corners[order].reshape(-1, 2, 2)), 0.0, box.image)
+        boxes = np.hstack([ends[:, 0], ends[:, 1] - ends[:, 0]])
+        good = (boxes[:, 2:] >= 1.0).all(axis=1)
+        order, boxes = order[good], boxes[good]
+        if self.layout.kind != "selected" and len(boxes):
+            kept = non_maximum_suppression(boxes, scores[order], p.overlap)
+            order, boxes = order[kept], boxes[kept]
+        if points is not None:
+            points = points[order]
+            places = np.where(points[..., 2:] > 0.0, box.back(points[..., :2]), 0.0)
+            points = np.concatenate([places, points[..., 2:]], axis=2)
+        return Detections(boxes, scores[order], points)
+
+
+def _cannot_run(error: Exception) -> str:
+    return f"a network that ONNX Runtime cannot run ({' '.join(str(error).split())[:160]})"
+
+
+def _input_size(
+    inputs: Sequence[Any], notes: Mapping[str, str], asked: tuple[int, int] | None, path: str
+) -> tuple[int, int]:
+    """Return columns and rows of the input."""
+    if len(inputs) != 1:
+        raise InputError(f"a network of {len(inputs)} inputs", "one input, an image", path=path)
+    shape = [size if isinstance(size, int) else None for size in inputs[0].shape]
+    as_text = f"({', '.join('any' if size is None else str(size) for size in shape)})"
+    if len(shape) != 4 or shape[1] not in (3, None) or shape[0] not in (1, None):
+        expected = "(1, 3, rows, columns), an image in colour"
+        raise InputError(f"an input of shape {as_text}", expected, path=path)
+    rows, columns = shape[2:]
+    fixed = None if rows is None or columns is None else (columns, rows)
+    if fixed and asked and fixed != asked:
+        raise InputError(
+            f"an input of {fixed[0]} × {fixed[1]}", f"--input-size {asked[0]}x{asked[1]}", path=path
+        )
+    noted = _literal(notes.get("imgsz"))
+    if fixed is None and asked is None and isinstance(noted, (list, tuple)) and len(noted) == 2:
+        asked = (int(noted[1]), int(noted[0]))
+    size = fixed or asked
+    if size is None:
+        found = f"an input of any size, {as_text}"
+        raise InputError(found, "--input-size, such as 640 or 1280x736", path=path)
+    if not all(_SMALLEST <= side <= _LARGEST for side in size):
+        raise InputError(f"an input of {size[0]} × {size[1]}", f"{_SMALLEST} to {_LARGEST} pixels", path=path)
+    return size
+
+
+def _literal(text: str | None) -> object:
+    """What a note says; None if it cannot be read."""
+    try:
+        return None if text is None else ast.literal_eval(text)
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
+
+
+def _names(notes: Mapping[str, str]) -> dict[int, str] | None:
+    """Names of the classes by number."""
+    noted = _literal(notes.get("names"))
+    if isinstance(noted, (list, tuple)):
+        noted = dict(enumerate(noted))
+    if not isinstance(noted, dict) or not all(isinstance(key, int) for key in noted):
+        return None
+    return {key: str(name) for key, name in noted.items()}
+
+
+def _keypoints(notes: Mapping[str, str]) -> tuple[int, int] | None:
+    """How many keypoints there are and how many numbers each has, where the file says so."""
+    noted = _literal(notes.get("kpt_shape"))
+    if isinstance(noted, (list, tuple)) and len(noted) == 2 and noted[1] in (2, 3):
+        return int(noted[0]), int(noted[1])
+    return None
+
+
+def _person(names: dict[int, str] | None, asked: str | None, path: str) -> int:
+    """The number of the class of people."""
+    known = {} if names is None else {name.lower(): number for number, name in names.items()}
+    if asked is not None:
+        if asked.isdecimal():
+            return int(asked)
+        if asked.lower() in known:
+            return known[asked.lower()]
+        named = ", ".join(list(known)[:5]) or "no names"
+        raise InputError(f"--person-class {asked}", f"a number, or a name of the file ({named})", path=path)
+    if names is None or len(names) == 1 or all(name.isdecimal() for name in known):
+        return 0  # who names classes by number has not named them
+    if "person" not in known:
+        named = ", ".join(list(known)[:5])
+        raise InputError(f"classes without a person ({named} …)", "--person-class", path=path)
+    return known["person"]
