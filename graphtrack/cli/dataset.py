@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from graphtrack.cli.console import BAD_INPUT, console, progress_bar
+from graphtrack.cli.console import BAD_INPUT, emit, progress_bar
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 from graphtrack.io.folders import table_in
@@ -67,7 +67,7 @@ def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
 
     dataset = open_dataset(path)
     files = "" if len(dataset.files) == 1 else f" in {len(dataset.files)} files"
-    console.print(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed", markup=False)
+    emit(f"{path}: parquet, {counted(dataset.n_rows, 'row')}{files}, streamed")
     if options["cluster"] in (None, "local"):
         in_lanes = (is_large(options["model"], dataset.n_rows),)
         make_solver_ready(options["model"], options["engine"], in_lanes=in_lanes)
@@ -76,18 +76,17 @@ def smooth_streamed(path: Path, output: Path, **options: Any) -> None:
         outcome = smooth_dataset(dataset, output, progress=advance, **options)
     seconds = time.perf_counter() - start
     for note in outcome.notes:
-        console.print(f"  note: {note}", markup=False)
-    console.print(
+        emit(f"  note: {note}")
+    emit(
         f"smoothed {outcome.n_smoothed} of {counted(outcome.n_tracks, 'track')}, "
         f"{outcome.n_frames} person-frames in {seconds:.1f} s; engine {outcome.engine}, "
-        f"{outcome.n_smoothed - len(outcome.unconverged)} converged",
-        markup=False,
+        f"{outcome.n_smoothed - len(outcome.unconverged)} converged"
     )
     for track_id, iterations in outcome.unconverged:
-        console.print(f"  track {track_id}: not converged in {iterations} steps", markup=False)
+        emit(f"  track {track_id}: not converged in {iterations} steps")
     if outcome.n_smoothed:
-        console.print(f"wrote {output}", markup=False)
+        emit(f"wrote {output}")
     for failure in outcome.failures:
-        console.print(f"error: track {failure.track_id}: {failure.reason}", markup=False)
+        emit(f"error: track {failure.track_id}: {failure.reason}")
     if outcome.failures:
         raise typer.Exit(BAD_INPUT)

@@ -80,6 +80,11 @@ class Saving:
             with self._told_of_the_file():
                 _check_settings(_header_of(file.entries)["settings"], settings)
 
+    @property
+    def entries(self) -> int:
+        """How many values the file holds."""
+        return len(self._file.entries)
+
     def begin(self) -> None:
         """Make the file of a stream that has no rows yet."""
         self._write_all()

@@ -31,7 +31,6 @@ _MARK = re.compile(rb"graphtrack-state (\d{4}) (\d{20}) ([0-9a-f]{32})\n")
 _MARK_LENGTH = 76
 _BEGINNING = b"graphtrack-state "
 _DIGEST_LENGTH = 32
-_VERSION_1 = re.compile(rb'[0-9a-f]{8} \{"graphtrack state":1,')
 _EXPECTED = "a file that 'graphtrack track - --state' wrote"
 _REMEDY = "the file as it was written; without the file a stream starts from nothing"
 
@@ -226,13 +225,12 @@ class StateFile:
             stream.seek(0)
             first = stream.read(_MARK_LENGTH)
             mark = _MARK.fullmatch(first)
-            version = int(mark[1]) if mark else 1 if _VERSION_1.match(first) else None
-            if version is None:
+            if mark is None:
                 raise InputError("no saved state", _EXPECTED, path=self.path)
+            version = int(mark[1])
             if version != VERSION:
                 expected = f"version {VERSION}; without the file a stream starts from nothing"
                 raise InputError(f"a state of version {version}", expected, path=self.path)
-            assert mark is not None
             flushed, size = int(mark[2]), os.fstat(file).st_size
             if size < flushed:
                 found = f"a file that was cut off ({size} of at least {flushed} bytes)"
@@ -347,7 +345,7 @@ def remove(path: Path) -> bool:
         try:
             # A link may lead to any file. One that is being made has no first line yet.
             first = os.pread(file, _MARK_LENGTH, 0)
-            if place == final and not first.startswith(_BEGINNING) and not _VERSION_1.match(first):
+            if place == final and not first.startswith(_BEGINNING):
                 raise InputError("no saved state", _EXPECTED, path=path)
             place.unlink()
             if place == final:

@@ -86,9 +86,9 @@ class People:
         conversations: Conversations | None = None,
     ) -> None:
         self._bounds, self._looked = bounds, -math.inf
-        self._forecasts, self._waiting = forecasts, dict[int, _Waiting]()
+        self._waiting = dict[int, _Waiting]()
         self._make, self._fps, self._told = make, fps, Told(note)
-        of_scene = {BEHAVIOUR: behaviour, CONVERSATIONS: conversations}
+        of_scene = {FORECASTS: forecasts, BEHAVIOUR: behaviour, CONVERSATIONS: conversations}
         self.members: dict[Any, Any] = {key: one for key, one in of_scene.items() if one is not None}
         self.rows = self.line = 0
         self.before_change: Callable[[Any], None] = lambda track_id: None
@@ -159,11 +159,10 @@ class People:
         found: list[dict[str, Any]] = []
         if CONVERSATIONS in self.members:
             self.members[CONVERSATIONS].estimated(track_id, estimate)
-        if self._forecasts is not None:
-            found = self._changing_forecasts().take(track_id, observation, estimate)
-        if BEHAVIOUR in self.members:
-            self.before_change(BEHAVIOUR)
-            found = merged(self.members[BEHAVIOUR].take(track_id, observation, estimate), found)
+        for key in (FORECASTS, BEHAVIOUR):
+            if key in self.members:
+                self.before_change(key)
+                found = merged(self.members[key].take(track_id, observation, estimate), found)
         return found
 
     def _smoother(self, track_id: int, now: float) -> OnlineSmoother:
@@ -206,19 +205,12 @@ class People:
 
     def finish(self) -> list[dict[str, Any]]:
         """What is to be said when no more rows come: what is told of the last frame."""
-        rows = [] if self._forecasts is None else self._changing_forecasts().finish()
-        if BEHAVIOUR in self.members:
-            self.before_change(BEHAVIOUR)
-            rows = merged(self.members[BEHAVIOUR].finish(), rows)
+        rows: list[dict[str, Any]] = []
+        for key in (FORECASTS, BEHAVIOUR):
+            if key in self.members:
+                self.before_change(key)
+                rows = merged(self.members[key].finish(), rows)
         return rows
-
-    def _changing_forecasts(self) -> FrameForecasts:
-        """The forecasts, those of a state that is gone on with first, about to change."""
-        self.before_change(FORECASTS)
-        if FORECASTS not in self.members:
-            self.members[FORECASTS] = self._forecasts
-        found: FrameForecasts = self.members[FORECASTS]
-        return found
 
 
 class Told:

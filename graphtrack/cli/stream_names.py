@@ -206,19 +206,6 @@ class StreamNames:
         whole = self.origin // self.unit
         return int(count) + whole if float(count).is_integer() else count + whole
 
-    def since_then(self, answer: Mapping[str, Any]) -> dict[str, Any]:
-        """An answer under the native table's names, in seconds from where the stream's times count from."""
-        return self._later(answer) if self.origin else dict(answer)
-
-    def _later(self, answer: Mapping[str, Any]) -> dict[str, Any]:
-        found = dict(answer)
-        for key, value in answer.items():
-            if isinstance(value, list):
-                found[key] = [self._later(one) if isinstance(one, Mapping) else one for one in value]
-            elif key in _TIMES and _is_number(value):
-                found[key] = value + self.origin / 1e9
-        return found
-
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)

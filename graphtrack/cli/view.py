@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import console
-from graphtrack.cli.showing import Showing
+from graphtrack.cli.console import emit
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,71 +19,44 @@ if TYPE_CHECKING:
     from graphtrack.tracks import TrackSet
     from graphtrack.viewer.pictures import PersonBoxes
 
-_SHOWN = "What is shown beside the tracks"
 _FIND = "find"
 
 
 def view(
     inputs: options.Inputs,
     reading: options.SceneReading,
-    showing: Showing,
-    video: Annotated[
-        Path | None,
-        typer.Option(
-            "--video",
-            metavar="VIDEO|FOLDER",
-            help="The video, or a folder of images, whose frames the tracks count.",
-            exists=True,
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    boxes: Annotated[
-        Path | None,
-        typer.Option(
-            "--boxes",
-            help="People's boxes, MOT text or CAVIAR XML, with the ids of the tracks; by default those of "
-            "the input, where it has any.",
-            exists=True,
-            dir_okay=False,
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    groups: Annotated[
-        str | None,
-        typer.Option(
-            "--groups",
-            metavar="FILE|find",
-            help="What 'graphtrack groups' wrote, or find: they are found now.",
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    forecast: Annotated[
-        str | None,
-        typer.Option(
-            "--forecast",
-            metavar="FILE|SECONDS",
-            help="What 'graphtrack forecast' wrote, or so many seconds ahead: it is made now.",
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
-    person: Annotated[
-        int | None,
-        typer.Option(
-            "--person",
-            metavar="ID",
-            help="Whose series are drawn; by default theirs who have most rows.",
-            show_default=False,
-            rich_help_panel=_SHOWN,
-        ),
-    ] = None,
+    showing: options.Showing,
+    video: Annotated[Path | None, typer.Option(metavar="VIDEO|FOLDER", exists=True)] = None,
+    boxes: options.InputFile | None = None,
+    groups: Annotated[str | None, typer.Option(metavar="FILE|find")] = None,
+    forecast: Annotated[str | None, typer.Option(metavar="FILE|SECONDS")] = None,
+    person: Annotated[int | None, typer.Option(metavar="ID")] = None,
 ) -> None:
-    """Show tracks in Rerun: ground, video and series of one person on one time line."""
+    """Show tracks in Rerun: ground, video and series of one person on one time line.
+
+    With - as the file, the answers of `graphtrack track -` are shown as they come on standard input.
+
+    What is shown beside the tracks
+    -------------------------------
+    video : The video, or a folder of images, whose frames the tracks count.
+    boxes : People's boxes, MOT text or CAVIAR XML, with the ids of the tracks; by default those of the input,
+        where it has any.
+    groups : What 'graphtrack groups' wrote, or find: they are found now.
+    forecast : What 'graphtrack forecast' wrote, or so many seconds ahead: it is made now.
+    person : Whose series are drawn; by default theirs who have most rows.
+    """
     from graphtrack.viewer.shown import view as show
 
+    if [str(path) for path in inputs] == ["-"]:
+        given: dict[str, object] = {
+            "--video": video,
+            "--boxes": boxes,
+            "--groups": groups,
+            "--forecast": forecast,
+        }
+        given |= {options.option_name(name): value for name, value in reading.given().items()}
+        _show_stream(showing, person, given)
+        return
     showing.target()
     files = {"--groups": _file(groups, _is_word), "--forecast": _file(forecast, _is_number)}
     options.check_outputs({"--save": showing.save}, {**reading.inputs(inputs), "--boxes": boxes, **files})
@@ -100,7 +73,17 @@ def view(
     )
     if showing.save is not None:
         size = showing.save.stat().st_size / 1e6
-        console.print(f"wrote {showing.save}: {size:.1f} MB; to see it: rerun {showing.save}", markup=False)
+        emit(f"wrote {showing.save}: {size:.1f} MB; to see it: rerun {showing.save}")
+
+
+def _show_stream(showing: options.Showing, person: int | None, given: Mapping[str, object]) -> None:
+    """Show answers on standard input."""
+    from graphtrack.viewer.live import show_stream
+
+    options.refuse(given, "with -", "answers of graphtrack track -, as they are")
+    target = showing.target()
+    options.check_outputs({"--save": showing.save})
+    show_stream(sys.stdin.fileno(), target, person)
 
 
 def _is_word(text: str) -> bool:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from graphtrack.cli.console import console
+from graphtrack.cli.console import emit
 from graphtrack.display import counted
 from perception.cli.common import decoded_frames, in_time
 from perception.cli.own_networks import say_how_far
@@ -104,10 +104,9 @@ class PeopleSearch:
             self.close(remove=False)
         count = len(journal.frames) - count
         spent = (time.process_time() - started) / max(count, 1)
-        console.print(
+        emit(
             f"looked for people in {in_time(count, time.perf_counter() - before)}, "
-            f"{spent:.2f} s of processor time each",
-            markup=False,
+            f"{spent:.2f} s of processor time each"
         )
         return detected({number: (one.boxes, one.scores) for number, one in journal.frames.items()})
 
@@ -221,16 +220,12 @@ class PeopleSearch:
 
         found = taught(candidates, camera, self.fps, np.random.default_rng(0))
         if found is None:
-            console.print(
+            emit(
                 "  note: too few people surely walk: detections are not taught by this recording, and their "
-                "scores are no probabilities of it",
-                markup=False,
+                "scores are no probabilities of it"
             )
         else:
-            console.print(
-                f"taught by {counted(found.boxes, 'detection')} of {found.people} people who surely walk",
-                markup=False,
-            )
+            emit(f"taught by {counted(found.boxes, 'detection')} of {found.people} people who surely walk")
         return found
 
 

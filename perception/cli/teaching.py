@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from graphtrack.cli.console import console, progress_bar
+from graphtrack.cli.console import emit, progress_bar
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
@@ -60,12 +60,12 @@ def teach(
         models = adapted(recordings, camera, package, rng, progress_bar, refuse).models
     except TooFewWalkers as error:
         sentence = f"the camera does not teach itself, the package's models look: {error.found}"
-        console.print(f"  note: {sentence}", markup=False)
+        emit(f"  note: {sentence}")
         return None, sentence
     models.card = replace(models.card, parameters={**models.card.parameters, _KEY: key})
     models.save(path)
     sentence = _sentence(models)
-    console.print(sentence, markup=False)
+    emit(sentence)
     return models, sentence
 
 

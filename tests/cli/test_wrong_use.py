@@ -73,7 +73,6 @@ WRONG = {
     "two marks between cells": "info tracks.csv --delimiter ab",
     "no reference system": "info tracks.csv --crs nonsense",
     "an encoding of no name": "info tracks.csv --encoding nonsense",
-    "a query that is none": "info tracks.csv --sql nonsense",
     "a place of no kind": "info nonsense://tracks.csv",
     "columns of what is streamed": "smooth tracks.csv -o out.parquet --stream --columns id=track_id",
     "a suggestion and what it is to suggest": "info tracks.csv --suggest --units cm",

@@ -162,7 +162,7 @@ def prepare(service: Service) -> None:
 async def open_stream(name: str, service: Service, metrics: Metrics) -> Stream:
     """Begin a stream, or go on with it where there is a state."""
     here, there = socket.socketpair()
-    arguments = (there, service.answers, service.limits, service.state_of(name))
+    arguments = (there, service.answers, service.state_of(name), service.save_every)
     process = PROCESSES.Process(target=work, args=arguments, name=f"stream {name}", daemon=True)
     try:
         await asyncio.to_thread(process.start)
