@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from typer.core import TyperCommand
 
 from graphtrack.cli import options
+from graphtrack.cli.compare_trackers import compare_trackers
 from graphtrack.cli.console import emit, input_warnings_as_notes, print_table, progress_bar, write_json
 from graphtrack.cli.simulate import Noise
 from graphtrack.display import counted
@@ -113,8 +114,6 @@ def compare(
         }
         of_tracks |= {options.option_name(name): value for name, value in vars(noise).items()}
         options.refuse(of_tracks, "with --truth", "it without: with --truth the input is detections")
-        from graphtrack.cli.compare_trackers import compare_trackers
-
         compare_trackers(inputs, truth, reading, named(methods), metres, fill, model, json_path)
         return
     of_trackers = {"--metres": metres, "--fill": fill, "--associate": reading.associate != "auto"}

@@ -91,7 +91,7 @@ def fit(
             return
     rows, are_detections = reading.rows(inputs[0]) if len(inputs) == 1 else (None, False)
     if scene or are_detections:
-        refused = {"--criterion": criterion, "--select": reading.select}
+        refused: dict[str, object] = {"--criterion": criterion, "--select": reading.select}
         refused |= {"--associate repair": reading.associate == "repair"}
         expected = "all rows of a recording, with identities or without"
         options.refuse(refused, "with a scene", expected)

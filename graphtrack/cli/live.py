@@ -23,7 +23,7 @@ from graphtrack.behaviour.forecast.forecaster import times_ahead
 from graphtrack.cli.detections import Frame, Scenes
 from graphtrack.cli.saving import Answering, Saving, saved_settings, settings_of
 from graphtrack.cli.state_file import StateFile
-from graphtrack.cli.stream import LONGEST_LINE, People, StreamBounds
+from graphtrack.cli.stream import People, StreamBounds
 from graphtrack.cli.stream_behaviour import BEHAVIOUR, Asked, FrameBehaviour, SceneBehaviour
 from graphtrack.cli.stream_forecast import FORECASTS, FrameForecasts
 from graphtrack.cli.stream_names import Lines, Refuse, StreamNames, with_first_row
@@ -37,6 +37,7 @@ from graphtrack.io.json_lines import encoded
 from graphtrack.io.options import Associate
 from graphtrack.model import Model
 from graphtrack.readiness import make_ready
+from graphtrack.streaming.protocol import LONGEST_LINE
 
 _PIECE = 1 << 16
 """Bytes that are read at once."""

@@ -10,6 +10,8 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit, print_reading, print_table, write_json
+from graphtrack.cli.groups import score_tables
+from graphtrack.cli.score_forecast import are_forecasts, score_forecasts
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,7 +47,6 @@ def score(
     report : Write an HTML report too: figures, replay, and a timeline with every switch; of one sequence, on
         the ground.
     """
-    from graphtrack.cli.score_forecast import are_forecasts, score_forecasts
     from graphtrack.evaluation.states import summary
     from graphtrack.evaluation.tracking.judge import judge, threshold_of
     from graphtrack.io.groups import is_group_table
@@ -53,8 +54,6 @@ def score(
 
     unused: dict[str, object] = {"--metres": metres, "--iou": iou, "--report": report}
     if any(is_group_table(path) for path in inputs):
-        from graphtrack.cli.groups import score_tables
-
         options.refuse(unused, "with groups", "a table of groups and the true ones alone")
         score_tables(inputs, truth, json_path)
         return

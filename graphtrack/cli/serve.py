@@ -10,6 +10,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit
+from graphtrack.cli.track import asked_of, horizon_of
 from graphtrack.errors import InputError
 
 TOKEN = "GRAPHTRACK_TOKEN"
@@ -64,7 +65,6 @@ def serve(
     forget_after : Seconds without a row until a person is forgotten.
     patience : Seconds that answers may stay unread, or a client silent to pings.
     """
-    from graphtrack.cli.track import asked_of, horizon_of
     from graphtrack.geometry.camera import GroundCamera
     from graphtrack.inference.online_engines import check_lag, online_engine
     from graphtrack.io.cameras import read_homography

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
 
-from graphtrack.cli.stream import text_of
 from graphtrack.errors import InputError
 from graphtrack.io.layout import Layout
 from graphtrack.io.options import ReadOptions
 from graphtrack.io.readers.ndjson import parse_line
 from graphtrack.io.tables.synonyms import with_synonyms
+from graphtrack.streaming.protocol import text_of
 from graphtrack.table import schema
 from graphtrack.table.moments import DAY, NANOSECONDS_IN
 

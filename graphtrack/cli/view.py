@@ -11,6 +11,7 @@ import typer
 
 from graphtrack.cli import options
 from graphtrack.cli.console import emit
+from graphtrack.cli.track import horizon_of
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
@@ -114,7 +115,6 @@ def _forecast(tracks: TrackSet, given: str | None) -> Forecasts | Path | None:
     if given is None or not _is_number(given):
         return None if given is None else Path(given)
     from graphtrack.behaviour.forecast.recorded import forecast
-    from graphtrack.cli.track import horizon_of
 
     horizon, step = horizon_of(float(given)) or (0.0, 0.0)
     return forecast(tracks, horizon=horizon, step=step)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -149,7 +149,7 @@ def observe(
         check_adapt(streamed, camera.homography or camera.calibration, given_models)
     if streamed:
         _refuse_with_stream({"--write-boxes": write_boxes_to, "--render": render}, causal)
-    places = {
+    places: dict[str, Path | Sequence[Path] | None] = {
         "--output": output,
         "the journals of --output": [*search_journals(output), *_places(output)],
         "--write-boxes": write_boxes_to,

@@ -48,7 +48,7 @@ class Server(uvicorn.Server):
                 signal.signal(one, handler)
 
 
-def run(service: Service, host: str, port: int, report: Callable[[str], object]) -> None:
+def run(service: Service, host: str, port: int, report: Callable[[str], None]) -> None:
     """Serve until SIGTERM or SIGINT; `report` is given the address once streams are taken.
 
     Raises

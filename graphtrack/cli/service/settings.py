@@ -8,8 +8,8 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from graphtrack.cli.live import Answers
-from graphtrack.cli.stream import LONGEST_LINE
 from graphtrack.errors import InputError
+from graphtrack.streaming.protocol import LONGEST_LINE
 
 STREAM_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
 """What a stream may be called: it becomes the name of a file."""

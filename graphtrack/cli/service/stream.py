@@ -153,7 +153,7 @@ def prepare(service: Service) -> None:
     """Have the processes' parent ready, with all code loaded; compile what there is none of."""
     os.environ[WARM] = json.dumps(service.answers.model.to_dict())
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # streams are what runs beside each other
-    PROCESSES.set_forkserver_preload(["graphtrack.cli.service.worker"])
+    PROCESSES.set_forkserver_preload([work.__module__])
     first = PROCESSES.Process(target=nothing)
     first.start()
     first.join()
