@@ -48,13 +48,7 @@ class CompareCommand(TyperCommand):
 
 
 def named(methods: str | None) -> list[str]:
-    """The methods of an option; none if it was not given.
-
-    Raises
-    ------
-    InputError
-        If it was given, and names none.
-    """
+    """The methods of an option; none if it was not given."""
     if methods is None:
         return []
     names = [name.strip() for name in methods.split(",") if name.strip()]

@@ -30,11 +30,6 @@ def compare_trackers(
     Parameters
     ----------
     methods : names; none: the default ones
-
-    Raises
-    ------
-    InputError
-        For several inputs, identities in the input, and whatever cannot be read or compared.
     """
     from graphtrack.evaluation.tracking.compare import compare_trackers as compare
     from graphtrack.evaluation.tracking.compare import read_detections

@@ -43,11 +43,6 @@ def check_streamed(inputs: list[Path], output: Path, unused: Mapping[str, Any]) 
     Parameters
     ----------
     unused : option → value, of those that cannot be used here
-
-    Raises
-    ------
-    InputError
-        For several inputs, an output that is not Parquet, or an option that cannot be used.
     """
     if len(inputs) != 1:
         raise InputError(f"{len(inputs)} inputs to stream", "one Parquet file, or a folder of them")

@@ -129,13 +129,7 @@ def show(found: GroupScore, json_path: Path | None) -> None:
 
 
 def score_tables(inputs: list[Path], truth: list[Path], json_path: Path | None) -> None:
-    """`graphtrack score` of a table of groups.
-
-    Raises
-    ------
-    InputError
-        For several files.
-    """
+    """`graphtrack score` of a table of groups."""
     from graphtrack.evaluation.groups import score_groups
     from graphtrack.io.groups import read_group_rows
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from graphtrack.viewer.recording import Target
 
 _CAMERA_FILES = ("homography", "point_pairs", "calibration")
-CAMERA = (*_CAMERA_FILES, "point_pairs_unit", "point_pairs_rows", "metres_per_pixel")
+CAMERA = (*_CAMERA_FILES, "metres_per_pixel")
 """Options of how pixels come to the ground."""
 _NO_FIELD = ("format", "select")
 """Options of an input that are no field of `ReadOptions`."""
@@ -182,11 +182,6 @@ class Reading:
         rows : those of the one file, where they have been read
         scene : what is known of it where people are without identities
         beside : tracks with which these are compared: times and local metres count from the same
-
-        Raises
-        ------
-        InputError
-            If nothing can be read or nothing matches the selection.
         """
         from graphtrack.cli.console import emit, print_summary, quiet_input_warnings
         from graphtrack.io.reading import read_with, tracks_of_rows
@@ -195,7 +190,7 @@ class Reading:
         with quiet_input_warnings():
             tracks = read_with(paths, self.format, told) if rows is None else tracks_of_rows(rows, told)
         print_summary(tracks, ", ".join(str(path) for path in paths))
-        unused = [option_name(name) for name in (*_CAMERA_FILES, "metres_per_pixel") if name in self.given()]
+        unused = [option_name(name) for name in CAMERA if name in self.given()]
         if unused and tracks.camera is None:
             emit(f"  note: {', '.join(unused)} not used: the input has no pixels")
         if self.select:
@@ -217,21 +212,15 @@ class CameraReading(Reading):
 
     Reading the input
     -----------------
-    point_pairs : File with rows 'u v X Y'; a homography is fitted (DLT).
-    point_pairs_unit : Unit of X and Y there.
-    point_pairs_rows : Rows of that file to use, from 1, such as 5-8.
+    point_pairs : File with rows 'u v X Y', X and Y in metres; a homography is fitted (DLT).
     metres_per_pixel : Scale of a view from above, without a homography.
-    image_scale : Factor from the file's pixels to the calibrated image.
     classes : Class of object to read (KITTI, MOT); repeat for more.
     """
 
     homography: Homography = None
     point_pairs: InputFile | None = None
-    point_pairs_unit: Literal["m", "cm"] = "m"
-    point_pairs_rows: str | None = None
     calibration: Calibration = None
     metres_per_pixel: float | None = None
-    image_scale: float | None = None
     classes: Annotated[list[str] | None, typer.Option("--class", metavar="NAME")] = None
 
 
@@ -403,12 +392,6 @@ def check_outputs(
     ----------
     outputs, inputs, folders, to_make : as in `check_distinct`, by the names of their options
     table : the output that is a file with tracks, whose format is chosen by its name
-
-    Raises
-    ------
-    InputError
-        For a name without a known format, a folder that does not exist or that stands where a file should
-        be, and for outputs that are one file with each other or with an input.
     """
     from graphtrack.io.places import check_distinct
 
@@ -420,13 +403,7 @@ def check_outputs(
 
 
 def refuse(given: Mapping[str, object], where: str, expected: str) -> None:
-    """Refuse options that mean nothing here.
-
-    Raises
-    ------
-    InputError
-        For the first that was given.
-    """
+    """Refuse options that mean nothing here."""
     for name, value in given.items():
         if value not in (None, False, []):
             raise InputError(f"{name} {where}", expected)
@@ -443,13 +420,7 @@ def files_in(folder: Path | None, names: Iterable[str]) -> list[Path]:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder for results, unless it is there.
-
-    Raises
-    ------
-    InputError
-        If that cannot be done.
-    """
+    """Make a folder for results, unless it is there."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

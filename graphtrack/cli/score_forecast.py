@@ -17,13 +17,7 @@ if TYPE_CHECKING:
 
 
 def are_forecasts(inputs: Sequence[Path]) -> bool:
-    """Whether files are tables of forecasts.
-
-    Raises
-    ------
-    InputError
-        If only some are.
-    """
+    """Whether files are tables of forecasts."""
     from graphtrack.behaviour.forecast.table import is_forecast
 
     files = [path for path in inputs if path.is_file()]
@@ -39,13 +33,7 @@ def score_forecasts(
     reading: options.CameraReading,
     json_path: Path | None,
 ) -> None:
-    """Judge forecasts, say how good they are, and write it.
-
-    Raises
-    ------
-    InputError
-        For what cannot be judged.
-    """
+    """Judge forecasts, say how good they are, and write it."""
     from graphtrack.behaviour.forecast.table import read_forecasts
     from graphtrack.evaluation.forecasts import judge_forecasts
     from graphtrack.io.pairs import paired_files

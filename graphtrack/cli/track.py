@@ -173,7 +173,7 @@ def asked_of(groups: bool, attention: bool, places: Path | None) -> Asked | None
     return Asked(groups, attention, () if places is None else tuple(read_places(places)))
 
 
-_OF_A_STREAM = ("fps", "homography", "point_pairs_unit", "associate", "columns", "time_unit")
+_OF_A_STREAM = ("fps", "homography", "associate", "columns", "time_unit")
 
 
 def _refuse_with_stream(given: Mapping[str, object]) -> None:

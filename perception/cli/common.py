@@ -67,13 +67,7 @@ class CameraOptions:
         return self.fps or frames.fps or _FPS
 
     def on_ground(self) -> GroundCamera | None:
-        """The camera; None if the options name none.
-
-        Raises
-        ------
-        InputError
-            If both are given, or the file cannot be used.
-        """
+        """The camera; None if the options name none."""
         from graphtrack.geometry.camera import GroundCamera
         from graphtrack.io.cameras import read_calibration, read_homography
 
@@ -109,11 +103,6 @@ def check_places(
     outputs, inputs, table : as there, besides the two that follow
     render : a video or a folder of images to write
     source : a video or a folder of images to read
-
-    Raises
-    ------
-    InputError
-        As there.
     """
     from perception.images.drawing.output import check_render, is_video
     from perception.images.frames import FrameSource

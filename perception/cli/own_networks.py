@@ -92,13 +92,7 @@ class NetworkOptions:
         return {"--detector": self.detector, "--keypoints": points}
 
     def load(self, frames: FrameSource) -> OwnNetworks:
-        """Load what the options name.
-
-        Raises
-        ------
-        InputError
-            If it cannot be used, or an option says something of a network where there is none.
-        """
+        """Load what the options name."""
         from perception.detection.networks.yolo import YoloNetwork
         from perception.detection.pointed import found_by_frame
         from perception.pose.keypoints.files import read_keypoints

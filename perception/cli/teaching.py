@@ -36,11 +36,6 @@ def teach(
 
     None, where too few people surely walk. What is learned is written to ``path``, and taken from there when
     it was learned with the same ``key`` before.
-
-    Raises
-    ------
-    InputError
-        If the camera is of another image size, or the place cannot be written to.
     """
     from perception.adaptation.adapting import Recording, adapted
     from perception.adaptation.learning import PackageModels, TooFewWalkers
