@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from graphtrack.trust import Trust
 
 FIGURES = ("errors.png", "nees.png")
-"""What `write_figures` writes, and with --reliability one more."""
+"""Files of `write_figures`, and with --reliability one more."""
 
 RELIABILITY = "reliability.png"
 

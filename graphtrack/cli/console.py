@@ -1,4 +1,4 @@
-"""What the commands print, and how they end."""
+"""Messages, tables and progress of the commands, and their ends."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def progress_bar(total: int, unit: str = "person-frames") -> Iterator[Callable[[
 
 
 class _Printed(logging.Handler):
-    """What the log says, as a message; above a progress bar, where there is one."""
+    """Print log records as messages; above a progress bar, where there is one."""
 
     def emit(self, record: logging.LogRecord) -> None:
         emit(record.getMessage())
@@ -116,7 +116,7 @@ class _Printed(logging.Handler):
 
 @contextmanager
 def printed_log() -> Iterator[None]:
-    """What takes long without a progress bar, such as compiling, is said by the log: print that."""
+    """Print the log, which tells of what takes long without a progress bar, such as compiling."""
     handler, logger = _Printed(), logging.getLogger("graphtrack")
     logger.addHandler(handler)
     try:
@@ -135,7 +135,7 @@ def quiet_input_warnings() -> Iterator[None]:
 
 @contextmanager
 def input_warnings_as_notes() -> Iterator[None]:
-    """What is to be said of the input on the way is said in the end, once each, as the readers' notes are."""
+    """Collect warnings about the input and print each once in the end, as the readers' notes are."""
     told: dict[str, None] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("always", InputWarning)
@@ -154,12 +154,12 @@ def input_warnings_as_notes() -> Iterator[None]:
 
 
 def print_summary(tracks: TrackSet, name: str) -> None:
-    """What was read: rows read, used and refused, tracks, and the reader's notes."""
+    """Print rows read, used and refused, tracks, and the reader's notes."""
     print_reading(tracks.summary, len(tracks), name)
 
 
 def print_reading(summary: ReadSummary, tracks: int, name: str) -> None:
-    """What was read of ``name``, and how many tracks it made."""
+    """Print the summary of the input ``name``, and how many tracks it made."""
     emit(
         f"{printable(name, one_line=True)}: {summary.format}, rows read {summary.rows_read}, "
         f"used {summary.rows_used}, refused {summary.rows_refused}; {counted(tracks, 'track')}",

@@ -19,7 +19,7 @@ LARGE = 512 * 2**20
 
 
 def is_streamed(inputs: list[Path], output: Path, asked: bool | None, cluster: str | None) -> bool:
-    """Whether an input is streamed: if asked to, on a cluster, and where it is a folder or a large file."""
+    """Return True if an input is streamed: asked for, on a cluster, of a folder or of a large file."""
     from graphtrack.ros.bag import is_bag
 
     if asked is not None:

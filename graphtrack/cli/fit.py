@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Tables = dict[str, list[dict[str, object]]]
 Learned = tuple[dict[str, Any], Sequence[str], Tables]
-"""What was learned as JSON-able data, notes, and tables by their titles."""
+"""Results of learning as JSON-able data, notes, and tables by their titles."""
 
 
 def fit(
@@ -232,7 +232,7 @@ def _scene(
 
 
 def parameter_rows(found: Fit) -> list[dict[str, object]]:
-    """What changed, a row for each parameter."""
+    """Parameters before and after, a row each."""
     return [
         {
             "parameter": one.name,
@@ -247,7 +247,7 @@ def parameter_rows(found: Fit) -> list[dict[str, object]]:
 
 
 def score_rows(found: Fit) -> list[dict[str, object]]:
-    """What it bought, a row for each part of the tracks."""
+    """Log density before and after, a row for each part of the tracks."""
     return [
         {"tracks": name, "n": n, "before": before, "after": after, "gain": after - before}
         for (name, (before, after)), n in zip(found.scores.items(), found.tracks, strict=False)
@@ -255,7 +255,7 @@ def score_rows(found: Fit) -> list[dict[str, object]]:
 
 
 def caption(found: Fit) -> str:
-    """What was made great, in words."""
+    """Describe the criterion."""
     what = {
         "truth": "the likelihood of the true positions and angles under the smoother's covariances",
         "evidence": "the Laplace evidence of the observations",
@@ -265,7 +265,7 @@ def caption(found: Fit) -> str:
 
 
 def advice(found: Fit) -> list[str]:
-    """What to do where learning did not help tracks that it had not seen; nothing where it did."""
+    """Advice where learning did not help tracks held out; none where it did."""
     before, after = found.scores.get("held out", (0.0, 0.0))
     if after >= before:
         return []
@@ -278,7 +278,7 @@ def advice(found: Fit) -> list[str]:
 
 
 def scene_rows(found: SceneFit) -> list[dict[str, object]]:
-    """What changed, a row for each parameter."""
+    """Parameters before and after, a row each."""
     return [
         {
             "parameter": f"scene.{one.name}",
@@ -292,7 +292,7 @@ def scene_rows(found: SceneFit) -> list[dict[str, object]]:
 
 
 def scene_part_rows(found: SceneFit) -> list[dict[str, object]]:
-    """What it bought, a row for each part of the recording."""
+    """Log density before and after, a row for each part of the recording."""
     return [
         {
             "": name,
@@ -309,7 +309,7 @@ def scene_part_rows(found: SceneFit) -> list[dict[str, object]]:
 
 
 def scene_caption(found: SceneFit) -> str:
-    """What was learned from, in words."""
+    """Describe the recording."""
     part = found.parts["learned from"]
     how = "given" if found.labelled else "found"
     return (
@@ -319,7 +319,7 @@ def scene_caption(found: SceneFit) -> str:
 
 
 def scene_advice(found: SceneFit) -> list[str]:
-    """What to do where learning did not help what it had not seen; nothing where it did."""
+    """Advice where learning did not help the part held out; none where it did."""
     held = found.parts.get("held out")
     if held is None or held.after >= held.before:
         return []

@@ -24,7 +24,7 @@ def forecast(
     parameters: Path | None = None,
     seed: options.Seed = 0,
 ) -> None:
-    """Where each person will be, with the uncertainty: at every time from what was seen until then.
+    """Predict where each person will be, with the uncertainty, at every time from observations until then.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from graphtrack.cli import options
-from graphtrack.cli.console import emit, print_table, write_json
+from graphtrack.cli.console import emit, input_warnings_as_notes, print_table, write_json
 from graphtrack.display import counted
 from graphtrack.errors import InputError
 
@@ -99,18 +99,11 @@ def check_csv(output: Path) -> None:
 
 
 def read_quietly(path: Path) -> GroupLabels:
-    """Read labelled groups; what is to be said of them is said as a note."""
-    import warnings
-
-    from graphtrack.errors import InputWarning
+    """Read labelled groups; warnings become notes."""
     from graphtrack.io.groups import read_groups
 
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always", InputWarning)
-        found = read_groups(path)
-    for one in told:
-        emit(f"  note: {one.message}")
-    return found
+    with input_warnings_as_notes():
+        return read_groups(path)
 
 
 def parameters_of(path: Path | None) -> GroupParameters | None:

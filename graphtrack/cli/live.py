@@ -54,7 +54,7 @@ def say_nothing(*_: object) -> None:
 
 @dataclass(frozen=True)
 class Answers:
-    """How rows are answered.
+    """Settings of the answers to rows.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Answers:
         return Frame.restore(saved, tracker, self.asked)
 
     def settings(self) -> dict[str, Any]:
-        """What the answers depend on, as JSON-able data."""
+        """Settings that the answers depend on, as JSON-able data."""
         found = settings_of(self.model, self.chosen_engine, self.lag, self.fps, self.camera)
         found |= {} if self.horizon is None else {"forecast": list(self.horizon)}
         return found | ({} if self.asked is None else self.asked.settings())
@@ -139,7 +139,7 @@ class Answers:
 
 @dataclass(frozen=True)
 class Listener:
-    """Who is told what is no answer.
+    """Callbacks for what is no answer.
 
     Attributes
     ----------
@@ -330,12 +330,12 @@ class Incoming:
         return self._lines.popleft()
 
     def is_here(self) -> bool:
-        """Whether the next line need not be waited for."""
+        """Return True if the next line need not be waited for."""
         return bool(self._lines)
 
 
 def _is_here(lines: Lines) -> Callable[[], bool]:
-    """Whether the next of some lines need not be waited for; where nobody knows, it may have to."""
+    """Return a test of whether the next line is there already; False where nobody knows."""
     return lines.is_here if isinstance(lines, Incoming) else lambda: False
 
 
@@ -343,7 +343,7 @@ lines_of = Incoming
 
 
 def open_streams() -> IO[bytes]:
-    """Where rows come from, when there is somewhere for the answers to go too.
+    """Open standard input, given that standard output is open too.
 
     Raises
     ------

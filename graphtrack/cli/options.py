@@ -69,13 +69,6 @@ _MODELS = (
     "model file (.toml); by default full."
 )
 BestModelName = Annotated[str | None, typer.Option("--model", help=_MODELS)]
-Homography = Annotated[
-    Path | None,
-    typer.Option(help="File with 3×3 numbers: image → ground in metres.", exists=True, dir_okay=False),
-]
-Calibration = Annotated[
-    Path | None, typer.Option(help="Camera calibration (.ci), of a fisheye too.", exists=True, dir_okay=False)
-]
 TrustNoise = Annotated[
     Literal["declared", "check", "learn"] | None,
     typer.Option(
@@ -140,7 +133,7 @@ class Reading:
     fixed_frame: Annotated[str | None, typer.Option(metavar="FRAME")] = None
 
     def inputs(self, paths: Iterable[Path], model: str | None = None) -> dict[str, Paths]:
-        """What a command reads, by the names of its options, for `check_outputs`.
+        """Files that a command reads, by the names of its options, for `check_outputs`.
 
         Parameters
         ----------
@@ -157,11 +150,11 @@ class Reading:
         return named
 
     def given(self) -> dict[str, Any]:
-        """What was said, without what was left at its default."""
+        """Options that differ from their defaults, by name."""
         return {f.name: value for f in fields(self) if (value := getattr(self, f.name)) != f.default}
 
     def options(self) -> ReadOptions:
-        """What a reader is told."""
+        """Options for a reader."""
         from graphtrack.io.options import ReadOptions
 
         told = {name: value for name, value in self.given().items() if name not in _NO_FIELD}
@@ -212,14 +205,16 @@ class CameraReading(Reading):
 
     Reading the input
     -----------------
+    homography : File with 3×3 numbers: image → ground in metres.
     point_pairs : File with rows 'u v X Y', X and Y in metres; a homography is fitted (DLT).
+    calibration : Camera calibration (.ci).
     metres_per_pixel : Scale of a view from above, without a homography.
     classes : Class of object to read (KITTI, MOT); repeat for more.
     """
 
-    homography: Homography = None
+    homography: InputFile | None = None
     point_pairs: InputFile | None = None
-    calibration: Calibration = None
+    calibration: InputFile | None = None
     metres_per_pixel: float | None = None
     classes: Annotated[list[str] | None, typer.Option("--class", metavar="NAME")] = None
 
@@ -260,7 +255,7 @@ class Showing:
     connect: Annotated[str | None, typer.Option(metavar="URL")] = None
 
     def target(self) -> Target:
-        """Where it goes, checked."""
+        """Return the checked target."""
         from graphtrack.viewer.recording import Target
 
         found = Target(self.save, self.connect)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from graphtrack.evaluation.reproduce.experiment import Table
 
 BESIDE = Path("..") / "shared" / "data"
-"""Where recordings are looked for when nobody says where they are."""
+"""Folder of recordings when none is given."""
 
 RECORDINGS = ("mocap", "salsa", "caviar")
 """The folders of recordings that the experiments read."""

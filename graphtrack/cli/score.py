@@ -89,7 +89,7 @@ def _read(
     kept: list[tuple[TrackSet, TrackSet]],
     errors: list[TrackErrors],
 ) -> Iterator[Pair]:
-    """What is compared of each pair of files, as they are read, with the errors of the people in both.
+    """Read and compare each pair of files, with the errors of the people in both.
 
     Of one pair the tracks are kept.
     """

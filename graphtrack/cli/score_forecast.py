@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def are_forecasts(inputs: Sequence[Path]) -> bool:
-    """Whether files are tables of forecasts."""
+    """Return True if files are tables of forecasts."""
     from graphtrack.behaviour.forecast.table import is_forecast
 
     files = [path for path in inputs if path.is_file()]

@@ -24,7 +24,7 @@ def serve(
     engine: Literal["auto", "chain", "fixed-lag"] = "auto",
     lag: options.Seconds = 2.0,
     fps: float | None = None,
-    homography: options.Homography = None,
+    homography: options.InputFile | None = None,
     forecast: options.Seconds | None = None,
     groups: bool = False,
     attention: bool = False,
@@ -50,14 +50,21 @@ def serve(
     engine : As of graphtrack track.
     lag : History that is kept open.
     fps : Frames a second, for rows without a time.
+    homography : File with 3×3 numbers: image → ground in metres.
     forecast : Tell where people will be, every 0.4 s up to so many seconds ahead.
     groups : Tell who stands in conversation, or walks, with whom.
     attention : Tell who looks at whom, and at which --places.
     state : Folder in which streams are kept, to be gone on with; made if it is not there.
     save_every : As of graphtrack track.
+
+    Clients
+    -------
     token_file : File with the token that clients have to bear; else the variable GRAPHTRACK_TOKEN; else none.
     allow_host : Name in clients' URLs, besides localhost and --host; '*': any. Repeatable.
     allow_origin : Web pages that may use the service, as https://site.example; '*': any. Repeatable.
+
+    Limits
+    ------
     max_streams : Open at once.
     max_people : With identities, at once in a stream.
     max_rate : Rows a second of a stream; who is faster is slowed down.

@@ -41,7 +41,7 @@ class Noise:
 
     @property
     def is_none(self) -> bool:
-        """Whether nothing is added."""
+        """Return True if nothing is added."""
         return all(one is None for one in self.given.values())
 
 

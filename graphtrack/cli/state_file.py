@@ -141,7 +141,7 @@ class StateFile:
 
     @property
     def is_replacing(self) -> bool:
-        """Whether a new content is still being written."""
+        """Return True if a new content is still being written."""
         return not self._idle.is_set()
 
     def append(self, value: Any) -> None:
@@ -165,7 +165,7 @@ class StateFile:
                 self._since.append(text)
 
     def mark(self) -> None:
-        """What is added from now on comes after the next new content too."""
+        """Have lines that are added from now on follow the next new content too."""
         with self._mutex:
             self._since = []
 
@@ -385,7 +385,7 @@ def _locked(place: Path, path: Path, flags: int) -> int | None:
 
 
 def _is_at(file: int, place: Path) -> bool:
-    """Whether an open file still has this name."""
+    """Return True if an open file still has this name."""
     try:
         return os.path.samestat(os.fstat(file), place.stat())
     except FileNotFoundError:

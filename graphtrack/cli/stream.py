@@ -20,7 +20,7 @@ from graphtrack.streaming.protocol import Told, error_row, estimate_row, observa
 
 @dataclass(frozen=True)
 class StreamBounds:
-    """How much a stream with identities may hold.
+    """Bounds of a stream with identities.
 
     Attributes
     ----------
@@ -84,11 +84,11 @@ class People:
         return self.answers(number, line)[-1]
 
     def answers(self, number: int, line: bytes) -> list[dict[str, Any]]:
-        """What is to be said after a line of input: of a frame that it ends, and its `answer`."""
+        """Answers to a line of input: those of a frame that it ends, and its `answer`."""
         return self.answers_together([(number, line)])[0]
 
     def answers_together(self, lines: Sequence[tuple[int, bytes]]) -> list[list[dict[str, Any]]]:
-        """What is to be said after each of some lines, the same as one by one.
+        """Answers to each of some lines, the same as one by one.
 
         Rows that follow each other and are of different people are worked in by few calls into compiled code.
         """
@@ -141,7 +141,7 @@ class People:
     def _told_before(
         self, track_id: int, observation: Observation, estimate: Estimate
     ) -> list[dict[str, Any]]:
-        """What is told of the frame that a row ends."""
+        """Groups, looks and forecasts of the frame that a row ends."""
         found: list[dict[str, Any]] = []
         if CONVERSATIONS in self.members:
             self.members[CONVERSATIONS].estimated(track_id, estimate)
@@ -190,7 +190,7 @@ class People:
                 del self.members[one]
 
     def finish(self) -> list[dict[str, Any]]:
-        """What is to be said when no more rows come: what is told of the last frame."""
+        """Answers when no more rows come: those of the last frame."""
         rows: list[dict[str, Any]] = []
         for key in (FORECASTS, BEHAVIOUR):
             if key in self.members:

@@ -51,7 +51,7 @@ def with_first_row(lines: Lines, refuse: Refuse) -> tuple[Lines, dict[str, Any] 
 
 @dataclass(frozen=True)
 class StreamNames:
-    """What a stream calls its columns, and the unit of its times.
+    """Names of a stream's columns, and the unit of its times.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class StreamNames:
 
     @property
     def are_native(self) -> bool:
-        """Whether nothing is called or measured otherwise than in the native table."""
+        """Return True if nothing is called or measured otherwise than in the native table."""
         return not self.columns and self._leaves_times
 
     @property
@@ -151,7 +151,7 @@ class StreamNames:
         return self.columns.get(key, key)
 
     def settings(self) -> dict[str, Any]:
-        """What the answers depend on, for a state."""
+        """Settings that the answers depend on, for a state."""
         found: dict[str, Any] = {"columns": dict(self.columns), "per_second": 1e9 / self.unit}
         found |= {ORIGIN: self.origin} if self.origin else {}
         return found | ({KNOWN: True} if self.are_known else {})

@@ -46,13 +46,16 @@ def track(
     engine : chain: a fixed lag, compiled; fixed-lag: the same with GTSAM; isam2: GTSAM's incremental
         smoother; auto: chain where it can be.
     lag : History that is kept open, to be estimated anew; none: all of it, with isam2.
-    state : With -: keep in this file what going on takes, and go on from it. A row is in it before it is
-        answered.
+
+    Streams: with - as the input
+    ----------------------------
+    state : Keep in this file what going on takes, and go on from it. A row is in it before it is answered.
     save_every : Seconds between flushings of --state to the disk: what is lost if the power fails. A kill
         loses nothing.
-    forecast : With -: tell where people will be, every 0.4 s up to so many seconds ahead.
-    groups : With -: tell who stands in conversation, or walks, with whom.
-    attention : With -: tell who looks at whom, and at which --places.
+    forecast : Tell where people will be, every 0.4 s up to so many seconds ahead.
+    groups : Tell who stands in conversation, or walks, with whom.
+    attention : Tell who looks at whom, and at which --places.
+    places : CSV of what else may be looked at: name and x, y, radius, or name and polygon (x y x y …).
     """
     from graphtrack.inference.online import OnlineSmoother
     from graphtrack.inference.online_engines import check_lag, online_engine

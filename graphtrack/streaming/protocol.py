@@ -55,13 +55,13 @@ def _unknown(names: tuple[str, ...]) -> list[str]:
 
 
 def error_row(pairs: Pairs, number: int, error: InputError) -> dict[str, Any]:
-    """What is said of a line that cannot be used."""
+    """Answer to a line that cannot be used."""
     told = InputError(error.found, error.expected, line=number, column=error.column)
     return {**identity(pairs), "line": number, "error": str(told)}
 
 
 def observation_of(cells: dict[str, Any], fps: float | None) -> Observation:
-    """What a row says that was seen; angles in radians.
+    """Return a row as an observation; angles in radians.
 
     Raises
     ------

@@ -81,7 +81,7 @@ class LiveView:
         self._stack.close()
 
     def _is_ours(self, row: Row) -> bool:
-        """Whether a row is of the first stream that came: others know nothing of its people."""
+        """Return True if a row is of the first stream that came: others know nothing of its people."""
         if self._stream is None and ("status" in row or "end" in row):
             self._stream = row.get("stream", "")
         return bool(row.get("stream", "") == self._stream)

@@ -53,7 +53,7 @@ def calibrate(
 
 
 def print_view(found: FoundView) -> None:
-    """How the camera looks at the ground, and how sure that is."""
+    """Print the view of the camera on the ground, with its uncertainty."""
     view, std = found.view, found.std
     emit(
         f"from {found.boxes} boxes of {found.people} people, of which {100 * found.inliers:.0f} % agree:\n"

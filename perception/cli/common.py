@@ -43,13 +43,15 @@ Render = Annotated[
 class CameraOptions:
     """Options that say how a camera looks at the ground, and how often.
 
-    Parameters
-    ----------
+    Camera
+    ------
+    homography : File with 3×3 numbers: image → ground in metres.
+    calibration : Camera calibration (.ci), of a fisheye too.
     fps : Frames a second, if not the video's (else 25).
     """
 
-    homography: options.Homography = None
-    calibration: options.Calibration = None
+    homography: options.InputFile | None = None
+    calibration: options.InputFile | None = None
     fps: Annotated[float | None, typer.Option(min=0.1)] = None
 
     @property
@@ -59,7 +61,7 @@ class CameraOptions:
 
     @property
     def stamps(self) -> tuple[object, object]:
-        """What tells the files from what they are after a change."""
+        """Identity of the files' contents: path, size and time."""
         return stamp_of(self.homography), stamp_of(self.calibration)
 
     def rate(self, frames: FrameSource) -> float:
@@ -81,7 +83,7 @@ class CameraOptions:
 
 
 def stamp_of(path: Path | None) -> object:
-    """What tells a file from what it is after a change."""
+    """Identity of a file's content: path, size and time."""
     if path is None:
         return None
     state = path.stat()
@@ -140,7 +142,7 @@ def decoded_frames(
 
 
 def in_time(count: int, seconds: float) -> str:
-    """How long so many frames took."""
+    """Describe the time that so many frames took."""
     return f"{counted(count, 'frame')} in {seconds:.1f} s ({count / max(seconds, 1e-9):.1f} a second)"
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class OwnNetworks:
-    """What the options name.
+    """Networks and keypoints that the options name.
 
     Attributes
     ----------
@@ -45,12 +45,12 @@ class OwnNetworks:
 
     @property
     def has_keypoints(self) -> bool:
-        """Whether body and head are told by keypoints."""
+        """Return True if body and head are told by keypoints."""
         return self.pose is not None or self.known is not None
 
     @property
     def makes_boxes(self) -> bool:
-        """Whether the boxes of people are those of their keypoints, where none are given."""
+        """Return True if the boxes of people are those of their keypoints, where none are given."""
         return self.has_keypoints and self.detector is None
 
     def look(self, frame: int, image: Image) -> FoundPeople:

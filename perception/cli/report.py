@@ -365,7 +365,7 @@ def found_people(
 
 
 def _told(refused: Sequence[str] | dict[str, None]) -> list[str]:
-    """What was left out: the first few, and how many more there are."""
+    """List the first few reasons, and how many more there are."""
     reasons = list(refused)
     more = [f"skipped: {len(reasons) - _SHOWN} more"] if len(reasons) > _SHOWN else []
     return [f"skipped: {reason}" for reason in reasons[:_SHOWN]] + more

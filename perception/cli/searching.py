@@ -31,7 +31,7 @@ Refuse = Callable[[str], object]
 
 
 def key_of(*asked: object) -> str:
-    """What tells one run from another."""
+    """Key of a run, from all that its result depends on."""
     return hashlib.sha256(repr(asked).encode()).hexdigest()
 
 
@@ -198,7 +198,7 @@ class PeopleSearch:
     def _candidates(
         self, camera: GroundCamera, numbers: list[int], backgrounds: Backgrounds, refuse: Refuse
     ) -> tuple[GroundSearch | None, dict[int, Candidates]]:
-        """Where people may be in the frames that are learned from."""
+        """Candidates for people in the frames that are learned from."""
         from perception.detection.rescoring import learning_frames
 
         wanted = frozenset(learning_frames(numbers, self.fps))

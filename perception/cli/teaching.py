@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from perception.images.frames import FrameSource
 
 _KEY = "recording"
-"""What the card of such a file has besides: which recording it learned from."""
+"""Key in the card of such a file: the recording it learned from."""
 
 
 def teach(
@@ -89,7 +89,7 @@ def forget(taught: Path, adapt: bool) -> None:
 
 
 def stamp_of_camera(camera: GroundCamera | None) -> object:
-    """What tells one camera from another."""
+    """Identity of a camera."""
     if camera is None:
         return None
     values = (camera.homography, camera.intrinsics, camera.distortion, camera.centre_on_ground)

@@ -177,12 +177,6 @@ def test_settings_that_make_no_sense_are_one_line(here, options, told):
     assert not (here / "forecast.csv").exists()
 
 
-@pytest.mark.parametrize("horizon", ["0", "-1", "nan", "86400"])
-def test_horizons_of_a_stream_that_make_no_sense_are_one_line(here, horizon):
-    done = graphtrack(f"track - --forecast {horizon}")
-    assert done.returncode == 2 and "horizon = " in done.stderr
-
-
 def test_one_person_alone_is_forecast_and_can_be_learned_from(here, monkeypatch):
     monkeypatch.setattr("graphtrack.learning.forecast.PLACE_STEPS", {"stop_speed": (0.0, 0.2)})
     walkers(here / "one.csv", people=1, steps=40)

@@ -1,4 +1,4 @@
-"""What a service does, and how much of it."""
+"""Settings and limits of a service."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from graphtrack.errors import InputError
 from graphtrack.streaming.protocol import LONGEST_LINE
 
 STREAM_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
-"""What a stream may be called: it becomes the name of a file."""
+"""Pattern of a stream's name, which becomes the name of a file."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a client may ask for.
+    """Limits on clients.
 
     Attributes
     ----------

@@ -146,7 +146,7 @@ class Stream:
 
 
 def nothing() -> None:
-    """What a process does that only shows that there can be one."""
+    """Do nothing, in a process that only shows that there can be one."""
 
 
 def prepare(service: Service) -> None:

@@ -25,7 +25,7 @@ from graphtrack.errors import GraphtrackError, InputError
 from graphtrack.model import Model
 
 DONE, ASIDE = b"#", b"!"
-"""How a line begins after the answers to some rows, and one that is none."""
+"""Beginning of a line that counts answered rows, and of one that is no answer."""
 
 PIECE = 1 << 16
 """Bytes that are read at once."""
@@ -47,7 +47,7 @@ class Answered(io.TextIOBase):
 
     @property
     def is_held(self) -> bool:
-        """Whether answers have waited for long."""
+        """Return True if answers have waited for long."""
         return time.monotonic() > self._sent + _HELD
 
     def write(self, text: str, /) -> int:
