@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,9 +15,6 @@ from graphtrack.cli.track import horizon_of
 from graphtrack.errors import InputError
 
 if TYPE_CHECKING:
-    from graphtrack.behaviour.forecast.recorded import Forecasts
-    from graphtrack.behaviour.groups import Groups
-    from graphtrack.tracks import TrackSet
     from graphtrack.viewer.pictures import PersonBoxes
 
 _FIND = "find"
@@ -46,6 +43,8 @@ def view(
     forecast : What 'graphtrack forecast' wrote, or so many seconds ahead: it is made now.
     person : Whose series are drawn; by default theirs who have most rows.
     """
+    from graphtrack.behaviour.forecast.recorded import forecast as predict
+    from graphtrack.behaviour.groups import groups as find_groups
     from graphtrack.viewer.shown import view as show
 
     if [str(path) for path in inputs] == ["-"]:
@@ -59,15 +58,22 @@ def view(
         _show_stream(showing, person, given)
         return
     showing.target()
-    files = {"--groups": _file(groups, _is_word), "--forecast": _file(forecast, _is_number)}
+    ahead = _number(forecast)
+    files = {
+        "--groups": None if groups is None or groups == _FIND else Path(groups),
+        "--forecast": None if forecast is None or ahead is not None else Path(forecast),
+    }
     options.check_outputs({"--save": showing.save}, {**reading.inputs(inputs), "--boxes": boxes, **files})
     tracks = reading.tracks(inputs)
+    horizon = horizon_of(ahead)
     show(
         tracks,
         save=showing.save,
         connect=showing.connect,
-        groups=_groups(tracks, groups),
-        forecast=_forecast(tracks, forecast),
+        groups=find_groups(tracks) if groups == _FIND else files["--groups"],
+        forecast=files["--forecast"]
+        if horizon is None
+        else predict(tracks, horizon=horizon[0], step=horizon[1]),
         video=video,
         boxes=_boxes(inputs, boxes, reading, video),
         person=person,
@@ -87,37 +93,11 @@ def _show_stream(showing: options.Showing, person: int | None, given: Mapping[st
     show_stream(sys.stdin.fileno(), target, person)
 
 
-def _is_word(text: str) -> bool:
-    return text == _FIND
-
-
-def _is_number(text: str) -> bool:
+def _number(text: str | None) -> float | None:
     try:
-        float(text)
+        return None if text is None else float(text)
     except ValueError:
-        return False
-    return True
-
-
-def _file(given: str | None, is_other: Callable[[str], bool]) -> Path | None:
-    return None if given is None or is_other(given) else Path(given)
-
-
-def _groups(tracks: TrackSet, given: str | None) -> Groups | Path | None:
-    if given is None or not _is_word(given):
-        return None if given is None else Path(given)
-    from graphtrack.behaviour.groups import groups
-
-    return groups(tracks)
-
-
-def _forecast(tracks: TrackSet, given: str | None) -> Forecasts | Path | None:
-    if given is None or not _is_number(given):
-        return None if given is None else Path(given)
-    from graphtrack.behaviour.forecast.recorded import forecast
-
-    horizon, step = horizon_of(float(given)) or (0.0, 0.0)
-    return forecast(tracks, horizon=horizon, step=step)
+        return None
 
 
 def _boxes(

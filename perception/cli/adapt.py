@@ -14,6 +14,7 @@ from graphtrack.cli.console import emit, print_table, progress_bar
 from graphtrack.display import counted
 from perception.cli.common import CameraOptions, check_places, print_skipped
 from perception.cli.searching import PeopleSearch, search_journals
+from perception.cli.teaching import package_models
 
 if TYPE_CHECKING:
     from perception.storage import ModelCard
@@ -43,11 +44,9 @@ def adapt(
     from graphtrack.errors import InputError
     from graphtrack.model import Model
     from perception.adaptation.adapting import Recording, adapted
-    from perception.adaptation.learning import PackageModels
     from perception.adaptation.recording import check_camera
     from perception.detection.boxes import read_boxes
     from perception.images.frames import FrameSource
-    from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 
     if output.suffix != ".npz":
         raise InputError(f"--output {output.name}", "a name that ends in .npz")
@@ -72,9 +71,6 @@ def adapt(
         check_camera(on_ground, frames.size())
     refused: dict[str, None] = {}
     refuse = refused.setdefault
-    package = PackageModels(
-        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
-    )
     rng = np.random.default_rng(seed)
     recordings = []
     with ExitStack() as searches:
@@ -86,7 +82,7 @@ def adapt(
             else:
                 people = read_boxes(of_recording, refuse)
             recordings.append(Recording(frames, people, rate))
-        found = adapted(recordings, on_ground, package, rng, progress_bar, refuse)
+        found = adapted(recordings, on_ground, package_models(), rng, progress_bar, refuse)
         found.models.save(output)
         if write_model is not None:
             found.models.graph(Model.named(None)).save(write_model)

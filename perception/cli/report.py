@@ -16,6 +16,7 @@ from graphtrack.display import counted
 from graphtrack.errors import InputError
 from perception.cli.calibrate import PersonHeight
 from perception.cli.common import Boxes, CameraOptions, VideoOrFolder, decoded_frames
+from perception.cli.observe import ModelOptions
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
@@ -217,8 +218,6 @@ class _Run:
     def observe(self) -> None:
         """Stage 4: what is seen of everybody, and who is who."""
         from graphtrack.io import write
-        from perception.adaptation.models import CameraModels
-        from perception.models import HEAD_POSE, load_classifier, load_head_localiser
         from perception.observe import pipeline
         from perception.observe.detections import to_detections
         from perception.observe.identified import to_identified
@@ -230,13 +229,9 @@ class _Run:
 
         def work(key: str) -> list[str]:
             refused: dict[str, None] = {}
-            models = pipeline.Models(
-                load_head_localiser(),
-                load_classifier("body_pose"),
-                load_classifier(HEAD_POSE[0]),
-                appearance=not identified,
-                of_camera=CameraModels.load(taught) if taught.is_file() else None,
-            ).seeing(self.camera, self.frames.size)
+            chosen = ModelOptions(camera_models=taught if taught.is_file() else None)
+            models = chosen.load(appearance=not identified, has_keypoints=False)
+            models = models.seeing(self.camera, self.frames.size)
             encode, decode = pipeline.SeenFrame.to_record, pipeline.SeenFrame.from_record
             journal = FrameJournal(place.with_name(f"{place.name}.journal"), key, encode, decode)
             journal.open()

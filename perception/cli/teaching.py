@@ -13,12 +13,21 @@ from graphtrack.cli.console import emit, progress_bar
 
 if TYPE_CHECKING:
     from graphtrack.geometry.camera import GroundCamera
+    from perception.adaptation.learning import PackageModels
     from perception.adaptation.models import CameraModels
     from perception.detection.boxes import PersonBox
     from perception.images.frames import FrameSource
 
 _KEY = "recording"
 """Key in the card of such a file: the recording it learned from."""
+
+
+def package_models() -> PackageModels:
+    """The package's models that look while a camera teaches itself."""
+    from perception.adaptation.learning import PackageModels
+    from perception.models import HEAD_POSE, load_classifier, load_head_localiser
+
+    return PackageModels(load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0]))
 
 
 def teach(
@@ -38,21 +47,17 @@ def teach(
     it was learned with the same ``key`` before.
     """
     from perception.adaptation.adapting import Recording, adapted
-    from perception.adaptation.learning import PackageModels, TooFewWalkers
+    from perception.adaptation.learning import TooFewWalkers
     from perception.adaptation.models import CameraModels
-    from perception.models import HEAD_POSE, load_classifier, load_head_localiser
 
     if path.is_file():
         known = CameraModels.load(path)
         if known.card.parameters.get(_KEY) == key:
             return known, _sentence(known)
-    package = PackageModels(
-        load_head_localiser(), load_classifier("body_pose"), load_classifier(HEAD_POSE[0])
-    )
     rng = np.random.default_rng(seed)
     try:
         recordings = [Recording(frames, people, rate)]
-        models = adapted(recordings, camera, package, rng, progress_bar, refuse).models
+        models = adapted(recordings, camera, package_models(), rng, progress_bar, refuse).models
     except TooFewWalkers as error:
         sentence = f"the camera does not teach itself, the package's models look: {error.found}"
         emit(f"  note: {sentence}")
