@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -90,6 +91,7 @@ def _show_stream(showing: options.Showing, person: int | None, given: Mapping[st
     options.refuse(given, "with -", "answers of graphtrack track -, as they are")
     target = showing.target()
     options.check_outputs({"--save": showing.save})
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the stream ends in its own way, and then this does
     show_stream(sys.stdin.fileno(), target, person)
 
 
